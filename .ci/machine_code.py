@@ -11,8 +11,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, chosen_level
-from mbdkit.kernels import machine_code
 from mbdkit_builder.libraries import build, group_of
 from mbdkit_builder.lowering import symbols
 from mbdkit_builder.sources import builder_digests

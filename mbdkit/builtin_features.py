@@ -85,7 +85,7 @@ def builtin_features() -> list[Feature]:
             find=Target("mbdkit.runs.corners:overshoots_and_corners"), criteria=("corners", "overshoots"),
         ),
         CriterionItem(
-            name="moved-start", summary="Positions that assembly changes by far.", order=120, stage="start",
+            name="moved-start", summary="Positions and angles that assembly changes by far.", order=120, stage="start",
             find=Target("mbdkit.runs.run_criteria:moved_start"),
         ),
         CriterionItem(

@@ -3,35 +3,13 @@
 from __future__ import annotations
 
 from mbdkit.builtin_features import builtin_features
+from mbdkit.laws import LAWS
+from mbdkit.methods import INTEGRATORS, STEP_CONTROLS
+from mbdkit.models import MODELS
 from mbdkit.registry.hookspecs import hookimpl
 from mbdkit.registry.item import Item
-from mbdkit.registry.items import Command, ForceLawPlugin, IntegratorPlugin, ModelPlugin
+from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
-
-
-@hookimpl
-def mbdkit_models() -> list[ModelPlugin]:
-    """Return the models that mbdkit ships."""
-    from mbdkit.models import MODELS
-
-    return list(MODELS)
-
-
-@hookimpl
-def mbdkit_integrators() -> list[IntegratorPlugin]:
-    """Return the integrators that mbdkit ships."""
-    from mbdkit.methods import INTEGRATORS
-
-    return list(INTEGRATORS)
-
-
-@hookimpl
-def mbdkit_force_laws() -> list[ForceLawPlugin]:
-    """Return the force laws that mbdkit ships."""
-    from mbdkit.laws import LAWS
-
-    return list(LAWS)
-
 
 # fmt: off
 COMMANDS = (
@@ -72,7 +50,5 @@ COMMANDS = (
 
 @hookimpl
 def mbdkit_items() -> list[Item]:
-    """Return the commands, controllers of steps and features that mbdkit ships."""
-    from mbdkit.methods import STEP_CONTROLS
-
-    return [*COMMANDS, *STEP_CONTROLS, *builtin_features()]
+    """Return the models, methods, laws, commands, controllers of steps and features that mbdkit ships."""
+    return [*MODELS, *INTEGRATORS, *LAWS, *COMMANDS, *STEP_CONTROLS, *builtin_features()]

@@ -9,6 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from mbdkit.archive.fingerprint import seal
+
 STIFFNESS, MASS = 40.0, 2.0
 COVARIANCE = np.array([[0.2**2, 0.6 * 0.2 * 0.01], [0.6 * 0.2 * 0.01, 0.01**2]])
 """Covariance of stiffness and mass: deviations of 0.2 N/m and 0.01 kg, correlation 0.6."""
@@ -25,7 +27,9 @@ def write_identified(
         group["parameter"] = np.array([*values], object)
         group["value"], group["covariance"] = np.array([*values.values()]), matrix
         group["deviation"] = np.sqrt(np.diagonal(matrix))
+        group["why"] = np.array([""] * len(values), object)
         group["identifiable"] = np.isfinite(np.diagonal(matrix)).astype(int)
+        seal(file)
     return path
 
 

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive import layout
-from mbdkit.archive.fingerprint import attributes_sha256, blocks, data_sha256, datasets, is_text, spec_sha256
+from mbdkit.archive.fingerprint import StoredHashes, blocks, datasets, is_text, spec_sha256
 from mbdkit.archive.hdf5_errors import DAMAGE, cause
 from mbdkit.archive.layout import FORMAT_VERSION
 from mbdkit.archive.result_seams import file_problems
@@ -70,6 +70,17 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
         raise
 
 
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Run]:
+    """Open an archive for a command, as `load` does.
+
+    Raises SpecError if `path` is not an archive that this version can read, or if the body fails because the archive is
+    damaged. Raises ResourceError if a run is still writing the file, or the system refuses to read it.
+    """
+    with blaming_damage(path), Run.open(path) as run:
+        yield run
+
+
 def _unreadable(path: Path) -> list[str]:
     """Return a list with the reason why `Run` cannot read an archive without other problems; empty if it can."""
     try:
@@ -118,15 +129,8 @@ class _Checker:
         with self.reading("the statistics"):
             self.stats()
         if self.status != "running":
-            with self.reading("the data"):
-                if self.file.attrs["data_sha256"] != data_sha256(self.file):
-                    self.say("the data have changed since they were written: data_sha256 does not match")
-            with self.reading("the attributes, timings and estimated errors"):
-                if attributes_sha256(self.file) != self.file.attrs[layout.ATTRIBUTES_HASH]:
-                    self.say(
-                        "attributes, timings or estimated errors have changed since they were written: "
-                        f"{layout.ATTRIBUTES_HASH} does not match"
-                    )
+            with self.reading("the contents"):
+                StoredHashes(self.file).verify()
         return self.found
 
     @property

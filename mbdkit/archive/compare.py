@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import h5py
 import numpy as np
 
-from mbdkit.archive.fingerprint import blocks, data_sha256, datasets, is_text, mismatches
+from mbdkit.archive.fingerprint import blocks, datasets, is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import is_hashed
 from mbdkit.archive.run import Run
@@ -22,22 +22,19 @@ _NOT_VERSIONS = {"command"}
 class Comparison:
     """Differences between two runs.
 
-    - `same_data`: whether both runs have ended and all compared arrays are bitwise equal. Hashes are computed from the
-      arrays, because stored hashes may be wrong.
+    - `same_data`: whether both runs have ended and all compared arrays are bitwise equal.
     - `same_spec`: whether the canonical JSON of both specs is the same.
     - `differences`: largest difference of each array except timings, relative to the largest magnitude of that array in
       either run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite
       values differ.
     - `versions`: provenance attributes that differ, except the command, with the values of the first and the second
       run.
-    - `falsified`: one sentence for each stored hash that does not match the contents of its run; empty if all match.
     """
 
     same_data: bool
     same_spec: bool
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
-    falsified: tuple[str, ...] = ()
 
     @property
     def largest(self) -> float:
@@ -52,7 +49,6 @@ class Comparison:
             lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
             worst = sorted(self.differences.items(), key=lambda item: -item[1])
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
-        lines = [*self.falsified, *lines]
         if not self.same_spec:
             lines.append("the specs differ")
         lines += [
@@ -63,10 +59,9 @@ class Comparison:
 
 def compare(first: Run, second: Run) -> Comparison:
     """Compare two runs. Raises MbdkitError if a run is closed. Raises SpecError if an archive is damaged."""
-    one, of_one, falsified_one = _contents(first)
-    two, of_two, falsified_two = _contents(second)
+    one, two = _arrays(first), _arrays(second)
     # a crashed run has no hash and may lack rows, so its data count as different
-    same = bool(first.data_sha256 and second.data_sha256) and of_one == of_two
+    same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
     differences = {}
     for path in sorted({*one, *two}):
         with reading(path, None):
@@ -80,21 +75,12 @@ def compare(first: Run, second: Run) -> Comparison:
             for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
             if len(set(pair := (str(first.provenance.get(name, "")), str(second.provenance.get(name, ""))))) == 2
         },
-        falsified=(*falsified_one, *falsified_two),
     )
 
 
-def _contents(run: Run) -> tuple[dict[str, h5py.Dataset], str, list[str]]:
-    file = run.file
+def _arrays(run: Run) -> dict[str, h5py.Dataset]:
     with reading("its contents", run.path):
-        arrays = {item.name.lstrip("/"): item for item in datasets(file) if is_hashed(item.name)}
-        digest = data_sha256(file)
-        unmatched = mismatches(file, digest)
-    where = run.path or "the run in memory"
-    sentences = [
-        f"{where}: its {what} changed after it was written: {name} does not match" for name, what in unmatched.items()
-    ]
-    return arrays, digest, sentences
+        return {item.name.lstrip("/"): item for item in datasets(run.file) if is_hashed(item.name)}
 
 
 def _difference(one: h5py.Dataset | None, two: h5py.Dataset | None) -> float:

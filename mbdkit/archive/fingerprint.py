@@ -1,30 +1,38 @@
-"""The hashes of an archive, as defined in `schemas/archive.md`."""
+"""The hashes of an archive, as defined in `schemas/archive.md`: `seal` stores them, `StoredHashes` verifies them."""
 
 from __future__ import annotations
 
 import hashlib
 import math
+import os
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from types import MappingProxyType
 
 import h5py
 import numpy as np
-from h5py import h5a, h5d, h5g, h5o, h5s, h5t
+from h5py import h5a, h5d, h5ds, h5g, h5i, h5o, h5s, h5t
 
-from mbdkit.archive.layout import ATTRIBUTES_HASH, is_hashed
+from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.layout import ARRAY_HASHES, ATTRIBUTES_HASH, DATA_HASH, is_hashed
 from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.registered_kinds import kind_of_group
 
 BLOCK_BYTES = 1 << 23
 
+_LINE = re.compile(r"(.+?) \S+ \S* [0-9a-f]{64}\n", re.DOTALL)
+
 _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
 
-#: Attributes in which HDF5 stores dimension scales; they hold addresses in the file.
+#: Attributes in which HDF5 stores dimension scales.
 OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
 
-#: Attributes that `attributes_sha256` does not cover: both hashes, and `finish_s`, which is written after them.
-_NOT_COVERED = frozenset({"/data_sha256", f"/{ATTRIBUTES_HASH}", "stats/finish_s"})
+#: Those with addresses in the file; the paths of the scales are covered instead.
+_ADDRESSES = frozenset({"REFERENCE_LIST", "DIMENSION_LIST"})
+
+#: Attributes that `attributes_sha256` does not cover: both hashes.
+_NOT_COVERED = frozenset({f"/{DATA_HASH}", f"/{ATTRIBUTES_HASH}"})
 
 
 def blocks(dataset: h5py.Dataset) -> Iterator[np.ndarray]:
@@ -94,20 +102,74 @@ def _line_of(path: str, item: h5d.DatasetID) -> str:
     return _line_with(path, item, partial(item.read, h5s.ALL, h5s.ALL))
 
 
-def mismatches(file: h5py.File, data: str = "") -> dict[str, str]:
-    """Return the stored hashes that do not match the contents of an archive: what they cover, by attribute.
+def seal(
+    file: h5py.File,
+    known: Mapping[str, str] = MappingProxyType({}),
+    unread: Mapping[str, Sequence[str]] = MappingProxyType({}),
+) -> None:
+    """Store the hashes of all contents in the root attributes of a file; nothing may be written after that.
 
-    A hash that is not stored, as in archives of crashed runs, matches everything.
-
-    `data`: hash of the arrays if it is known, as returned by `data_sha256`.
+    `known`, `unread`: see `attributes_sha256`; the lines of all arrays that are not opened are known.
     """
-    stored = file.attrs
-    checks: tuple[tuple[str, str, Callable[[], str]], ...] = (
-        ("data", "data_sha256", lambda: data or data_sha256(file)),
-        ("spec", "spec_sha256", lambda: spec_sha256(str(stored.get("spec", "")))),
-        ("attributes", ATTRIBUTES_HASH, lambda: attributes_sha256(file)),
-    )
-    return {name: what for what, name, there in checks if stored.get(name) and stored[name] != there()}
+    items = _identifiers(h5o.open(file.id, b"/"), "", unread)
+    lines = {path: line for path, line in known.items() if "@" not in path}
+    lines |= {
+        path: _line_of(path, item) for path, item in items if isinstance(item, h5d.DatasetID) and path not in lines
+    }
+    data = digest_lines(line for path, line in lines.items() if is_hashed(path))
+    for name, text in ((DATA_HASH, data), (ARRAY_HASHES, "".join(sorted(lines.values())))):
+        if file.attrs.get(name) != text:
+            file.attrs.pop(name, None)
+            set_text(file, name, text)
+    file.attrs.pop(ATTRIBUTES_HASH, None)
+    set_text(file, ATTRIBUTES_HASH, attributes_sha256(file, {**known, **lines}, unread))
+
+
+class StoredHashes:
+    """The hashes that are stored in a file, by which all of its contents are verified.
+
+    Attributes, and which arrays there are, are verified at once; this takes about as long as opening the file. The
+    values of an array are verified when it is read first, at about 1 GB/s. What has been verified is not verified again
+    by this process as long as the file does not change.
+
+    Raises ValueError if hashes are missing, or if the attributes or the arrays are not those that were written.
+    """
+
+    def __init__(self, file: h5py.File):
+        self._file = file
+        self._lines = {line[1]: line[0] for line in _LINE.finditer(str(file.attrs.get(ARRAY_HASHES, "")))}
+        self._verified = _verified(file)
+        if "" in self._verified:
+            return
+        stored = [file.attrs.get(name) for name in (DATA_HASH, ATTRIBUTES_HASH)]
+        data = digest_lines(line for path, line in self._lines.items() if is_hashed(path))
+        if stored != [data, attributes_sha256(file, self._lines)]:
+            raise ValueError("its attributes have changed since they were written")
+        every = _identifiers(h5o.open(file.id, b"/"), "")
+        if changed := {path for path, item in every if isinstance(item, h5d.DatasetID)} ^ self._lines.keys():
+            raise ValueError(f"arrays were added or removed, such as {min(changed)}")
+        self._verified.add("")
+
+    def verify(self, below: str = "") -> None:
+        """Raise ValueError if the values of an array at a path, of one below a group, or of any one have changed."""
+        for path, stored in self._lines.items():
+            if path not in self._verified and (not below or path == below or path.startswith(f"{below}/")):
+                if _line_of(path, h5d.open(self._file.id, path.encode())) != stored:
+                    raise ValueError(f"{path} has changed since it was written")
+                self._verified.add(path)
+
+
+def _verified(file: h5py.File) -> set[str]:
+    """Return the paths of the arrays of a file that this process has verified, and an empty one for the rest."""
+    if file.driver == "core":
+        return set()
+    state = os.stat(file.filename)
+    return _verified_in(file.filename, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+
+
+@lru_cache(maxsize=1024)
+def _verified_in(*_: object) -> set[str]:
+    return set()
 
 
 def attributes_sha256(
@@ -121,23 +183,41 @@ def attributes_sha256(
     file. `unread`: known lines of arrays and of groups with all that they contain, by path; these objects are not
     opened.
     """
-    lines = [line for known_lines in unread.values() for line in known_lines]
+    lines, scales = [line for known_lines in unread.values() for line in known_lines], dict[int, str]()
     for path, item in _identifiers(h5o.open(file.id, b"/"), "", unread):
         if isinstance(item, h5d.DatasetID) and not is_hashed(path):
             lines.append(known.get(path) or _line_of(path, item))
-        lines += attribute_lines(item, path, known)
+        lines += attribute_lines(item, path, known, scales)
     return digest_lines(lines)
 
 
-def attribute_lines(item: h5g.GroupID | h5d.DatasetID, path: str, known: Mapping[str, str]) -> list[str]:
-    """Return the lines of the attributes of a group or an array that `attributes_sha256` covers."""
+def attribute_lines(
+    item: h5g.GroupID | h5d.DatasetID, path: str, known: Mapping[str, str], names_of_scales: dict[int, str]
+) -> list[str]:
+    """Return the lines of the attributes of a group or an array that `attributes_sha256` covers.
+
+    `names_of_scales`: paths of the dimension scales of the file that are known, by address; others are added.
+    """
     names: list[bytes] = []
     h5a.iterate(item, names.append)  # the high-level interface takes three times as long
-    return [
+    lines = [
         known.get(f"{path}@{name}") or _attribute_line(f"{path}@{name}", h5a.open(item, name.encode()))
         for name in map(bytes.decode, names)
-        if name not in OF_SCALES and f"{path}/{name}" not in _NOT_COVERED
+        if name not in _ADDRESSES and f"{path}/{name}" not in _NOT_COVERED
     ]
+    if b"DIMENSION_LIST" in names:
+        scales: list[str] = []
+
+        def note(scale: h5d.DatasetID) -> None:
+            address = h5o.get_info(scale).addr  # a name takes ten times as long
+            if address not in names_of_scales:
+                names_of_scales[address] = h5i.get_name(scale).decode()
+            scales.append(names_of_scales[address])
+
+        for axis in range(item.rank):
+            h5ds.iterate(item, axis, note)
+        lines.append(attribute_line(f"{path}@DIMENSION_LIST", tuple(scales)))
+    return lines
 
 
 def _identifiers(
@@ -181,6 +261,8 @@ def _line_with(path: str, item: h5a.AttrID | h5d.DatasetID, read: Callable[..., 
     numbers = np.empty(item.shape, item.dtype)
     if numbers.size:
         read(numbers)
+    if numbers.dtype.kind == "S" and not numbers.shape:  # the marks of dimension scales
+        return line(path, TEXT, (), hashlib.sha256(bytes(numbers[()]) + b"\0").hexdigest())
     return line(path, numbers.dtype.str, item.shape, hashlib.sha256(numbers.tobytes()).hexdigest())
 
 

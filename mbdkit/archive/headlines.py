@@ -52,6 +52,8 @@ first share of the range of the quantity, and the second one of its largest magn
 At the end of a period, the values at start and end are equal, and in equilibrium almost so.
 """
 
+NOT_UNIQUE = " (not unique, of least norm)"
+
 MESH_ERROR = "the error of the mesh of beams"
 """What error bars of runs with beams do not include."""
 
@@ -78,6 +80,8 @@ class Headline(NamedTuple):
     """Whether the errors of the run were estimated, so that an unknown error is stated."""
     is_at_end: bool = False
     """Whether the number is that at the end of the run, so that a longer run may exceed it."""
+    is_unique: bool = True
+    """Whether the motion determines the number; otherwise it is one of the possible reactions of redundant joints."""
 
     @property
     def largest(self) -> float:
@@ -95,6 +99,8 @@ class Headline(NamedTuple):
         The number is the largest value between recorded rows if that is known; if it is clearly larger than the value
         in the rows, the text has both. If it is unknown, the text says that the number is that of the rows.
         """
+        if not self.is_unique:
+            return f"{self.largest:.4g} {self._unit}".rstrip() + NOT_UNIQUE
         if math.isnan(self.missed):
             return self._with_error(self.value, self.error, sign) + " in the recorded rows"
         between = self._with_error(self.largest, self.error - self.missed, sign)
@@ -182,6 +188,14 @@ def headlines(run: Run, most: int = MOST) -> list[Headline]:
         if math.isfinite(value)
     ]
     return (measured or [*_added(run), *largest_loads(run)])[:most]
+
+
+def not_unique(run: Run) -> frozenset[str]:
+    """Return the joints whose reactions the motion does not determine, because joints are redundant."""
+    if not run.redundancy or not run.records("joints/reaction_force"):
+        return frozenset()
+    listed = f", {run.file['joints/reaction_force'].attrs.get('not_unique', '')}, "
+    return frozenset(name for name in run.joint_names if f", {name}, " in listed)
 
 
 def _added(run: Run) -> list[Headline]:
@@ -283,6 +297,7 @@ def largest_of(
     Values that count as zero are left out.
     """
     rows, is_integrated = _peak_rows(size), run.spec_kind.is_integrated
+    shared = not_unique(run) if names is run.joint_names else frozenset()
     beyond = np.zeros(len(rows)) if missed is None else missed
     headlines = []
     for column, row in enumerate(rows):
@@ -290,9 +305,9 @@ def largest_of(
         label = f"largest {words} {names[column]}" if words else names[column]
         value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
         ends = is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
-        headlines.append(
-            Headline(label, value, unit, error, float(beyond[column]), names[column], at, is_checked, ends)
-        )
+        name = names[column]
+        error, extra = (error, float(beyond[column])) if name not in shared else (math.nan, 0.0)
+        headlines.append(Headline(label, value, unit, error, extra, name, at, is_checked, ends, name not in shared))
     most = max((headline.largest for headline in headlines), default=0.0)
     return sorted(
         (headline for headline in headlines if headline.largest > ROUND_OFF * most), key=lambda one: -one.largest

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.archive.fingerprint import StoredHashes
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
@@ -18,13 +19,12 @@ LARGEST_FILE = 2**30
 """Largest size of a file [bytes]."""
 
 
-def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray]:
+def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, list[str]]:
     """Return the estimates of K parameters in a file, which is recorded as a file that was read.
 
-    Returns the names of the parameters, their estimates (K,) and the covariance of these (K, K) in SI units, and
-    whether the data determine them (K,); the covariances of those that they do not determine may be nan. Raises
-    SpecError if there is no such file, or if it is not the result of an identification. Raises ArchiveError if it is
-    damaged.
+    Returns the names of the parameters, their estimates (K,) and the covariance of these (K, K) in SI units, and for
+    each why it has no covariance, empty if it has one. Raises SpecError if there is no such file, or if it is not the
+    result of an identification. Raises ArchiveError if it is damaged.
     """
     read_data(path, LARGEST_FILE)
     what = "result of an identification"
@@ -33,11 +33,19 @@ def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, np.n
             raise SpecError(f"this is an HDF5 file, but not the {what} by `mbdkit identify`", file=path)
         if (version := file.attrs.get("format_version")) != VERSION:
             raise SpecError(f"this {what} has the format version {version}; this mbdkit reads {VERSION}", file=path)
+        StoredHashes(file).verify()
         group = file["parameters"]
         names = [str(name) for name in group["parameter"].asstr()[:]]
         values, covariance, known = (group[name][:] for name in ("value", "covariance", "identifiable"))
         count = len({*names})
         if not (values.shape == known.shape == (len(names),) and covariance.shape == (count, count)):
             raise ValueError("it has not one row for each parameter")
-        is_known = (known != 0) & np.isfinite(values) & np.isfinite(np.diagonal(covariance))
-        return names, values, covariance, is_known
+        reasons = [str(why) for why in group["why"].asstr()[:]]
+        for row, is_known in enumerate((known != 0) & np.isfinite(values)):
+            if not is_known:
+                reasons[row] = "the data do not determine it"
+            elif not np.isfinite(covariance[row, row]):
+                reasons[row] = f"no covariance describes it, because {reasons[row] or 'none is given'}"
+            else:
+                reasons[row] = ""
+        return names, values, covariance, reasons

@@ -10,7 +10,6 @@ from typing import Any
 import h5py
 
 from mbdkit.archive.archive_check import blaming_damage
-from mbdkit.archive.changed_contents import hash_warnings
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
@@ -46,7 +45,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             "status_reason": run.status_reason,
             "verdict": run.verdict if run.is_judged else "unknown: not judged",
             "verdict_reasons": run.verdict_reasons,
-            "warnings": [*hash_warnings(run), *run.warnings],
+            "warnings": run.warnings,
             "title": run.spec.get("title") or "",
             "model": run.spec.get("model"),
             "integrator": run.spec.get("integrator"),

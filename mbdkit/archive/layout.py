@@ -48,8 +48,12 @@ FILES = "files"
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
 """Root attributes with the verdict on a run, its reasons and warnings; archives of crashed runs lack them."""
 
+DATA_HASH = "data_sha256"
+"""Root attribute with the hash of all arrays except timings and estimated errors."""
 ATTRIBUTES_HASH = "attributes_sha256"
 """Root attribute with the hash of all contents that `data_sha256` does not cover; archives of crashed runs lack it."""
+ARRAY_HASHES = "array_hashes"
+"""Root attribute with the line of each array that the hashes cover, so that an array can be verified by itself."""
 
 COUNTERS = (
     "steps",

@@ -8,7 +8,7 @@ from mbdkit.archive.run import Run
 
 
 def load(path: str | Path) -> Run:
-    """Open a run archive; arrays are read on first use.
+    """Open a run archive; arrays are read on first use, and verified by their hashes.
 
     Parameters
     ----------
@@ -24,6 +24,8 @@ def load(path: str | Path) -> Run:
     ------
     SpecError
         If `path` is not an archive that this version can read.
+    ArchiveError
+        If it is damaged, or was changed after it was written.
     ResourceError
         If a run is still writing the file, or the system refuses to read it.
 

@@ -255,13 +255,17 @@ class Run(RecordedData, HtmlView):
 
     @property
     def file(self) -> h5py.File:
-        """The run as an open HDF5 file; it is created in memory if the run has no file.
+        """The run as an open HDF5 file, all of whose arrays have been verified; it is created in memory if the run has
+        no file.
 
         Raises
         ------
+        ArchiveError
+            If an array is damaged.
         MbdkitError
             If the run is closed, or a study does not keep all of its arrays.
         """
+        self._contents.verify()
         return self._contents.file
 
     def check(self) -> Run:

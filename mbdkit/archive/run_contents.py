@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.fingerprint import StoredHashes, is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.hdf5_errors import reading
@@ -25,7 +25,7 @@ from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.read_only_dict import ReadOnlyDict
-from mbdkit.archive.result_table import ResultTable
+from mbdkit.archive.result_table import ResultTable, is_table
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
@@ -128,6 +128,9 @@ class RunContents(ABC):
     def file(self) -> h5py.File:
         """The contents as an HDF5 file."""
 
+    def verify(self, below: str = "") -> None:  # noqa: B027
+        """Raise ArchiveError if an array at a path or below it has changed since it was written to a file."""
+
     @abstractmethod
     def close(self) -> None:
         """Release the file, if there is one."""
@@ -141,8 +144,14 @@ class ArchiveContents(RunContents):
     ArchiveError if the header is read and is damaged.
     """
 
-    def __init__(self, file: h5py.File, path: Path | None = None, header: Header | None = None):
-        self._file, self.path = file, path
+    def __init__(
+        self,
+        file: h5py.File,
+        path: Path | None = None,
+        header: Header | None = None,
+        hashes: StoredHashes | None = None,
+    ):
+        self._file, self.path, self._hashes = file, path, hashes
         if header is not None:
             self.header = header
             return
@@ -163,7 +172,10 @@ class ArchiveContents(RunContents):
                 for array in kind.arrays
                 if kind.axis and (array.label or array.path == kind.named_by)
             ]
-            return {path: run_header.names(self.file, path) for path in paths if path in self.file}
+            present = [path for path in paths if path in self.file]
+            for path in present:
+                self.verify(path)
+            return {path: run_header.names(self.file, path) for path in present}
 
     @cached_property
     def kinds(self) -> Mapping[str, Kind]:  # type: ignore[override]
@@ -175,13 +187,17 @@ class ArchiveContents(RunContents):
         """Open the archive at a path, and check its header, its names and the shapes of its arrays."""
         file = open_archive(path)
         try:
+            with reading("its contents", path):
+                # archives of crashed runs have no hashes
+                is_sealed = file.attrs.get("status") != "running" or layout.ATTRIBUTES_HASH in file.attrs
+                hashes = StoredHashes(file) if is_sealed else None
             with reading("its arrays", path):
                 known = kinds_of_file(file)
                 run_header.check_shapes(file, known.values())
         except BaseException:
             file.close()
             raise
-        contents = cls(file, path)
+        contents = cls(file, path, hashes=hashes)
         contents.kinds = known
         try:
             assert contents.names is not None
@@ -245,6 +261,7 @@ class ArchiveContents(RunContents):
             if array is not None and array.grows and self.header.attributes["status"] == "running":
                 return self._crashed(array)
             if path in file:
+                self.verify(path)
                 return file[path]
         if array is None:
             raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
@@ -298,6 +315,7 @@ class ArchiveContents(RunContents):
     @cached_property
     def accuracy(self) -> Accuracy | None:  # type: ignore[override]
         """See `RunContents`."""
+        self.verify("accuracy")
         with reading("accuracy", self.path):
             group = self.file.get("accuracy")
             return None if group is None else Accuracy.read(group)
@@ -306,7 +324,15 @@ class ArchiveContents(RunContents):
     def tables(self) -> Mapping[str, ResultTable]:  # type: ignore[override]
         """See `RunContents`."""
         with reading("its tables", self.path):
+            for name in filter(lambda name: is_table(self.file[name]), self.file):
+                self.verify(name)
             return ReadOnlyDict(ResultTable.of_file(self.file))
+
+    def verify(self, below: str = "") -> None:
+        """See `RunContents`."""
+        if self._hashes is not None and self._file:
+            with reading(below or "its contents", self.path):
+                self._hashes.verify(below)
 
     @property
     def file(self) -> h5py.File:
@@ -438,8 +464,6 @@ class ArrayContents(RunContents):
         finished.write(writer)
         file = writer.finish(finished, measured=self._write_measures if self.measures else None)
         assert file is not None
-        file.attrs.modify("data_sha256", finished.data_sha256)
-        file["stats"].attrs.modify("finish_s", finished.stats["finish_s"])
         return file
 
     def _write_measures(self, file: h5py.File) -> str:

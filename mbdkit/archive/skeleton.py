@@ -86,7 +86,6 @@ def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) 
 
 
 Attribute = str | tuple[str, ...] | int | float | np.ndarray
-"""Value of an attribute."""
 
 
 def add_attributes(file: h5py.File, path: str, values: Mapping[str, Attribute]) -> dict[str, str]:
@@ -147,7 +146,7 @@ def _made(
         unread: dict[str, list[str]] = defaultdict(list)
         for one in arrays:
             if is_hashed(one.path):
-                lines = attribute_lines(file[one.path].id, one.path, layout_lines(arrays))
+                lines = attribute_lines(file[one.path].id, one.path, layout_lines(arrays), {})
                 unread[one.path if one.group in opened else one.group] += lines
         known = add_attributes(file, "provenance", dict(provenance))
         file.flush()

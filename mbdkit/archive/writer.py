@@ -15,7 +15,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.checkpoint import Checkpoint, StoredRows, StoredState
-from mbdkit.archive.fingerprint import attributes_sha256, digest_lines, layout_lines
+from mbdkit.archive.fingerprint import attribute_line, digest_lines, layout_lines, seal
 from mbdkit.archive.growing_array import Table
 from mbdkit.archive.hdf5 import replace_number, set_text
 from mbdkit.archive.hdf5_errors import cause
@@ -231,12 +231,14 @@ class ArchiveWriter(RunWriter):
                     self._write_head(file, self.head)
                 if measured is not None:
                     set_text(file, layout.MEASURES, measured(file))
-                # Computed from the file, so that the hash covers all of its contents, except for known lines.
-                known = {**layout_lines(self.arrays), **self._grown(timings=True), **self._known}
-                set_text(file, layout.ATTRIBUTES_HASH, attributes_sha256(file, known, unread))
-                seconds = time.perf_counter() - started
+                seconds = ending.stats.get("finish_s") or time.perf_counter() - started
                 replace_number(file["stats"], "finish_s", np.float64(seconds))
+                self._known["stats@finish_s"] = attribute_line("stats@finish_s", np.float64(seconds))
                 self.ending = replace(ending, stats={**ending.stats, "finish_s": seconds})
+                # Computed from the file, so that the hash covers all of its contents, except for known lines.
+                lines = [*name_lines(self.names, self.arrays), *self.lines, *self._lines_of_tables]
+                known = {**layout_lines(self.arrays), **self._grown(timings=True), **self._known}
+                seal(file, {**known, **{line.rsplit(" ", 3)[0]: line for line in lines}}, unread)
             if self._target is not None:
                 self._publish(self._target, file, keep=ending.status == "interrupted")
                 return None

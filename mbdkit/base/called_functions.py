@@ -15,6 +15,7 @@ from typing import Any
 
 from mbdkit.base.distributions import entry_points
 from mbdkit.base.errors import SpecError
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import did_you_mean, listed, one_line
 
 GROUP = "mbdkit.controllers"
@@ -72,8 +73,8 @@ def function_at(target: str) -> Callable[..., Any]:
                 hint = did_you_mean(target, points) or f"; there are {listed([*points]) or 'none'}"
                 raise SpecError(f"there is no entry point '{target}' in the group {GROUP}{hint}")
             found = points[target].load()
-    except (Exception, SystemExit) as error:
-        if isinstance(error, SpecError):
+    except BaseException as error:
+        if isinstance(error, SpecError) or is_interrupt(error):
             raise
         raise SpecError(f"the function '{target}' cannot be imported: {one_line(error)}") from error
     if not callable(found):

@@ -100,4 +100,3 @@ def unit_vector(angle: float) -> complex:
 
 
 FUNCTIONS = {one.name: one for one in tuple(globals().values()) if isinstance(one, ElementaryFunction)}
-"""All functions by name."""

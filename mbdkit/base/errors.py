@@ -5,16 +5,20 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.parts import OWN_PACKAGES
-from mbdkit.base.text import did_you_mean, listed, one_line, shortened, shown
+from mbdkit.base.text import bounded, did_you_mean, listed, one_line, shortened, shown
 
 
 class MbdkitError(Exception):
     """Base class of the exceptions raised by mbdkit; `str(error)` is a message for the user."""
+
+    def __init__(self, *args: object):
+        super().__init__(*(bounded(part) if isinstance(part, str) else part for part in args))
 
 
 class SpecError(MbdkitError, ValueError):
@@ -27,13 +31,13 @@ class SpecError(MbdkitError, ValueError):
 
     def __init__(self, message: str, *, key: str = "", file: str | Path | None = None, line: int | None = None):
         super().__init__(message)
-        self.message = message
+        self.message = str(self.args[0])
         self.key = key
         self.file = None if file is None else str(file)
         self.line = line
 
     def __str__(self) -> str:
-        location = shown(self.file or "")
+        location = bounded(shown(self.file or ""))
         if self.line is not None:
             location += f":{self.line}" if location else f"line {self.line}"
         where = ": ".join(part for part in (location, shortened(shown(self.key))) if part)
@@ -46,6 +50,25 @@ class SpecError(MbdkitError, ValueError):
         new = type(self)(self.message, key=key, file=self.file or file, line=self.line or line)
         new.__cause__ = self.__cause__
         return new
+
+    @staticmethod
+    @contextmanager
+    def place_by(place: Callable[[SpecError], SpecError]) -> Iterator[None]:
+        """Replace a SpecError in a block by what `place` returns for it, such as a copy with its line in a file."""
+        try:
+            yield
+        except SpecError as error:
+            raise place(error) from None
+
+    @staticmethod
+    def locate(prefix: str) -> AbstractContextManager[None]:
+        """Prepend `prefix` to the key of a SpecError in a block; see `located`."""
+        return SpecError.place_by(lambda error: error.located(prefix=prefix))
+
+    @staticmethod
+    def rekey(key: str) -> AbstractContextManager[None]:
+        """Replace the place of a SpecError in a block by a key, where the text at this key is wrong."""
+        return SpecError.place_by(lambda error: SpecError(error.message, key=key))
 
 
 class UnsupportedMechanismError(SpecError):
@@ -60,11 +83,11 @@ class _FileError(MbdkitError):
 
     def __init__(self, message: str, *, file: str | Path | None = None):
         super().__init__(message)
-        self.message = message
+        self.message = str(self.args[0])
         self.file = None if file is None else str(file)
 
     def __str__(self) -> str:
-        return f"{shown(self.file)}: {self.message}" if self.file else self.message
+        return f"{bounded(shown(self.file))}: {self.message}" if self.file else self.message
 
 
 class ArchiveError(_FileError):
@@ -120,13 +143,13 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
 
     Ctrl-C, errors of mbdkit about the input or a plugin, and the `expected` exceptions pass unchanged.
     """
-    unchanged: tuple[type[BaseException], ...] = (KeyboardInterrupt, SpecError, ArchiveError, PluginError, *expected)
+    unchanged: tuple[type[BaseException], ...] = (SpecError, ArchiveError, PluginError, *expected)
     try:
         with in_this_process():
             yield
-    except unchanged:
-        raise
     except BaseException as error:
+        if isinstance(error, unchanged) or is_interrupt(error):
+            raise
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 

@@ -25,6 +25,14 @@ _OPEN_ELSEWHERE = (5, 32, 33)
 """Errors of Windows if a file is open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION."""
 
 
+def check_path(path: str | Path) -> None:
+    """Raise SpecError for a name that no file can have."""
+    with suppress(UnicodeEncodeError):
+        if b"\0" not in os.fsencode(path):
+            return
+    raise SpecError("no file can have this name, with a null character or half of a surrogate pair", file=path)
+
+
 def check_regular(path: str | Path) -> None:
     """Raise SpecError if `path`, which exists, is not a regular file: reading a pipe or a device may never end."""
     if not stat.S_ISREG(os.stat(path).st_mode):
@@ -40,6 +48,7 @@ def read_bytes(path: str | Path, largest: int, advice: str = "") -> bytes:
     SpecError if the file does not exist, is not a regular file, or is too large. Raises ResourceError if the system
     refuses to read the file.
     """
+    check_path(path)
     try:
         check_regular(path)
         # another program may have replaced the file by a pipe since the check
@@ -94,6 +103,7 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
     Raises SpecError if the folder does not exist, or an existing file may not be replaced. Raises ResourceError if
     writing into the folder is not permitted, or the existing file cannot be replaced because it is open.
     """
+    check_path(path)
     check_name_of_file(path.name)
     # os.path instead of methods of Path, which raise for names that are too long and for folders without permission
     if os.path.isdir(path):

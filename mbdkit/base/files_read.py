@@ -72,7 +72,11 @@ def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> Iterator[N
 
 
 def check_readable(path: str | Path) -> None:
-    """Raise SpecError if the spec of an archive names the file at `path`, and no files may be read for it."""
+    """Raise SpecError if `path` is no name of a file, or if the spec of an archive names it, and no files may be read
+    for it.
+    """
+    if "\0" in str(path):
+        raise SpecError(f"the name of the file {shown(path)} has a NUL character")
     known = _KNOWN.get()
     if known is not None and not known:
         raise SpecError(

@@ -87,6 +87,23 @@ def interrupts_delayed() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+def is_interrupt(error: BaseException) -> bool:
+    """Return whether an exception is a KeyboardInterrupt that a signal has raised, not code of a plugin by ``raise``.
+
+    Python calls handlers of signals between two instructions, which a `raise` is not.
+    """
+    import dis
+
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    if not isinstance(error, KeyboardInterrupt) or trace is None:
+        return isinstance(error, KeyboardInterrupt)
+    code = trace.tb_frame.f_code
+    handlers = [getattr(signal.getsignal(number), "__code__", None) for number in (signal.SIGINT, *_STOPPING)]
+    return code in handlers or code.co_code[trace.tb_lasti] != dis.opmap["RAISE_VARARGS"]
+
+
 def _raise_interrupt(number: int, frame: FrameType | None) -> None:
     global _last
     now = time.monotonic()

@@ -49,7 +49,6 @@ def without_collection() -> Iterator[None]:
 _MEANT = re.compile(r"[.\[\]\"=\\]")
 """Characters with a special meaning in key paths or assignments; keys that contain one are quoted."""
 QUOTED = r'"(?:[^"\\]|\\.)*+"'
-"""Pattern of a quoted key."""
 _PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{{1,9}}\]))+")
 
 

@@ -22,7 +22,7 @@ from typer.core import TyperGroup
 from mbdkit.base.command_words import executing
 from mbdkit.base.errors import ArchiveError, MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.base.interrupts import INTERRUPTED as INTERRUPTED
-from mbdkit.base.text import one_line, shown
+from mbdkit.base.text import bounded, one_line, shown
 
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
 DIFFERS = NOT_VERIFIED = 1
@@ -246,7 +246,7 @@ def _sentence(error: BaseException) -> str:
             return f"error: {error}"
         case OSError():
             why = error.strerror or str(error) or type(error).__name__
-            return f"error: {error.filename}: {why}" if error.filename else f"error: {why}"
+            return f"error: {bounded(str(error.filename))}: {why}" if error.filename else f"error: {why}"
         case MemoryError():
             return "error: there is not enough memory for this"
         case KeyboardInterrupt():

@@ -15,6 +15,8 @@ _HARMFUL = re.compile(
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for the known name closest to `word`, or an empty string."""
+    if len(word) > 300:
+        return ""
     names = {name.casefold(): name for name in known}
     close = difflib.get_close_matches(word.casefold(), names, n=1, cutoff=0.6)
     return f" (did you mean '{names[close[0]]}'?)" if close else ""
@@ -77,6 +79,14 @@ def _text_of(error: BaseException) -> str | None:
 def shortened(text: str) -> str:
     """Return text shortened to 300 characters; dots replace the end of a longer text."""
     return text if len(text) <= 300 else text[:297] + "..."
+
+
+def bounded(text: str) -> str:
+    """Return a sentence without words of more than 1000, and lines of more than 5000 characters, which files and
+    arguments contain by mistake.
+    """
+    lines = re.sub(r"\S{1001,}", lambda word: word[0][:997] + "...", text).split("\n")
+    return "\n".join(line if len(line) <= 5000 else line[:4997] + "..." for line in lines)
 
 
 def cited(text: object) -> str:

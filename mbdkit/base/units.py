@@ -130,11 +130,11 @@ _NAMED = {
 }
 """Usual names of SI units with several base units."""
 
-NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
+NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*$"
 """Pattern of a number with a unit."""
 PERCENT = rf"^\s*{NUMBER}\s+%$"
-_QUANTITY = re.compile(rf"\s*({NUMBER}(?:,\d+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*)")
+_QUANTITY = re.compile(rf"\s*({NUMBER}(?:,[0-9]+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*)")
 _LONGEST = 100
 PLAIN = Unit("1", counts=(Fraction(0), Fraction(0), Fraction(1)))
 """The unit of pure numbers, which may also be given in percent."""

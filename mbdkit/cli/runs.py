@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +10,7 @@ import typer
 
 from mbdkit.base import higher_layers, terminal
 from mbdkit.base.called_functions import calls_allowed, returning
+from mbdkit.base.errors import SpecError
 from mbdkit.base.progress_bars import progress_bar
 from mbdkit.base.terminal import say, show
 from mbdkit.base.text import listed, table
@@ -108,15 +107,13 @@ def run(
     check_new(path, spec, overwrite)
     from mbdkit.runs.simulation import simulate  # imports compiled code, which is not needed to refuse an invalid spec
 
-    with _placing(checked), calls_allowed(call), progress_bar(path.name, printing.quiet) as progress:
+    with SpecError.place_by(checked.placed), calls_allowed(call), progress_bar(path.name, printing.quiet) as progress:
         result = simulate(checked, path=path, overwrite=overwrite, progress=progress)
     tell(result, printing)
 
 
 def _resume(part: Path, superfluous: list[str], overwrite: bool, files: bool, printing: Printing) -> None:
     """Continue a run that was killed or interrupted."""
-    from mbdkit.base.errors import SpecError
-
     if superfluous:
         new = "; other settings, such as a later time.end, need a new run" if "--set" in superfluous else ""
         raise SpecError(f"--resume reads all settings from {part.name}: omit {', '.join(superfluous)}{new}")
@@ -129,7 +126,6 @@ def _resume(part: Path, superfluous: list[str], overwrite: bool, files: bool, pr
 
 def _check_accuracy(accuracy: float) -> None:
     """Raise SpecError for an accuracy outside the allowed limits."""
-    from mbdkit.base.errors import SpecError
     from mbdkit.spec.run_spec import LARGEST_ACCURACY, SMALLEST_ACCURACY
 
     if not SMALLEST_ACCURACY <= accuracy <= LARGEST_ACCURACY:  # also false for nan
@@ -177,7 +173,6 @@ def validate(
 
 def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: list[str] | None, path: Path) -> None:
     """Write a run spec with the initial values after assembly."""
-    from mbdkit.base.errors import SpecError
     from mbdkit.runs.assembled_spec import write_assembled
     from mbdkit.runs.preparation import build
     from mbdkit.spec import example_text, load_spec
@@ -213,7 +208,6 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
     from mbdkit.spec import load_spec
 
     checked = load_spec(source, assignments)
-    from mbdkit.base.errors import SpecError
     from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
@@ -225,10 +219,8 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
     if checked.gradients:
         higher_layers.check_gradients(checked, make_method(checked))
     problem, start = build(checked)
-    try:
+    with SpecError.place_by(checked.placed):
         require_support(checked, make_method(checked), problem.mechanism)
-    except SpecError as error:
-        raise checked.placed(error) from None
     for warning in (*caution(checked), *findings("start", checked, start)):
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")
@@ -323,7 +315,7 @@ def rerun(
     other programs and tables, are read only with --files, tables only from the folder of
     the archive, and only if they have the SHA-256 that the archive lists. Controllers in
     Python repeat their recorded outputs; their functions are not called. Exit status 1
-    if the data differ, or if the archive was changed after the run.
+    if the data differ.
     """
     if output is not None:
         check_new(output, str(archive), overwrite)
@@ -349,33 +341,19 @@ def rerun(
                 if before.status in ("interrupted", "running"):
                     show(f"{archive} is incomplete ({before.status}), so that it has fewer recorded times")
                 show(comparison)
-    if not comparison.same_data or comparison.falsified:
+    if not comparison.same_data:
         raise typer.Exit(terminal.DIFFERS)
 
 
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
-    from mbdkit.base.errors import SpecError
     from mbdkit.runs.run_seams import computed_run, repeated_run
     from mbdkit.spec.spec_kinds import spec_loader
 
-    try:
+    in_archive = SpecError.place_by(lambda error: error.located(file=archive))
+    with in_archive, progress_bar(archive.name, quiet) as progress:
         kind = before.spec_kind
-        with progress_bar(archive.name, quiet) as progress:
-            if kind.repeat is None:
-                spec = spec_loader.of(kind.load)(before.spec, ())
-                return computed_run.of(kind.compute)(spec, path=output, overwrite=overwrite, progress=progress)
-            return repeated_run.of(kind.repeat)(before, archive, output, overwrite=overwrite, progress=progress)
-    except SpecError as error:
-        raise error.located(file=archive) from error
-
-
-@contextmanager
-def _placing(spec: RunSpec) -> Iterator[None]:
-    """Add file and line to errors about this spec."""
-    from mbdkit.base.errors import SpecError
-
-    try:
-        yield
-    except SpecError as error:
-        raise spec.placed(error) from error
+        if kind.repeat is None:
+            spec = spec_loader.of(kind.load)(before.spec, ())
+            return computed_run.of(kind.compute)(spec, path=output, overwrite=overwrite, progress=progress)
+        return repeated_run.of(kind.repeat)(before, archive, output, overwrite=overwrite, progress=progress)

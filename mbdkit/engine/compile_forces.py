@@ -168,11 +168,9 @@ class Lowering:
 
     def _add_law(self, name: str, force: LawForce, kind: str) -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
-        try:
+        with SpecError.locate(f"model.{kind}.{quoted(name)}"):
             compiled, block = bind_law(law, force, force.law_id)
             rates = [bind_law(state.rate, force, force.law_id)[0] for state in law.states]
-        except SpecError as error:
-            raise error.located(prefix=f"model.{kind}.{quoted(name)}") from None
         self._add_spring(name, f"{kind}.{name}", force.pathway, (0.0, 0.0, 0.0), len(self.laws))
         names = [parameter for parameter, _ in compiled.parameters]
         for number, state in enumerate(law.states, len(self.laws) + 1):
@@ -369,10 +367,8 @@ class Lowering:
             self._add_law_row(name, slope, begin)
 
     def _add_expression(self, key: str, name: str, text: str) -> tuple[int, int, StateExpression]:
-        try:
+        with SpecError.locate(key):
             expression = self.numbering.expression(text, name)
-        except SpecError as error:
-            raise error.located(prefix=key) from None
         begin, law = len(self.law_parameters), len(self.laws)
         names = [parameter for parameter, _ in expression.law.parameters]
         self.law_parameters += expression.parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import marshal
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Never
 
@@ -320,7 +320,8 @@ class _Beams:
 def characteristic_length(mechanism: Mechanism) -> float:
     """Return the largest distance [m] between two joint points, or a joint point and the centre of mass, of a body.
 
-    Lengths of beams are compared with these distances. The result is 1 if all distances are 0.
+    Lengths of beams are compared with these distances. If all are 0, they are those between points of the elements that
+    the run treats, such as the shapes of contacts, but at most 1 m; without any, the result is 1.
     """
     points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
     for joint in mechanism.joints.values():
@@ -328,6 +329,18 @@ def characteristic_length(mechanism: Mechanism) -> float:
             if name in points:
                 points[name].add(point)
     longest = max((beam.length for beam in mechanism.beams.values()), default=0.0)
+    longest = max(longest, _longest_distance(points))
+    if longest == 0.0:
+        for element in (one for key, _ in mechanism.treatments for one in mechanism.elements[key].values()):
+            for name, point in element.extent_points():
+                points[name].add(point)
+        longest = min(_longest_distance(points), 1.0)
+    return longest or 1.0
+
+
+def _longest_distance(points: Mapping[str, Collection[tuple[float, float]]]) -> float:
+    """Return the largest distance between two points of the same body [m]."""
+    longest = 0.0
     for held in points.values():
         if len(held) > 1:
             x, y = np.array(sorted(held)).T
@@ -336,7 +349,7 @@ def characteristic_length(mechanism: Mechanism) -> float:
                 some = slice(first, first + rows)
                 distances = elementary.hypot(x[some, None] - x, y[some, None] - y)
                 longest = max(longest, float(np.max(distances)))
-    return longest or 1.0
+    return longest
 
 
 def _is_well_scaled(mechanism: Mechanism) -> bool:

@@ -136,22 +136,20 @@ class CompiledInput:
 class Redundancy:
     """Redundant constraints of a mechanism; none by default.
 
-    `rows`: number of redundant constraint rows. They are excluded from the equations that are solved. `joints`: joints
-    that the redundant rows belong to, drivers included, in the order of the mechanism. `not_unique`: joints whose
-    reactions are not uniquely determined by the motion.
+    `rows`: number of redundant constraint rows. As many are excluded from the equations that are solved. `not_unique`:
+    joints, drivers included, whose reactions are not uniquely determined by the motion.
     """
 
     rows: int = 0
-    joints: tuple[str, ...] = ()
     not_unique: tuple[str, ...] = ()
 
     def describe(self, drivers: Collection[str] = ()) -> str:
-        """Return a description such as ``1 redundant row: joint D``; empty if there are no redundant rows."""
+        """Return a description such as ``1 redundant row: joints A and D``; empty if there are no redundant rows."""
         if not self.rows:
             return ""
         kinds = (
-            ("joint", [name for name in self.joints if name not in drivers]),
-            ("driver", [name for name in self.joints if name in drivers]),
+            ("joint", [name for name in self.not_unique if name not in drivers]),
+            ("driver", [name for name in self.not_unique if name in drivers]),
         )
         named = [f"{kind}{'s' * (len(names) > 1)} {listed(names, 'and')}" for kind, names in kinds if names]
         return f"{counted(self.rows, 'redundant row')}: {listed(named, 'and')}"
@@ -275,15 +273,11 @@ class CompiledMechanism:
             if what in chosen.item.supports:
                 raise SpecError(chosen.item.supports[what], key=f"{chosen.section_key}.treatment")
 
-    def refuse_states(self, what: str, hint: str = "") -> None:
-        """Raise SpecError if the mechanism has first-order states.
-
-        `what` names the computation that does not support such states; `hint` is a clause that names computations that
-        support them.
-        """
+    def refuse_states(self, what: str) -> None:
+        """Raise SpecError if the mechanism has first-order states, which `what`, a computation, does not support."""
         if self.states:
             names = listed([state.name for state in self.states], "and")
-            raise SpecError(f"{what} does not include first-order states ({names}){hint and '; ' + hint}", key="model")
+            raise SpecError(f"{what} does not include first-order states ({names})", key="model")
 
     def refuse_side_forces(self, what: str) -> None:
         """Raise SpecError if a joint has a side force; `what` names the computation that does not support them."""
@@ -325,8 +319,18 @@ class CompiledMechanism:
         damped = np.any(top.linear[:, LINEAR.damping]) or np.any(top.section_parameters[:, -3:])
         of_joints = np.concatenate([top.functions[:, FUNCTION.law], top.functions[:, FUNCTION.law] + 1])
         laws = np.delete(np.arange(len(top.laws)), of_joints)
-        moved = np.any(top.laws[top.functions[:, FUNCTION.law], LAW_ROW.claims] == OF_TIME)
-        return bool(len(top.loads) or len(self.drives) or damped or len(laws) or moved)
+        return bool(len(top.loads) or damped or len(laws) or self.is_driven)
+
+    @cached_property
+    def is_driven(self) -> bool:
+        """Whether constraints depend on the time."""
+        claims = self.topology.laws[self.topology.functions[:, FUNCTION.law], LAW_ROW.claims]
+        return bool(len(self.drives) or np.any(claims == OF_TIME))
+
+    @cached_property
+    def is_locked(self) -> bool:
+        """Whether nothing can move, so that all velocities and energies of motion are rounding errors."""
+        return self.coordinates == int(np.sum(self.topology.rows)) and not self.is_driven
 
     @cached_property
     def drives(self) -> np.ndarray:

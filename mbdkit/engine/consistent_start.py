@@ -84,14 +84,14 @@ class MechanismAtStart:
     assembled: AssembledState
 
 
-def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
+def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0) -> MechanismAtStart:
     """Compile a mechanism and make its initial state consistent.
 
     Parameters and errors are those of `workspace_at_start`.
 
     Returns the mechanism and its start, without working arrays.
     """
-    return Starts().at_start(mechanism, t0, end)
+    return Starts().at_start(mechanism, t0, None)
 
 
 @OwnSeam

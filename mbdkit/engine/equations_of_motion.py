@@ -93,6 +93,9 @@ class EquationsOfMotion(EvaluatedEquations):
         Whether loads, drivers or dampers are present, so that work is done or energy is dissipated.
     first_step
         Size of the first step that the user asks for [s]; None if the method chooses it.
+    longest_step
+        Largest step with which an `ExternalMethod` does not miss what a function of time does [s]; infinite without
+        such a limit.
     address, pairs
         Address of the data for the kernels, and number of pairs of constraint rows; for internal use.
     """

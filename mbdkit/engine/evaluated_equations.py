@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import cached_property
 
@@ -47,6 +48,7 @@ class EvaluatedEquations:
         self.has_power = mechanism.has_power
         self._has_friction = len(mechanism.topology.frictions) > 0
         self.first_step: float | None = None
+        self.longest_step = math.inf
         self._no_force, self._no_rows = np.zeros(self.n), np.zeros(self.m)
 
     @property

@@ -8,7 +8,6 @@ from typing import Literal
 Level = Literal["position", "velocity", "acceleration"]
 
 FormulationName = Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"]
-"""Names of formulations in specs."""
 
 LoopsName = Literal["index-1", "index-2", "index-3", "ggl"]
 """Names of the ways to impose the constraints of cut joints in joint coordinates."""

@@ -95,15 +95,12 @@ class FollowingForce:
         Index of the joint.
     side
         The side force.
-    least
-        Reaction [N] below which the side force is not proportional to the reaction; see `NEGLIGIBLE`.
     """
 
     name: str
     joint: FunctionJoint
     number: int
     side: SideForce
-    least: float
     law_id: ClassVar[str] = "side-force"
     length_unit: ClassVar[str] = "m"
 
@@ -129,22 +126,17 @@ class FollowingForce:
     @property
     def numbers(self) -> dict[str, float]:
         """Values of the parameters of the law by name; that of the multiplier is 0."""
-        return {REACTIONS[0]: 0.0, "ratio": self.side.ratio, "least": self.least}
-
-
-NEGLIGIBLE = 1e-7
-"""Share of the weight of all bodies below which reactions have smaller side forces, which are smooth where the reaction
-changes its sign. Smaller forces would be adjusted to rounding errors of reactions."""
-
-
-def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
-    reaction, least = p[REACTIONS[0]], p["least"]
-    square = reaction * reaction  # without a reaction there is no side force, as there is no friction
-    return p["ratio"] * square / np.sqrt(square + least * least)
+        return {REACTIONS[0]: 0.0, "ratio": self.side.ratio}
 
 
 TINY = 1e-300
 """Square of a reaction that counts as none [N^2]."""
+
+
+def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
+    square = p[REACTIONS[0]] * p[REACTIONS[0]]
+    return p["ratio"] * square / np.sqrt(square + TINY)
+
 
 _SIDE = TracedLaw(_side_force, lambda one: one.numbers)
 
@@ -195,9 +187,8 @@ def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:
 
 def following_forces(mechanism: Mechanism) -> list[FollowingForce]:
     """Return the side forces of all joints that have one, as force elements."""
-    least = NEGLIGIBLE * 9.81 * sum(body.mass for body in mechanism.bodies.values())
     return [
-        FollowingForce(name, joint, number, side, least)
+        FollowingForce(name, joint, number, side)
         for number, (name, joint) in enumerate(mechanism.joints.items())
         if isinstance(joint, FunctionJoint) and (side := joint.side_force()) is not None
     ]

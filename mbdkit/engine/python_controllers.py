@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
 from mbdkit.base.called_functions import Returned
 from mbdkit.base.text import listed, one_line, shortened, shown
 from mbdkit.engine.compiled_mechanism import SampledController
+
+LARGEST = sys.float_info.max
+"""Larger integers, with which `math.isfinite` raises an exception, are no numbers of a run either."""
 
 
 class PythonControllers:
@@ -58,19 +61,23 @@ class PythonControllers:
         if controller.name not in self._functions:
             return "has no recorded outputs, and its function is not called again"
         try:
-            given = self._functions[controller.name](t, dict(values))
-        except (Exception, SystemExit) as error:
+            return _outputs(self._functions[controller.name](t, dict(values)), controller.output_names)
+        except BaseException as error:  # also SystemExit, and what reading the returned object raises
             self.cause = error
             return f"raised {one_line(error)}"
-        names, what = controller.output_names, f"returned {shortened(shown(repr(given)))}"
-        if not isinstance(given, Mapping):
-            return f"{what}, not a dict of its outputs"
-        if missing := [name for name in names if name not in given]:
-            return f"{what}, which lacks the output{'s' * (len(missing) > 1)} {listed(missing, 'and')}"
-        if unknown := [str(name) for name in given if name not in names]:
-            return f"{what}, but has no output {listed(map(shown, unknown), 'or')}"
-        for name in names:
-            value = given[name]
-            if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
-                return f"{what}, in which {name} is not a finite number"
-        return [float(given[name]) for name in names]
+
+
+def _outputs(given: object, names: Sequence[str]) -> list[float] | str:
+    """Return the outputs that a function has returned, or a clause that says what is wrong."""
+    what = f"returned {shortened(shown(repr(given)))}"
+    if not isinstance(given, Mapping):
+        return f"{what}, not a dict of its outputs"
+    if missing := [name for name in names if name not in given]:
+        return f"{what}, which lacks the output{'s' * (len(missing) > 1)} {listed(missing, 'and')}"
+    if unknown := [str(name) for name in given if name not in names]:
+        return f"{what}, but has no output {listed(map(shown, unknown), 'or')}"
+    for name in names:
+        value = given[name]
+        if isinstance(value, bool) or not isinstance(value, Real) or not abs(value) <= LARGEST:  # type: ignore[operator]
+            return f"{what}, in which {name} is not a finite number"
+    return [float(given[name]) for name in names]

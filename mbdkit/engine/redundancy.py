@@ -307,7 +307,6 @@ class _Analysis:
         for spare in spares:
             rows[spare.pair] -= 1
         stresses = np.max([np.linalg.norm(position.stresses, axis=1) for position in places], axis=0)
-        held = sorted({self.joint_of_pair[spare.pair] for spare in spares})
         return replace(
             compiled,
             topology=top._replace(
@@ -317,7 +316,6 @@ class _Analysis:
             ),
             redundancy=Redundancy(
                 rows=len(spares),
-                joints=tuple(compiled.joints[j] for j in held),
                 not_unique=tuple(self.joints_of(stresses > INVOLVED)),
             ),
         )

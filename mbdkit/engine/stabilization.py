@@ -54,4 +54,3 @@ class Stabilization:
 
 
 NONE = Stabilization()
-"""No stabilization."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any, Literal, cast
 
@@ -21,6 +21,7 @@ from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.events.screening import Screen
 from mbdkit.integrators import interface
 from mbdkit.integrators.interface import (
+    SIMULTANEOUS,
     ConsecutiveSteps,
     Failure,
     Moment,
@@ -29,6 +30,7 @@ from mbdkit.integrators.interface import (
     Stepper,
     StepTaken,
     Stretch,
+    closeness,
     joined,
 )
 from mbdkit.integrators.loop.steps_ahead import StepsAhead
@@ -37,13 +39,6 @@ from mbdkit.integrators.run.splitting import Splitting
 from mbdkit.quantities.quantity import Quantity
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
-
-REPEATED = 10.0 * ACCURACY
-"""Crossings within this time, relative to the larger of the time and 1 s, are simultaneous. A run fails if an event
-that sets states crosses zero twice within this time.
-
-Otherwise, an infinite sequence of crossings at ever shorter intervals would not be noticed.
-"""
 
 ZERO = 1e-12
 """After a jump of the state, values of an expression below this share of its value before the jump, and of its median
@@ -127,17 +122,16 @@ class _Change:
         self._quantities, self._expressions = _prepared(list(event.changes.values()), workspace)
         self.undefined = ""
 
-    def apply(self, t: float, state: Moment, after: np.ndarray) -> None:
-        """Set the new values in the first-order states `after` (Z,), from the time [s] and the state before.
+    def values(self, t: float, state: Moment) -> dict[int, float]:
+        """Return the new values of first-order states by index, from the time [s] and the state before.
 
         If a value is not finite, `undefined` is the name of its state.
         """
         q, v, z = state
         values = self._quantities.values([t], q[None], v[None], z[None])[0]
-        for name, index, expression in zip(self._names, self._places, self._expressions, strict=True):
-            after[index] = expression.value(values)
-            if not math.isfinite(after[index]):
-                self.undefined = name
+        after = [expression.value(values) for expression in self._expressions]
+        self.undefined = next((x for x, new in zip(self._names, after, strict=True) if not math.isfinite(new)), "")
+        return dict(zip(self._places, after, strict=True))
 
 
 @dataclass
@@ -177,6 +171,7 @@ class Watch:
         self._changes = [_Change(event, workspace) if event.changes else None for event in events]
         # Indices of events that cross zero where states are set before the next step, and whether they set some.
         self._fired: dict[int, bool] = {}
+        self._to_set: dict[int, float] = {}  # these states by index; until then, the state is that before the event
         self._set_at = [-math.inf] * len(events)
         self._latest = -math.inf
         expressions = [event.when for event in events]
@@ -193,6 +188,7 @@ class Watch:
         self._failure: Failure | None = None
         self._values: list[float] | None = None
         self._sides = workspace.scratch.sides
+        self._energy = np.zeros(2)
         self._ended: np.ndarray | None = None  # see `_side` at the end of the last step
         self._largest = [0.0] * len(events)
         self.stopped: Found | None = None
@@ -271,6 +267,10 @@ class Watch:
 
     def step(self) -> Stretch:
         """Advance by one step, or by the part of it up to an event that sets states; return the rows."""
+        if self._to_set:
+            cast(Splitting, self.stepper).change(self._to_set)
+            self._to_set = {}
+        self._energy = cast(Splitting, self.stepper).energy.copy()
         self._worst_before[:] = self.stepper.worst_pairs
         stretch = self.stepper.advance()
         if self.stepper.last_step is not None:
@@ -310,6 +310,7 @@ class Watch:
             "largest": self._largest,
             "near": self._quantities.kept,
             "fired": [*self._fired.items()],
+            "to_set": [*self._to_set.items()],
             "set_at": self._set_at,
             "latest": self._latest,
             "ahead": vars(self._pace),
@@ -332,6 +333,7 @@ class Watch:
         self._largest = [float(value) for value in state["largest"]]
         fill(self._quantities.kept, state["near"])
         self._fired = {int(number): bool(sets) for number, sets in state["fired"]}
+        self._to_set = {int(index): float(value) for index, value in state["to_set"]}
         self._set_at = [float(time) for time in state["set_at"]]
         self._latest = float(state["latest"])
         self._pace = Lookahead(**{name: int(number) for name, number in state["ahead"].items()})
@@ -342,9 +344,9 @@ class Watch:
         if step is None or not self.events:
             return stretch
         crossed: list[tuple[Crossing, int]] = []
-        samples, is_after_jump = self._shown(step)
-        signs = [*self._signs]
-        self._fired.clear()
+        samples, before_jump = self._shown(step)
+        signs, fired = [*self._signs], self._fired
+        self._fired = {}
         accuracy = ACCURACY * max(1.0, abs(step.t1)) / (step.t1 - step.t0)
         for number, (event, shown) in enumerate(zip(self.events, samples, strict=True)):
             dense, exact = (self._scalar(number, state) for state in (self.stepper.inside, self.stepper.within))
@@ -357,19 +359,21 @@ class Watch:
             crossed += [(crossing, number) for crossing in some]
         counted = [(c, number) for c, number in crossed if c.direction in DIRECTIONS[self.events[number].direction]]
         acting = min((c.theta for c, number in counted if self._acts(number)), default=math.inf)
-        near = REPEATED / ACCURACY * accuracy
+        near = closeness(step.t1) / (step.t1 - step.t0)
+        acting = 0.0 if acting <= near else 1.0 if abs(acting - 1.0) <= near else acting  # no step is as short as that
         together = {number: c.direction for c, number in crossed if abs(c.theta - acting) <= near}
         for crossing, number in sorted(counted, key=lambda item: (min(item[0].theta, acting), self._stops(item[1]))):
             if crossing.theta > acting + near:
                 continue
             self._latest = max(self._latest, step.time(min(crossing.theta, acting)))
-            state = self.stepper.within(min(crossing.theta, acting))
-            at_jump = is_after_jump and crossing.theta == 0.0 and samples[number][0][1] != 0.0
+            theta = min(crossing.theta, acting)
+            state = self.stepper.within(theta) if theta or before_jump is None else before_jump
+            at_jump = before_jump is not None and crossing.theta == 0.0 and samples[number][0][1] != 0.0
             record = Found(self.events[number].name, self._latest, crossing.direction, *state[:2], at_jump)
             self._found.append(record)
             if self._stops(number):
                 self.stopped = record
-                return self._cut(stretch, acting)
+                return self._cut(stretch, acting, before_jump)
         if acting == math.inf:
             return stretch
         values = self._values_of(acting, self.stepper.within)
@@ -377,7 +381,9 @@ class Watch:
             value = self._expressions[number].value(values) if acting else samples[number][0][1]
             self._signs[number] = together.get(number, sign(value) or before)
         setting = [number for c, number in counted if number in together and self._changes[number] is not None]
-        return self._set(acting, together, list(dict.fromkeys(setting)))
+        # an event that has crossed zero at this instant before does not cross again unless a jump changes its value
+        self._fired = dict.fromkeys([*(fired if acting == 0.0 else ()), *together], False)
+        return self._set(acting, list(dict.fromkeys(setting)))
 
     def _stops(self, number: int) -> bool:
         return self.events[number].action == "stop"
@@ -385,25 +391,25 @@ class Watch:
     def _acts(self, number: int) -> bool:
         return self._stops(number) or self._changes[number] is not None
 
-    def _set(self, theta: float, crossed: Collection[int], setting: Sequence[int]) -> Stretch:
-        """End the last step at the share `theta`, where events set states; return the rows up to there.
-
-        `crossed` are the indices of all events that cross zero there, and `setting` of those that set states.
+    def _set(self, theta: float, setting: Sequence[int]) -> Stretch:
+        """End the last step at the share `theta`, where the events with the indices `setting` set states before the
+        next step; return the rows up to there.
         """
-
-        def change(t: float, state: Moment) -> np.ndarray:
-            _, v, z = state
-            self._fired = {number: number in setting for number in crossed}
-            self._ended, after = self._side(v, z), z.copy()
-            for number in setting:
-                self._change(number).apply(t, state, after)
-            return after
-
+        begin = self.stepper.last_step
+        assert begin is not None
         self._steps.pop()
         self.stepper.worst_pairs[:] = self._worst_before
-        stretch, steps = cast(Splitting, self.stepper).split(theta, change)
+        stretch, steps = cast(Splitting, self.stepper).split(theta)
         self._steps += [step.ends for step in steps]
         self._values = None
+        if self.stepper.finished or self.stepper.failure is not None:
+            self._fired.clear()
+        else:
+            state = steps[-1].between(1.0) if steps else begin.between(0.0)
+            self._ended = self._side(*state[1:])
+            for number in setting:
+                self._fired[number] = True
+                self._to_set |= self._change(number).values(self._latest, state)
         for number in setting:
             self._note_setting(number)
         return stretch
@@ -422,9 +428,9 @@ class Watch:
             self._failure = Failure(
                 "not-finite", f"the value of '{state}' that {what} sets is not finite at t = {t:.6g} s."
             )
-        elif since < REPEATED * max(1.0, abs(t)):
+        elif since < closeness(t):  # otherwise, ever shorter intervals would have no end
             self._failure = Failure(
-                "zeno", f"{what} sets states again after less than {REPEATED:.0g} s at t = {t:.10g} s; its "
+                "zeno", f"{what} sets states again after less than {SIMULTANEOUS:.0g} s at t = {t:.10g} s; its "
                 f"crossings would repeat without end."
             )  # fmt: skip
 
@@ -432,15 +438,17 @@ class Watch:
         """Return values that differ at the two sides of a jump: velocities, first-order states, limits of motions."""
         return np.concatenate([v, z, self._sides])
 
-    def _shown(self, step: StepTaken) -> tuple[list[list[tuple[float, float]]], bool]:
+    def _shown(self, step: StepTaken) -> tuple[list[list[tuple[float, float]]], Moment | None]:
         """Return, for each event, samples (position, value) of its scalar from the start to the end of a step, and
-        whether the step begins after a jump.
+        the state before the jump after which the step begins, if there is one.
         """
         # Jumps: an impulse, a sample of a controller, an event that sets states, a discontinuity of a motion or load.
         before: list[float] = []  # quantities before a jump at the start of the step
+        state: Moment | None = None
         ended = self._ended
         if ended is not None and (self._fired or not np.array_equal(ended, self._side(step.v0, step.z0))):
             v, z, _ = np.split(ended, np.cumsum([len(step.v0), len(step.z0)]))
+            state = step.q0, v, z
             before = self._quantities.values([step.t0], step.q0[None], v[None], z[None])[0]
         if self._values is None or before:
             self._values = self._quantities.values([step.t0], step.q0[None], step.v0[None], step.z0[None])[0]
@@ -460,14 +468,14 @@ class Watch:
                 samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)
             self._largest[number] = max(self._largest[number], *(abs(x) for _, x in samples if math.isfinite(x)), 0.0)
             shown.append(samples)
-        return shown, bool(before)
+        return shown, state
 
     def _close_points(self) -> list[tuple[float, list[float]]]:
         """Return quantities at positions that approach the start of the last step."""
         step = self.stepper.last_step
         assert step is not None
         theta, points = CLOSER, []
-        while theta * (step.t1 - step.t0) > CLOSER * REPEATED * max(1.0, abs(step.t0)):
+        while theta * (step.t1 - step.t0) > CLOSER * closeness(step.t0):
             points.append((theta, self._values_of(theta, self.stepper.within)))
             theta *= CLOSER
         return points
@@ -497,9 +505,13 @@ class Watch:
     def _scalar(self, number: int, state: Callable[[float], Moment]) -> Callable[[float], float]:
         return lambda theta: self._expressions[number].value(self._values_of(theta, state))
 
-    def _cut(self, stretch: Stretch, theta: float) -> Stretch:
+    def _cut(self, stretch: Stretch, theta: float, before_jump: Moment | None) -> Stretch:
         """End the run at the share `theta` of the last step; return the rows before, and the last one if missing."""
         begin, end = self._steps.pop().every(2), self.stepper.cut(theta)
+        if before_jump is not None and theta == 0.0:
+            q, v, z = (x[None] for x in before_jump)
+            work, dissipated = self._energy[:, None]
+            end = replace(end, q=q, v=v, z=z, work=work, dissipated=dissipated)
         if theta > 0.0:
             z = begin.z[:, :0] if end.z is None else end.z
             ends = zip(begin, (end.time, end.q, end.v, z), strict=True)

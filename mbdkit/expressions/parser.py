@@ -45,7 +45,6 @@ TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 """Hints on names that other software uses for the time."""
 
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
-"""Pattern of a quoted name."""
 
 
 class ExpressionError(SpecError):

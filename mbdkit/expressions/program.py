@@ -54,6 +54,23 @@ def value_of(program: Program, leaf: Callable[[str, float], Any]) -> Any:
     return execute(program, step)
 
 
+def parts_of_time(program: Program) -> list[Program]:
+    """Return the largest parts of a program that are functions of the argument ``t`` alone, but for ``t`` itself."""
+    parts: list[Program] = []
+
+    def step(operation: str, number: float, *operands: Program | None) -> Program | None:
+        if not operands:
+            return ((operation, number),) if operation in ("t", "const") else None
+        known = [operand for operand in operands if operand is not None]
+        if len(known) == len(operands):
+            return (*(instruction for operand in known for instruction in operand), (operation, number))
+        parts.extend(operand for operand in known if len(operand) > 1 and ("t", 0.0) in operand)
+        return None
+
+    whole = execute(program, step)
+    return parts if whole is None else [whole]
+
+
 def depth_of(program: Program) -> int:
     """Return the largest number of operands on the stack of a program."""
     depth = height = 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from bisect import bisect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
@@ -22,6 +23,12 @@ margin of the stop."""
 
 SAME_INSTANT = 4e-16
 """Times that differ by less than this, in seconds or relative to their size, are equal."""
+
+SIMULTANEOUS = 1e-12
+"""Times that differ by less than this, in seconds or relative to times above 1 s, are the same instant."""
+
+ROUNDING = 2e-15
+"""Rows and ends of steps that differ by less than this, relative to the times of the run, are equal."""
 
 STRETCH = 0.1
 """Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
@@ -125,12 +132,14 @@ class Timetable:
         margin; in the next step, no earlier than the stop plus its margin. Each step thus uses one-sided limits of the
         motions; see `sides`. The margin is 0 where motions are continuous, as where inputs are set.
     impacts
-        Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities. A state
-        that is recorded at the end of a step is that before the impulse, at the time of the stop minus its margin. A
-        state recorded by `interval` is that after the impulse, at the time of the stop plus its margin.
+        Stops at which the velocity of a driver is discontinuous, so that an impulse changes the velocities.
     samples
-        Stops at which the values that sampled controllers hold change. A state that is recorded at the end of a step
-        has the values before the change.
+        Stops at which the values that sampled controllers hold change.
+    step_limits
+        Largest controlled steps, so that none misses what a function of time does: pairs of the time from which on a
+        limit applies and the step, in order [s]. Limits change at stops only.
+
+    A state that is recorded at a stop is the limit from before; `before` returns the times for its evaluation.
     """
 
     start: float
@@ -147,6 +156,12 @@ class Timetable:
     stop_margins: tuple[float, ...] = ()
     impacts: tuple[float, ...] = ()
     samples: tuple[float, ...] = ()
+    step_limits: tuple[tuple[float, float], ...] = ()
+
+    def longest_step(self, t: float) -> float:
+        """Return the largest controlled step from time `t` on, up to the next stop [s]; infinite without a limit."""
+        number = bisect(self.step_limits, (t, math.inf))
+        return self.step_limits[number - 1][1] if number else math.inf
 
     def sides(self, passed: int) -> tuple[float, float]:
         """Return the earliest and the latest time [s] at which motions are evaluated after `passed` stops.
@@ -158,12 +173,26 @@ class Timetable:
         is_limited = passed < len(self.stops) and margins[passed]
         return begin, self.stops[passed] - margins[passed] if is_limited else math.inf
 
+    def before(self, times: np.ndarray) -> np.ndarray:
+        """Return times (T,) [s], in place of those at stops with a margin the latest times before these stops."""
+        if not self.stops:
+            return times
+        stops, margins = np.array(self.stops), np.array(self.stop_margins)
+        last = np.maximum(0, np.searchsorted(stops, times + closeness(self.end), side="right") - 1)
+        is_same = (np.abs(times - stops[last]) <= closeness(self.end)) & (margins[last] > 0.0)
+        return np.where(is_same, np.minimum(times, stops[last] - margins[last]), times)
+
     @property
     def last_step(self) -> float:
         """Size of the last fixed step [s]: ``step`` unless it would pass the end."""
         assert self.step is not None
         rest = self.end - (self.start + (self.steps - 1) * self.step)
         return self.step if abs(rest - self.step) <= 1e-9 * self.step else rest
+
+
+def closeness(time: float) -> float:
+    """Return the largest distance of times [s] that are the same instant as a time."""
+    return SIMULTANEOUS * max(1.0, abs(time))
 
 
 class Goal(NamedTuple):

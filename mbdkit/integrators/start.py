@@ -72,17 +72,18 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
     mbdkit.methods.tableau.TableauError if a tableau cannot be used with the formulation of the workspace. Raises
     mbdkit.base.errors.UnsupportedMechanismError if the method does not support the mechanism.
     """
-    traits, chosen = method.traits, workspace.mechanism.reacting
-    between: Callable[[CompiledMethod], CompiledMethod] | None = None
-    if chosen is not None and (steps_of := chosen.item.method) is not None:
-        treated = treatment_method.of(steps_of)(method, chosen.section)
-        if isinstance(treated, StepMethod | ExternalMethod):
-            return StepHost(treated, workspace, timetable)
-        between = treated
+    traits, treated = method.traits, None
+    chosen = next((one for one in workspace.mechanism.treatments if one.item.method is not None), None)
+    if chosen is not None and chosen.item.method is not None:
+        treated = treatment_method.of(chosen.item.method)(method, chosen.section)
     if traits.compiled is None:
-        method.require_formulation(FORMULATIONS[workspace.formulation])
-        steps = method if traits.steps is None else traits.steps()(method)
-        assert isinstance(steps, StepMethod | ExternalMethod)
-        return StepHost(steps, workspace, timetable)
+        if chosen is None or not chosen.item.reacting:
+            method.require_formulation(FORMULATIONS[workspace.formulation])
+        if treated is None:
+            own = method if traits.steps is None else traits.steps()(method)
+            assert isinstance(own, StepMethod | ExternalMethod)
+            treated = own
+    if isinstance(treated, StepMethod | ExternalMethod):
+        return StepHost(treated, workspace, timetable)
     compiled, control = compiled_method(method, workspace)
-    return CompiledStepper(compiled if between is None else between(compiled), workspace, timetable, control)
+    return CompiledStepper(compiled if treated is None else treated(compiled), workspace, timetable, control)

@@ -16,9 +16,10 @@ from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.parser import Code
 from mbdkit.expressions.program import Program
 from mbdkit.measures.measured_quantities import ATTRIBUTES, unit_of
-from mbdkit.measures.reductions import INTEGRALS, OF_FUNCTIONAL, REDUCTIONS, Functional
+from mbdkit.measures.reductions import INTEGRALS, OF_FUNCTIONAL, REDUCTIONS, VALUES, Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import QUANTITIES
 
 PLAIN = read_unit("1")
@@ -30,7 +31,7 @@ ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
 """Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
 apply them first.
 """
-_OF_VECTORS = ("mean", "final", "integral", "at")
+_OF_VECTORS = ("mean", "final", "integral", *VALUES)
 """Reductions that apply to each component of a vector."""
 
 
@@ -78,7 +79,10 @@ class MeasureCompiler(RunCompiler):
         "an expression of a run, which has numbers, t, pi, bodies.NAME.angle, joints.NAME.force, forces.NAME.value, "
         "markers.NAME.position, beams.NAME.moment, events.NAME.time, energy.total"
     )
-    own_functions: ClassVar[Mapping[str, int]] = {**dict.fromkeys((*REDUCTIONS, *ALONG.values()), 1), "at": 2}
+    own_functions: ClassVar[Mapping[str, int]] = {
+        **dict.fromkeys((*REDUCTIONS, *ALONG.values()), 1),
+        **dict.fromkeys(VALUES, 2),
+    }
 
     def __init__(self, text: str, spec: ModelSpec, parameters: Mapping[str, float] | None = None):
         self.spec = spec
@@ -166,8 +170,8 @@ class MeasureCompiler(RunCompiler):
     def of_function(self, name: str, arguments: list[Code], node: ast.Call) -> Code:
         """Return the program of a function over time or along a beam."""
         program, *others = arguments
-        if name == "at":
-            return self.at(program, others[0], node)
+        if name in VALUES:
+            return self.value_at(name, program, others[0], node)
         if name in ALONG.values():
             return self.extreme(name, program, node)
         if name in ALONG and _known(program).along:
@@ -181,17 +185,19 @@ class MeasureCompiler(RunCompiler):
             self.refuse(f"'{operation}' needs a quantity along a beam, such as beams.NAME.moment", node)
         return _Code([*program, (operation, 0.0)], replace(value, along=""))
 
-    def at(self, program: Code, when: Code, node: ast.Call) -> Code:
-        """Return the program of ``at(quantity, time)``."""
+    def value_at(self, name: str, program: Code, when: Code, node: ast.Call) -> Code:
+        """Return the program of ``at(quantity, time)`` or ``after(quantity, time)``."""
         time = _known(when)
         if time.is_series or time.is_vector:
-            self.refuse("the second argument of 'at' is one time, such as 0.5 or events.NAME.time", node.args[1])
+            self.refuse(f"the second argument of '{name}' is one time, such as 0.5 or events.NAME.time", node.args[1])
         if not time.is_number and time.unit is not None and not time.unit.is_like(_SECOND):
-            self.refuse(f"the second argument of 'at' is a time, but it has the unit {time.unit}", node.args[1])
+            self.refuse(f"the second argument of '{name}' is a time, but it has the unit {time.unit}", node.args[1])
         span = self.spec.span
         if span and len(when) == 1 and when[0][0] == "const" and not span[0] <= when[0][1] <= span[1]:
             self.refuse(f"the run goes from {span[0]:g} s to {span[1]:g} s", node.args[1])
-        return self.reduced("at", program, node, when)
+        if name == "after" and span and (tuple(when) == _END or when == [("const", span[1])]):
+            self.refuse("there is no value after the end of the run; use final or at", node.args[1])
+        return self.reduced(name, program, node, when)
 
     def reduced(self, name: str, program: Code, node: ast.Call, when: Sequence[tuple[str, float]] = ()) -> _Code:
         """Return a program that reduces the values of `program` over time, or gives its value at the time `when`."""
@@ -207,8 +213,12 @@ class MeasureCompiler(RunCompiler):
         unit = value.unit
         if name == "integral" and unit is not None:
             unit = unit.times(_SECOND)
-        number = self._place_of_functional(name, program, node, tuple(when)) if name in OF_FUNCTIONAL else 0
-        return _Code([*program, *when, (REDUCE + name, float(number))], _Value(unit, is_vector=value.is_vector))
+        number = self._place_of_functional(name, program, node, tuple(when)) if name in (*OF_FUNCTIONAL, *VALUES) else 0
+        if name == "after" and not (number and isinstance(self.spec, RunSpec)):
+            what = f"'{self.segment(node.args[0])}' is known at recorded times only, which hold"
+            self.refuse(f"{what} the value before a discontinuity; use 'at' instead of 'after'", node)
+        operation = REDUCE + ("at" if name in VALUES else name)
+        return _Code([*program, *when, (operation, float(number))], _Value(unit, is_vector=value.is_vector))
 
     def _place_of_functional(self, name: str, program: Code, node: ast.Call, when: Program) -> int:
         """Return the index of a reduction among the functionals, from 1; 0 if it is computed from the recorded rows."""

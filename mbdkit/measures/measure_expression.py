@@ -2,11 +2,12 @@
 
 They are expressions of events with the following additions. Bodies, joints and markers have vectors, whose norm is
 ``abs``. ``max``, ``min``, ``mean``, ``rms``, ``final`` and ``integral`` of a quantity reduce its values over time to
-one number, and ``at(QUANTITY, TIME)`` is its value at one time. With several arguments, ``max`` and ``min`` compare the
-arguments at each time. ``events.NAME.time`` is the time of the first crossing of an event, ``.last_time`` that of the
-last crossing, and ``.count`` the number of crossings. Internal forces of beams have a value in each element:
-``beams.NAME.moment[0]`` is that of one element, ``along_max`` and ``along_min`` are the extreme values along the beam
-at each time, and ``max`` and ``min`` the extreme values along the beam over time. Units are checked.
+one number, ``at(QUANTITY, TIME)`` is its value at one time, and ``after(QUANTITY, TIME)`` that right after it. With
+several arguments, ``max`` and ``min`` compare the arguments at each time. ``events.NAME.time`` is the time of the first
+crossing of an event, ``.last_time`` that of the last crossing, and ``.count`` the number of crossings. Internal forces
+of beams have a value in each element: ``beams.NAME.moment[0]`` is that of one element, ``along_max`` and ``along_min``
+are the extreme values along the beam at each time, and ``max`` and ``min`` the extreme values along the beam over time.
+Units are checked.
 """
 
 from __future__ import annotations
@@ -66,10 +67,8 @@ class MeasureExpression:
         SpecError if the syntax is wrong, a quantity does not exist or is not recorded, units do not match, or the value
         is not one number. The key of the error is ``unit`` if the given unit does not match.
         """
-        try:
+        with SpecError.locate("unit"):
             wanted = read_unit(unit) if unit else None
-        except SpecError as error:
-            raise error.located(prefix="unit") from None
         compiler = MeasureCompiler(text, spec)
         program, value = compiler.measure()
         if wanted is None:
@@ -150,8 +149,11 @@ class MeasureExpression:
             if not operation.startswith(REDUCE):
                 return applied(operation, number, operands, self.quantities, series)
             name, values = operation.removeprefix(REDUCE), operands[0]
-            extremum = run.integrals.get(self.functionals[int(number) - 1].text) if number else None
-            if name == "at" and (extremum is None or np.any(run.time == operands[1][0])):
+            functional = self.functionals[int(number) - 1] if number else None
+            extremum = None if functional is None else run.integrals.get(functional.text)
+            if functional is not None and functional.reduction == "after":  # rows do not tell
+                extremum = np.nan if extremum is None else extremum
+            elif name == "at" and (extremum is None or np.any(run.time == operands[1][0])):
                 return interpolated(float(operands[1][0]), run.time, values)
             duration = run.time[-1] - run.time[0]
             if extremum is None or not duration > 0.0:

@@ -12,6 +12,7 @@ from mbdkit.archive.measured_values import Integrals
 from mbdkit.base import elementary
 from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE
 from mbdkit.expressions.program import Program, execute
+from mbdkit.integrators.interface import closeness
 from mbdkit.quantities.quantity import Quantity
 
 
@@ -59,6 +60,10 @@ For ``rms``, the functional is the integral of the square.
 """
 EXTREMA = ("max", "min")
 INTEGRALS = ("mean", "rms", "integral")
+VALUES = ("at", "after")
+"""Values at one time: before a discontinuity there, and after it. In programs, both are ``at``; the `Functional` tells
+which one it is.
+"""
 
 EventTimes = Callable[[Quantity], float]
 """Function that returns a quantity of an event, such as the time of its first crossing."""
@@ -66,20 +71,22 @@ EventTimes = Callable[[Quantity], float]
 
 def from_functional(name: str, value: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:
     """Return a reduction of values (..., T), given the functional that was computed during the run."""
-    return OF_FUNCTIONAL[name](np.atleast_1d(value), duration).reshape(*values.shape[:-1], 1)
+    result = OF_FUNCTIONAL[name](np.atleast_1d(value), duration)[:, None]
+    return np.broadcast_to(result if len(result) > 1 else result[0], (*values.shape[:-1], 1))
 
 
 @dataclass(frozen=True)
 class Functional:
     """An integral over time, an extremum, or a value at a given time, which a measure needs.
 
-    - `text`: key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)`` or ``at(...)`` of an
-      expression.
-    - `reduction`: ``integral``, ``max``, ``min`` or ``at``.
+    - `text`: key of the functional: the integrand as an expression, or ``max(...)``, ``min(...)``, ``at(...)`` or
+      ``after(...)`` of an expression.
+    - `reduction`: ``integral``, ``max``, ``min``, ``at`` or ``after``.
     - `program`, `quantities`: the quantity over time; see `mbdkit.measures.measure_expression.MeasureExpression`.
     - `inner`: inner functionals, as in ``x - mean(x)``, to which reductions of the program refer by their index, from
       1.
-    - `when`: for ``at``, the time of the value, which may depend on inner functionals and on the times of events.
+    - `when`: for ``at`` and ``after``, the time of the value, which may depend on inner functionals and on the times of
+      events.
     """
 
     text: str
@@ -92,7 +99,18 @@ class Functional:
     @property
     def is_value(self) -> bool:
         """Whether this is a value at a given time."""
-        return self.reduction == "at"
+        return self.reduction in VALUES
+
+    def is_given_by(self, time: float, begin: float, end: float) -> bool:
+        """Return whether a value at a time is that of the motion from `begin` to `end` [s].
+
+        At a discontinuity, where one part of the motion ends and another one begins, ``at`` is the value at the end of
+        the first, and ``after`` the value at the start of the second. There is no value after the end of a run.
+        """
+        near = closeness(time)
+        if self.reduction == "after":
+            return begin - near <= time < end - near
+        return begin <= time <= end + near
 
     @property
     def is_extremum(self) -> bool:

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Never
 
+from mbdkit.archive.headlines import not_unique
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
@@ -84,7 +85,7 @@ def error_of(measure: DefinedMeasure, value: float, run: Run, spec: ModelSpec) -
     """
     accuracy = run.accuracy
     compared = () if accuracy is None else accuracy.compared_measures.get(measure.expression, ())
-    if measure.item is not None or not compared or not is_taken(measure, spec) or _why_undecided(run, spec):
+    if measure.item is not None or not compared or not is_taken(measure, spec) or _why_undecided(measure, run, spec):
         return math.nan
     unit = _expression(measure, spec).unit
     mechanism, duration = spec.mechanism(), float(run.time[-1] - run.time[0])
@@ -101,13 +102,21 @@ def _parameter_error_of(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> f
     return error / _expression(measure, spec).unit.factor
 
 
-def _why_undecided(run: Run, spec: ModelSpec) -> str:
-    """Return why errors of measures are unknown if those of the motion are unknown at the end of a run; empty if they
-    are known.
+def _why_undecided(measure: DefinedMeasure, run: Run, spec: ModelSpec) -> str:
+    """Return why the error of a measure is unknown if those of the motion are unknown at the end of a run, or if it
+    takes a reaction of redundant joints; empty if it is known.
 
     With impacts, their order may then be undecided. The comparison runs may choose the same order as the run, so that
     the differences of their measures are smaller than the errors.
     """
+    if shared := not_unique(run):
+        taken = [
+            q.name for q in _expression(measure, spec).quantities if q.recorded.array.is_shared and q.name in shared
+        ]
+        if taken:
+            return (
+                f"the reaction of {taken[0]} is not unique, because joints are redundant; that of least norm is taken"
+            )
     return "" if run.accuracy is None or run.accuracy.is_complete else spec.undecided
 
 
@@ -142,7 +151,7 @@ def _why_unknown(measure: DefinedMeasure, error: float, run: Run, spec: ModelSpe
         return "errors of measures of plugins are not estimated"
     if run.status != "complete":
         return "the run is not complete"
-    if why := _why_undecided(run, spec):
+    if why := _why_undecided(measure, run, spec):
         return why
     compared = () if run.accuracy is None else run.accuracy.compared_measures.get(measure.expression, ())
     if len(compared) == 3 and all(map(math.isfinite, compared)):

@@ -25,7 +25,6 @@ its end.
 """
 
 MOST_ELEMENTS = 20_000
-"""Largest number of elements of a beam."""
 
 
 Start = Annotated[tuple[Number, Number, Number], BeforeValidator(sequence)]

@@ -160,10 +160,8 @@ class Distance(PointJoint, FromTo):
         if self.length is not None or self.from_ is None or self.to is None:
             return joint
         length = elementary.hypot(self.to[0] - self.from_[0], self.to[1] - self.from_[1])
-        try:
+        with SpecError.locate(f"{key}.to"):
             return joint.model_copy(update={"length": _not_zero(length)})
-        except SpecError as error:
-            raise error.located(prefix=f"{key}.to") from None
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""

@@ -183,10 +183,8 @@ class Mechanism(ElementMethods, HtmlView):
         Raises SpecError if its bodies cannot be joined at their initial positions.
         """
         joint = self.joints[name]
-        try:
+        with SpecError.locate(f"model.joints.{quoted(name)}"):
             return joint.constraints(self.relative_pose(joint))
-        except SpecError as error:
-            raise error.located(prefix=f"model.joints.{quoted(name)}") from None
 
     def constraint_rows(self) -> list[tuple[str, str]]:
         """Return (name, unit) of each constraint row, such as ``("A.x", "m")``, in the order of the joints."""
@@ -267,10 +265,8 @@ class Mechanism(ElementMethods, HtmlView):
         if twice := [name for name in named if named.count(name) > 1]:
             raise SpecError(f"two states or outputs of controllers are called '{twice[0]}'; rename one", key="model")
         for key, text in self.expressions():
-            try:
+            with SpecError.locate(key):
                 higher_layers.state_program(text, self)
-            except SpecError as error:
-                raise error.located(prefix=key) from None
 
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key path, text) of every expression of the state."""

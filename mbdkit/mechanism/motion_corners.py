@@ -5,16 +5,14 @@ spline, or the rate of a linear table is discontinuous. The knots of a periodic 
 which ``abs``, ``min`` or ``max`` switch between their operands, and the discontinuities of ``atan2``. The class
 `Corner` represents both.
 
-The arguments of these functions are sampled over the span of the run, at `SAMPLES` times and at all corners of nested
-functions. Changes of sign between two samples are located by bisection. If two samples have equal signs, but the rates
-at them indicate an extremum towards zero in between, the extremum is located first. Two changes of sign are therefore
-missed only if there is more than one extremum between the two samples. Discontinuities of other functions, such as the
-poles of ``tan``, are not detected.
+Other corners are hidden, as in ``asin(sin(t))`` or ``sqrt((t - 1)**2)``. Wherever a smooth operand leads to one, it has
+a zero, a pole or an extremum there. At these times, the limits of both sides are compared: those of the polynomials
+through the function on either side, over a small part of its `mbdkit.mechanism.motion_pieces`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,16 +22,9 @@ from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program
+from mbdkit.mechanism.motion_pieces import SCALES, limits_at, pieces_of
+from mbdkit.mechanism.switching_times import SAMPLES, sharp_operands, switching_times
 from mbdkit.mechanism.values import Motion, Table, curve_of
-
-SAMPLES = 10_000
-"""Number of samples over the span of a run; fewer for long expressions."""
-
-MOST_OPERATIONS = 50_000_000
-"""Largest number of operations that one sampling of an argument may take."""
-
-BISECTIONS = 80
-"""Number of bisections; sufficient to reduce any interval to adjacent floating-point numbers."""
 
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
 """Differences between the two sides of a time that count as rounding errors rather than as discontinuities.
@@ -41,6 +32,12 @@ JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
 The tolerance is `JUMP` times the larger magnitude of the two sides, plus `JUMP_OF_LARGEST` times the largest magnitude
 over the run.
 """
+
+ACCURATE = np.array([10.0, 10.0, 1e-2])
+"""Deviations of value, rate and acceleration at the margins of a hidden corner, as multiples of its errors."""
+
+HIDDEN = np.array([1e-6, 1e-6, 1e-3])
+"""Differences between two sides in value, rate and acceleration that count as errors, relative to their scales."""
 
 MOST_KNOTS = 100_000
 """Largest number of knots of a periodic table that are examined; further ones repeat them."""
@@ -81,10 +78,10 @@ class Corner:
         return not any(self.jumps)
 
 
-def jet_of(motion: Motion, times: np.ndarray) -> Jet:
+def jet_of(motion: Motion | Program, times: np.ndarray) -> Jet:
     """Return a motion and its derivatives at `times` (T,)."""
-    if isinstance(motion, str):
-        return jet_and_switches(Expression.parse(motion).program, times)[0]
+    if isinstance(motion, str | tuple):
+        return jet_and_switches(program_of(motion), times)[0]
     none = np.zeros(len(times))
     if not isinstance(motion, Table):
         return Jet(none + motion, none, none, none)
@@ -93,32 +90,85 @@ def jet_of(motion: Motion, times: np.ndarray) -> Jet:
     return Jet(value, curve(times, 1), curve(times, 2), EPS * np.abs(value))
 
 
+def program_of(motion: str | Program) -> Program:
+    """Return the program of an expression of time."""
+    return Expression.parse(motion).program if isinstance(motion, str) else motion
+
+
 @lru_cache(maxsize=MOST_CACHED)
-def corners_of(motion: Motion, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
+def corners_of(motion: Motion | Program, start: float, end: float, samples: int = SAMPLES) -> tuple[Corner, ...]:
     """Return the knots and corners of a motion from `start` to `end` [s], both included, in order of time.
 
-    `motion`: a number, an expression of t or a table. `start`, `end`: the span of the run [s]. `samples`: number of
-    samples over the span.
+    `motion`: a number, an expression of t, its program, or a table. `start`, `end`: the span of the run [s]. `samples`:
+    number of samples over the span.
     """
     rounding = 4.0 * EPS * max(abs(start), abs(end))
     widest = WIDEST_MARGIN * (end - start)
     if isinstance(motion, Table):
         times = [(t, rounding) for t in _knots(motion, start, end)] if _has_curve(motion) else []
         return _described(motion, times, start, end, is_knot=True)
-    if not isinstance(motion, str):
+    if not isinstance(motion, str | tuple):
         return ()
-    program = Expression.parse(motion).program
+    program = program_of(motion)
     switches = [OPERATIONS[name] for name, _ in program if name in OPERATIONS and OPERATIONS[name].switch]
-    if not switches:
-        return ()
-    roots = switching_times(program, start, end, samples)
+    roots = switching_times(program, start, end, samples) if switches else []
     # A noise above `widest` occurs where the argument crosses zero slowly, as in abs(t**3). Several derivatives then
     # agree on both sides, so the exact time does not matter.
     times = [(t, rounding + (noise if noise <= widest else 0.0)) for t, noise in roots]
     corners = _described(motion, times, start, end, is_knot=False)
     # Not every switch is a corner: atan2 is smooth at y = 0 if x > 0, and sin(atan2(y, x)) is smooth everywhere.
     wraps = any(operation.jumps for operation in switches)
-    return tuple(corner for corner in corners if not wraps or not corner.is_smooth)
+    corners = tuple(corner for corner in corners if not wraps or not corner.is_smooth)
+    if not sharp_operands(program):
+        return corners
+    known = np.array([-np.inf, *(corner.time for corner in corners), np.inf])
+    hidden = [
+        corner
+        for corner in _hidden_corners(program, start, end, rounding, widest)
+        if np.min(np.abs(known - corner.time)) > 4.0 * rounding
+    ]
+    return tuple(sorted([*corners, *hidden], key=lambda corner: corner.time))
+
+
+def _hidden_corners(program: Program, start: float, end: float, rounding: float, widest: float) -> list[Corner]:
+    """Return the corners among the zeros, poles and extrema of operands of sharp operations, and practical jumps.
+
+    The margin is the smallest at which value, rate and acceleration are accurate on both sides, up to `widest`: near
+    x = 1, for example, the derivatives of ``asin(x)`` amplify rounding errors.
+    """
+    pieces, corners, places = pieces_of(program, start, end), list[Corner](), list[tuple[float, float]]()
+    for low, high in sorted([*((seed, seed) for seed in pieces.seeds), *map(tuple, pieces.edges.tolist())]):
+        if places and low <= places[-1][1] + rounding:  # neighbours, and the seed between them, count as one
+            places[-1] = places[-1][0], max(places[-1][1], high)
+        else:
+            places.append((low, high))
+    for low, high in places:
+        before, after = int(np.searchsorted(pieces.ends, low)), int(np.searchsorted(pieces.ends, high, side="right"))
+        time = next((seed for seed in pieces.seeds if low <= seed <= high), 0.5 * (low + high))
+        width = max(high - time, time - low)
+        beside = jet_of(program, np.array([low, low - 16.0 * width, high, high + 16.0 * width])).value
+        is_pole = width > 0.0 and np.any(np.abs(beside[::2]) > 2.0 * np.abs(beside[1::2]))  # which no step can reach
+        if is_pole or not 0 < before <= after < len(pieces.ends):
+            continue
+        sizes = SCALES * np.array([[pieces.ends[before - 1] - low], [pieces.ends[after] - high]])
+        limits, noise, scale = limits_at(program, np.array([low, high]), sizes)
+        first, second = limits[:, 0]
+        floor = np.max((noise + HIDDEN * (np.abs(limits) + scale))[:, 0], axis=0)
+        jump, noise = np.abs(limits[1] - limits[0]), np.max(noise, axis=0)
+        jumps = jump[0] > floor + width * np.append(np.abs(first + second)[1:], 0.0)
+        # a narrow bend has no jump close by, as far as rounding errors let see
+        jumps &= ~np.any((jump[1:] < 0.5 * jump[0]) & (noise[1:] < 0.3 * jump[0]), axis=0)
+        if not (np.all(np.isfinite(first + second)) and jumps.any()):  # not finite: outside the domain of a function
+            continue
+        margin = rounding + width
+        while 10.0 * margin < widest:
+            sides = jet_of(program, np.array([time - margin, time + margin])).derivatives
+            moved = margin * np.append(np.maximum(np.abs(first), np.abs(second))[1:], 0.0)
+            if np.all(np.abs(sides - limits[:, 0]) <= floor * ACCURATE + moved):
+                break
+            margin *= 10.0
+        corners.append(Corner(time, margin, False, *(tuple(x.tolist()) for x in (first, second, jumps))))
+    return corners
 
 
 def overshoot(table: Table) -> float:
@@ -154,7 +204,7 @@ def _has_curve(table: Table) -> bool:
 
 
 def _described(
-    motion: Motion, found: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
+    motion: Motion | Program, found: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
 ) -> tuple[Corner, ...]:
     """Return the corners at the `found` pairs of time and margin, each with the motion on both sides."""
     places = sorted(found)
@@ -177,85 +227,3 @@ def _described(
             continue  # the same corner, found for another function
         corners.append(Corner(time, margin, is_knot, tuple(left), tuple(right), tuple(differs)))
     return tuple(corners)
-
-
-def switching_times(program: Program, start: float, end: float, samples: int = SAMPLES) -> list[tuple[float, float]]:
-    """Return the times [s] at which operations of a program switch between their operands, with their rounding errors.
-
-    Switches whose argument is not finite are left out.
-
-    `program`: a function of time. `start`, `end`: the span that is searched [s]. `samples`: number of samples over the
-    span; fewer are taken of long programs.
-    """
-    times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
-    found: dict[float, float] = {}
-    level = 0
-    while True:
-        level += 1
-        _, switches = jet_and_switches(program, times)
-        new: dict[float, float] = {}
-        for number, switch in enumerate(switches):
-            if switch.level == level:
-                new.update(_changes(_argument_of(program, number), times, switch.argument))
-        found.update(new)
-        if level >= max((switch.level for switch in switches), default=0):
-            return sorted(found.items())
-        times = np.unique(np.concatenate([times, list(new)]))
-
-
-def _argument_of(program: Program, number: int) -> Callable[[np.ndarray], Jet]:
-    """Return the argument of a switch as a function of times (T,)."""
-    return lambda times: jet_and_switches(program, times)[1][number].argument
-
-
-def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: Jet) -> dict[float, float]:
-    """Return the times at which an argument changes its sign, each with its rounding error [s]."""
-    known = np.isfinite(sampled.value)
-    times, g, rate = times[known], sampled.value[known], sampled.rate[known]
-    sign = np.sign(g)
-    zeros, others = sign == 0.0, np.flatnonzero(sign != 0.0)
-    left, right = others[:-1], others[1:]
-    opposite = sign[left] != sign[right]
-    # An argument that is zero at several samples in a row begins and ceases to be zero at corners of nested functions,
-    # which are found as such.
-    isolated = right - left <= 2
-    brackets = [(times[left[opposite & isolated]], times[right[opposite & isolated]])]
-    adjacent = right - left == 1
-    heads_to_zero = adjacent & ~opposite & (sign[left] * rate[left] < 0.0) & (sign[right] * rate[right] > 0.0)
-    if heads_to_zero.any():
-        a, b = times[left[heads_to_zero]], times[right[heads_to_zero]]
-        middle = _bisected(lambda t: argument(t).rate, a, b)
-        across = np.sign(argument(middle).value) == -sign[left[heads_to_zero]]
-        brackets += [(a[across], middle[across]), (middle[across], b[across])]
-    low, high = (np.concatenate(ends) for ends in zip(*brackets, strict=True))
-    edges = [k for k in (0, len(times) - 1) if len(times) and zeros[k]]  # a zero at an end of the run
-    if not len(low) and not edges:
-        return {}
-    roots = np.concatenate([_bisected(lambda t: argument(t).value, low, high), times[edges]])
-    at = argument(roots)
-    ends = np.maximum(np.abs(argument(low).value), np.abs(argument(high).value))
-    with np.errstate(all="ignore"):
-        noise = 2.0 * at.rounding / np.abs(at.rate)
-    found = {}
-    for k, root in enumerate(roots):
-        if k < len(low) and not abs(at.value[k]) <= ends[k]:
-            continue  # a pole, not a change of sign
-        found[float(root)] = float(noise[k]) if np.isfinite(noise[k]) else 0.0
-    return found
-
-
-def _bisected(function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return where `function` changes its sign between `low` and `high` (K,), up to adjacent floating-point numbers."""
-    a, b = low.copy(), high.copy()
-    if not len(a):
-        return a
-    sign = np.sign(function(a))
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (a + b)
-        if np.all((middle <= a) | (middle >= b)):
-            break
-        now = np.sign(function(middle))
-        stays = now == sign
-        a = np.where(stays | (now == 0.0), middle, a)
-        b = np.where(~stays, middle, b)
-    return b

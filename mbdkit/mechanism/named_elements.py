@@ -67,10 +67,8 @@ class NamedElements:
         """
         further = element_kinds()
         if kind not in _KINDS and kind not in further:
-            try:
+            with SpecError.locate("model"):  # its part is not installed
                 kinds_in({kind: {}})
-            except SpecError as error:  # its part is not installed
-                raise error.located(prefix="model") from None
             known = [*_KINDS, *further]
             hint = did_you_mean(kind, known) or f"; there are {listed(known)}"
             raise SpecError(f"there are no elements called '{kind}'{hint}", key="model")

@@ -119,11 +119,9 @@ def parameter_values(given: object) -> ParameterValues:
     values: dict[str, float] = {}
     for name in _in_order_of_use({name: names_in(value) & given.keys() for name, value in given.items()}):
         value = given[name]
-        try:
+        with SpecError.locate(f"parameters.{name}"):
             values[name] = evaluate(value, values, [*given]) if isinstance(value, str) else float(value)
             unit = unit_of_expression(value, units) if units and isinstance(value, str) else None
-        except SpecError as error:
-            raise error.located(prefix=f"parameters.{name}") from None
         if unit is not None:
             units[name] = unit
     return ParameterValues({name: values[name] for name in given}, units)
@@ -141,10 +139,8 @@ def _quantities(parameters: Mapping[Any, Any]) -> dict[Any, tuple[float, Unit]]:
     """Return value and unit of the parameters that are numbers with a unit."""
     quantities = {}
     for name, value in parameters.items():
-        try:
+        with SpecError.locate(f"parameters.{name}"):
             quantity = read_quantity(value, {"pi", *parameters})
-        except SpecError as error:
-            raise error.located(prefix=f"parameters.{name}") from None
         if quantity is not None:
             quantities[name] = quantity
     return quantities
@@ -401,10 +397,8 @@ def _check_unit(
 ) -> None:
     """Raise SpecError for an expression whose unit does not suit its key."""
     known = values.units if isinstance(values, ParameterValues) else {}
-    try:
+    with SpecError.locate(path_text(path)):
         unit = unit_of_expression(text, known, of_time=of_time) if known else None
-    except SpecError as error:
-        raise error.located(prefix=path_text(path)) from None
     units = None if unit is None else _units_of(location, data, root, plugins)
     if unit is None or units is None:
         return
@@ -436,7 +430,7 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
     """Return the value of an expression; for a function of time, of the state, of an angle or of coordinates, the text
     with values in place of parameters.
     """
-    try:
+    with SpecError.locate(path_text(path)):
         if isinstance(kind, tuple):
             from mbdkit.mechanism.variable_functions import VariableCompiler
 
@@ -446,8 +440,6 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
             return int(value) if kind == "whole number" and value.is_integer() else value
         else:
             _COMPILERS[kind](text, values).program()
-    except SpecError as error:
-        raise error.located(prefix=path_text(path)) from None
     own = kind if isinstance(kind, tuple) else (_COMPILERS[kind].variable,)
     known = {name: value for name, value in values.items() if name not in own}
     name = _NAME_ALONE if kind == "function of the state" else _NAME

@@ -17,7 +17,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.mechanism.values import Motion, NotNegative, Number, Positive, Table, pair
 from mbdkit.mechanism.values import motion as checked_motion
 
-_QUANTITY = re.compile(r"[A-Za-z_\]]\w*\s*\.\s*[A-Za-z_]|\[\s*[\"']")
+_QUANTITY = re.compile(r"(?:(?<!\w)\d*+[A-Za-z_]|\])\w*+\s*+\.\s*+[A-Za-z_]|\[\s*+[\"']")
 
 
 class StateExpressionError(ExpressionError):
@@ -108,11 +108,9 @@ class Input(StrictModel):
 
     @model_validator(mode="after")
     def _consistent(self) -> Input:
-        try:
+        with SpecError.locate("unit"):
             if self.unit not in ELECTRICAL and (unit := read_unit(self.unit)).factor != 1.0:
                 raise SpecError(f"should be an SI unit such as {unit.si}, not {self.unit}")
-        except SpecError as error:
-            raise error.located(prefix="unit") from None
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             low, high = self.bounds
             raise SpecError(f"the smallest value, {low:g}, should be less than the largest, {high:g}", key="bounds")

@@ -112,10 +112,8 @@ def columns_of(
         If `value` is not such a table.
     """
     first, second = shown.split(", ")
-    try:
+    with SpecError.locate(key):
         columns = pair(f"a column of {at} and a column of {of}, [[{first}, ...], [{second}, ...]]")(value)
-    except SpecError as error:
-        raise error.located(prefix=key) from None
     columns = [sequence(column) for column in columns]
     for number, column in enumerate(columns):
         if not isinstance(column, tuple):

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, ControlledOptions, embedded_claims
-from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from mbdkit.methods.tableau import EmbeddedPair
 
 STAGES = 12
 

@@ -7,14 +7,10 @@ Wanner (1993), II.6.
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING
 
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ControlledOptions, embedded_claims
-from mbdkit.methods.tableau import ButcherTableau
-
-if TYPE_CHECKING:
-    from mbdkit.methods.tableau import EmbeddedPair
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
 
 REFERENCE = """@article{dormand1980,
   author = {Dormand, John R. and Prince, Peter J.},

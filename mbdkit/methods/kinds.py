@@ -13,14 +13,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Never
 
 from mbdkit.engine.formulation import INDEX_1, Formulation
-from mbdkit.methods.tableau import ButcherTableau, TableauError
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError
 from mbdkit.registry.seam import OwnSeam
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.methods.step_filter import StepFilter
-    from mbdkit.methods.tableau import EmbeddedPair
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -72,8 +73,9 @@ class SciPySolver(ExternalMethod):
         self._times: list[float] = []
         solver = getattr(scipy.integrate, self.solver) if isinstance(self.solver, str) else self.solver
         options: dict[str, Any] = {"rtol": self.rtol, "atol": self._absolute()}
-        if self.max_step is not None:
-            options["max_step"] = self.max_step
+        longest = min(math.inf if self.max_step is None else self.max_step, equations.longest_step)
+        if longest < math.inf:
+            options["max_step"] = longest
         if self.needs_jacobian:
             options["jac"] = self._jacobian
         if equations.first_step is not None:

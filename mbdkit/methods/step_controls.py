@@ -174,10 +174,8 @@ def controlled(method: Method, options: BaseModel, name: str) -> Method:
         raise SpecError(f"'{name}' takes fixed steps, which no controller chooses{remedy}", key=KEY)
     item = item_of(chosen)
     create = cast("Callable[[BaseModel], StepFilter]", cast(StepControl, item.plugin).create)
-    try:
+    with SpecError.locate(KEY):
         control = use(item, lambda: create(chosen), StepFilter)
-    except SpecError as error:
-        raise error.located(prefix=KEY) from None
     new = copy.copy(method)
     vars(new).pop("traits", None)  # which some classes keep
     vars(new)["tolerances"] = replace(tolerances, control=control)

@@ -302,6 +302,7 @@ class ExternalMethod(_InPython):
         equations
             The equations of motion; ``equations.first_step`` is the size of the first step [s], at most ``stop - t``:
             that which the user asks for or, after a projection, `Step.next_step`. None if the library should choose it.
+            No step may be longer than ``equations.longest_step``.
         t, state
             Time [s] and state from which the library starts.
         stop

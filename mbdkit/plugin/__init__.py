@@ -20,22 +20,18 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.archive.run import Run as Run
     from mbdkit.base.errors import (
         ArchiveError as ArchiveError, MbdkitError as MbdkitError, PluginError as PluginError,
-        ResourceError as ResourceError, RunError as RunError,
-        SpecError as SpecError, StepError as StepError, UnknownNameError as UnknownNameError,
-        UnsupportedMechanismError as UnsupportedMechanismError, blaming as blaming, file_error as file_error,
-        with_place as with_place,
+        ResourceError as ResourceError, RunError as RunError, SpecError as SpecError, StepError as StepError,
+        UnknownNameError as UnknownNameError, UnsupportedMechanismError as UnsupportedMechanismError,
+        blaming as blaming,
     )
     from mbdkit.base.files_read import read_data as read_data
     from mbdkit.base.plain_data import (
-        copied as copied, parse_path as parse_path, path_text as path_text, plain as plain, quoted as quoted,
-        value_text as value_text,
+        copied as copied, parse_path as parse_path, path_text as path_text, quoted as quoted, value_text as value_text,
     )
     from mbdkit.base.strict_model import FormatVersion as FormatVersion, StrictModel as StrictModel
     from mbdkit.base.terminal import show as show, show_json as show_json
-    from mbdkit.base.text import cited as cited
     from mbdkit.base.text import (
-        counted as counted, did_you_mean as did_you_mean, listed as listed, one_line as one_line, shown as shown,
-        table as table,
+        counted as counted, did_you_mean as did_you_mean, listed as listed, shown as shown, table as table,
     )
     from mbdkit.base.units import Unit as Unit, read_quantity as read_quantity, read_unit as read_unit
     from mbdkit.engine.compile_forces import Lowering as Lowering
@@ -58,7 +54,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.joint_friction import regularised_friction as regularised_friction
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
-    from mbdkit.mechanism.model_methods import of_models as of_models
     from mbdkit.mechanism.pathways import (
         LawForce as LawForce, LineForce as LineForce, Pathway as Pathway, Segment as Segment,
     )
@@ -82,7 +77,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         ButcherTableau as ButcherTableau, EmbeddedPair as EmbeddedPair, TableauError as TableauError,
         collocation as collocation,
     )
-    from mbdkit.quantities.array import Array as Array, Chart as Chart, Kind as Kind, Recorded as Recorded
+    from mbdkit.quantities.array import Array as Array, Chart as Chart, Recorded as Recorded
     from mbdkit.quantities.entries import name_array as name_array, quantity_group as quantity_group
     from mbdkit.quantities.states import States as States
     from mbdkit.registry.element_items import (
@@ -103,13 +98,11 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         StudyPlugin as StudyPlugin,
     )
     from mbdkit.registry.target import Target as Target
-    from mbdkit.registry.use import use as use
-    from mbdkit.runs.findings import findings as findings
-    from mbdkit.runs.simulation import run as run, simulate as simulate
+    from mbdkit.runs.simulation import simulate as simulate
     from mbdkit.spec.item_names import TreatmentName as TreatmentName
     from mbdkit.spec.loading import loaded as loaded
     from mbdkit.spec.run_spec import RunSpec as RunSpec
-    from mbdkit.trust.criteria import Evidence as Evidence, Judgement as Judgement, Level as Level, judge as judge
+    from mbdkit.trust.criteria import Evidence as Evidence, Judgement as Judgement, Level as Level
     from mbdkit.trust.finding import Finding as Finding, accepted_doubts as accepted_doubts, open_doubts as open_doubts
     # fmt: on
 else:

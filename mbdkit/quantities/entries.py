@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from mbdkit.quantities.array import COORDINATE_UNITS, TEXT, Array, Kind, Recorded
-from mbdkit.quantities.names import AXES, COORDINATES
+from mbdkit.quantities.names import AXES, COORDINATES, ArchiveNames
 
 if TYPE_CHECKING:
-    from mbdkit.quantities.names import ArchiveNames
     from mbdkit.quantities.states import States
 
 #: Units of the rate and of the multiplier of a constraint row, by the unit of its constraint function.

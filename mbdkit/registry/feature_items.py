@@ -25,10 +25,6 @@ class Feature(Item):
     items of lower order come first.
     """
 
-    name: str
-    summary: str
-    order: int = 500
-
     def check(self) -> None:
         """Check the fields, and that code is named by targets; raises PluginError."""
         super().check()
@@ -471,7 +467,7 @@ class Treatment(Feature):
         Key of the elements in the model.
     reacting
         Whether the elements exert no forces of their own: the steps of the run determine their reactions, as they do
-        for joints. All fields that follow are for such treatments.
+        for joints. All fields that follow but `method` are for such treatments.
     require
         Function that raises SpecError if a run does not suit the treatment.
     begin

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from types import EllipsisType
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
@@ -20,8 +21,12 @@ T = TypeVar("T")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Item:
     """Base of the items that plugins offer; the class of an item is its kind.
+
+    `name`: short name. `summary`: one line that describes the item. `order`: position among the items of its kind;
+    items of the same order keep the order in which they are loaded.
 
     A new kind needs a subclass with the class attributes below and an entry in `ITEM_CLASSES`. The hook `mbdkit_items`
     returns items of every kind. All kinds are loaded, named and listed in the same way, and their errors are reported
@@ -43,19 +48,9 @@ class Item:
     arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {}
     """Names of the arguments of the function in each field that is checked for them."""
 
-    if TYPE_CHECKING:  # fields of the subclasses; a property would become the default of the field
-
-        @property
-        def name(self) -> str:
-            """Short name."""
-
-        @property
-        def summary(self) -> str:
-            """One line that describes the item."""
-
-        @property
-        def order(self) -> int:
-            """Position among the items of its kind; items of the same order keep the order in which they are loaded."""
+    name: str
+    summary: str
+    order: int = field(default=500, kw_only=True)
 
     @property
     def full_name(self) -> str:

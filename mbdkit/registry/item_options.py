@@ -12,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchem
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, in_this_process, with_place
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.strict_model import STRICT
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item import Plugin
@@ -61,9 +62,9 @@ def check_item(item: Registered) -> None:
             item.plugin.check_targets()
             if isinstance(item.plugin, Plugin):
                 _named(item).model_json_schema()
-    except KeyboardInterrupt:
-        raise
     except BaseException as error:  # a plugin may raise any exception, including SystemExit
+        if is_interrupt(error):
+            raise
         raise PluginError(str(error) if isinstance(error, PluginError) else with_place(error)) from error
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol, TypeVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol
 
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
@@ -16,8 +16,6 @@ from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
-
-    Options = TypeVar("Options", bound=BaseModel)
 
 
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
@@ -158,7 +156,7 @@ def integrator_claims(options: Never, /) -> Claims:
     raise NotImplementedError
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ModelPlugin(Plugin):
     """A model: builds a mechanism from parameters.
 
@@ -183,26 +181,12 @@ class ModelPlugin(Plugin):
     seams: ClassVar[Mapping[str, str]] = {"build": "model_builder"}
     arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"build": ("options",)}
 
-    name: str
-    summary: str
     options: Given[type[BaseModel]] = Given()
     build: Given[Callable[..., object]] = Given()
     references: Given[tuple[str, ...]] = Given(())
-    order: int = 500
-
-    def __init__(
-        self,
-        name: str,
-        summary: str,
-        options: type[Options] | Target,
-        build: Callable[[Options], object] | Target,
-        references: tuple[str, ...] | Target = (),
-        order: int = 500,
-    ):
-        vars(self).update(name=name, summary=summary, options=options, build=build, references=references, order=order)
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IntegratorPlugin(Plugin):
     """An integrator: a method that advances the state in time.
 
@@ -233,28 +217,11 @@ class IntegratorPlugin(Plugin):
     seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
     arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",), "claims": ("options",)}
 
-    name: str
-    summary: str
     options: Given[type[BaseModel]] = Given()
     create: Given[Callable[..., object]] = Given()
     claims: Given[Callable[..., Claims]] = Given()
     references: Given[tuple[str, ...]] = Given(())
     dense_output: bool = False
-    order: int = 500
-
-    def __init__(
-        self,
-        name: str,
-        summary: str,
-        options: type[Options] | Target,
-        create: Callable[[Options], object] | Target,
-        claims: Callable[[Options], Claims] | Target,
-        references: tuple[str, ...] | Target = (),
-        dense_output: bool = False,
-        order: int = 500,
-    ):
-        vars(self).update(name=name, summary=summary, options=options, create=create, claims=claims)
-        vars(self).update(references=references, dense_output=dense_output, order=order)
 
     def check_targets(self) -> None:
         """Also check the claims with default options, if the options have defaults."""
@@ -302,12 +269,9 @@ class StepControl(Plugin):
     seams: ClassVar[Mapping[str, str]] = {"create": "step_filter"}
     arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",)}
 
-    name: str
-    summary: str
     options: Given[type[BaseModel]] = Given()
     create: Given[Callable[..., object]] = Given()
     references: Given[tuple[str, ...]] = Given(())
-    order: int = 500
 
 
 class _Law(Protocol):
@@ -340,12 +304,9 @@ class ForceLawPlugin(Plugin):
     key: ClassVar[str] = "law"
     name_key: ClassVar[str] = "law"
 
-    name: str
-    summary: str
     options: Given[type[BaseModel]] = Given()
     law: Given[_Law] = Given()
     references: Given[tuple[str, ...]] = Given(())
-    order: int = 500
 
     def _check_law(self) -> None:
         # Laws are recognised by their attributes instead of their class, because `mbdkit.registry` may not import
@@ -392,12 +353,9 @@ class StudyPlugin(Plugin):
     key: ClassVar[str] = "study"
     seams: ClassVar[Mapping[str, str]] = {"verdict": "study_verdict"}
 
-    name: str
-    summary: str
     spec: Path | Callable[[bool], Mapping[str, object]]
     verdict: Given[Callable[..., object] | None] = Given(None)
     references: Given[tuple[str, ...]] = Given(())
-    order: int = 500
 
     @property
     def options(self) -> type[BaseModel]:
@@ -425,7 +383,7 @@ class StudyPlugin(Plugin):
             self._check_callable("verdict", "study")
 
 
-@dataclass(frozen=True, init=False, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MeasurePlugin(Plugin):
     """A measure of studies: a function that computes one number from a run.
 
@@ -452,26 +410,10 @@ class MeasurePlugin(Plugin):
     seams: ClassVar[Mapping[str, str]] = {"take": "measure_function"}
     arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"take": ("run", "options")}
 
-    name: str
-    summary: str
     options: Given[type[BaseModel]] = Given()
     units: str  # type: ignore[misc]  # `options` has no default, although mypy assumes one
     take: Given[Callable[..., float]] = Given()
     references: Given[tuple[str, ...]] = Given(())
-    order: int = 500
-
-    def __init__(
-        self,
-        name: str,
-        summary: str,
-        options: type[Options] | Target,
-        units: str,
-        take: Callable[[Never, Options], float] | Target,
-        references: tuple[str, ...] | Target = (),
-        order: int = 500,
-    ):
-        vars(self).update(name=name, summary=summary, options=options, units=units, take=take)
-        vars(self).update(references=references, order=order)
 
     def _check_units(self) -> None:
         from mbdkit.base.units import read_unit
@@ -506,11 +448,8 @@ class Command(Item):
     kind: ClassVar[str] = "command"
     key: ClassVar[str] = "command"
 
-    name: str
-    summary: str
     target: Target | None = None
     group: str = ""
-    order: int = 500
 
     @property
     def full_name(self) -> str:

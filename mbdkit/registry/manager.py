@@ -22,6 +22,7 @@ from mbdkit.base.distributions import (
     own_entry_points,
 )
 from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_process, with_place
+from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
@@ -168,9 +169,9 @@ def load_registry(
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
                 for hook, thing in _offered(entry_point, origin, manager):
                     _accept(hook, thing, origin, known, accepted, problems)
-        except KeyboardInterrupt:
-            raise
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
+            if is_interrupt(error):
+                raise
             if origin.distribution == hookspecs.PROJECT and isinstance(error, MbdkitError):
                 raise  # the installation or the environment is wrong
             problems.append((f"{origin.distribution}:{entry_point.name}", None, _sentence(error)))
@@ -229,9 +230,9 @@ def _accept(
         item = Registered(kind, cast(Plugin, thing), origin)
         if (kind, item.id) in known:
             raise PluginError(f"its distribution has another {KINDS[kind].label()} of the same name")
-    except KeyboardInterrupt:
-        raise
     except BaseException as error:
+        if is_interrupt(error):
+            raise
         kinds = [kind for kind, item_class in KINDS.items() if item_class.hook == hook]
         problems.append((identifier, kind or kinds[0], _sentence(error)))
     else:

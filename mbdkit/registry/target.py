@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Generic, cast
 
 from mbdkit.base.distributions import entry_points, name_and_version
 from mbdkit.base.errors import MbdkitError, PluginError, in_this_process, with_place
+from mbdkit.base.interrupts import is_interrupt
 
 if TYPE_CHECKING:
     from typing_extensions import TypeVar
@@ -46,9 +47,9 @@ class Target(Generic[T]):
             try:
                 with in_this_process():
                     self._objects.append(pkgutil.resolve_name(self.where))
-            except KeyboardInterrupt:
-                raise
             except BaseException as error:  # a module may raise any exception, including SystemExit
+                if is_interrupt(error):
+                    raise
                 if type(error) is MbdkitError:  # the installation or the environment is wrong
                     raise
                 sentence = with_place(error)

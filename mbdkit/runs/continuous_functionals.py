@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,9 +153,7 @@ class ContinuousFunctionals:
             first, count = ends.done, min(BLOCK, left)
             span = ends.time[first], ends.time[first + count]
             wanted = [
-                functional
-                for functional in self._direct
-                if not functional.is_value or self._is_within(functional, span)
+                functional for functional in self._direct if not functional.is_value or self._gives(functional, span)
             ]
             part = self._part(ends, first, count) if wanted else None
             for functional in wanted:
@@ -181,10 +180,12 @@ class ContinuousFunctionals:
         states = StepEnds(time, q, v, accelerations, held, is_linear=is_linear)
         return MotionPart(self._observer, self._names, states, steps, sides)
 
-    def _is_within(self, functional: Functional, span: tuple[float, float]) -> bool:
-        return span[0] <= self._times[functional.text] <= span[1] and bool(
-            np.isnan(self._values[functional.text]).any()
-        )
+    def _gives(self, functional: Functional, span: tuple[float, float]) -> bool:
+        """Return whether a value is that of the motion over a span: of several, ``at`` is the first, ``after`` the
+        last.
+        """
+        is_new = functional.reduction == "after" or bool(np.isnan(self._values[functional.text]).any())
+        return is_new and functional.is_given_by(self._times[functional.text], *span)
 
     def _add(self, functional: Functional, part: MotionPart) -> None:
         if functional.is_value:
@@ -199,30 +200,35 @@ class ContinuousFunctionals:
         self._take(whole=False)
         return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
 
-    def nested(self, functional: Functional, known: Integrals, events: EventTimes) -> np.ndarray:
+    def nested(self, functional: Functional, known: Integrals, events: EventTimes, deadline: float) -> np.ndarray:
         """Return the value of a nested functional from the values of its inner functionals.
 
-        `events`: function that returns quantities of events.
+        `events`: function that returns quantities of events. `deadline`: `time.perf_counter` after which the value is
+        nan.
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
         duration = span[1] - span[0] if whole else 0.0
-        total, peak = np.zeros(1), Peak(math.nan, math.nan)
+        total, value, peak = np.zeros(1), np.full(1, np.nan), Peak(math.nan, math.nan)
         time = functional.time(known, span, events) if functional.is_value else math.nan
         for ends in whole:
             for first in range(0, len(ends.time) - 1, BLOCK):
                 last = min(first + BLOCK, len(ends.time) - 1)
-                if functional.is_value and not ends.time[first] <= time <= ends.time[last]:
+                if perf_counter() > deadline:
+                    return np.full(1, np.nan)
+                if functional.is_value and not functional.is_given_by(time, ends.time[first], ends.time[last]):
                     continue
                 part = self._part(ends, first, last - first)
                 if functional.is_value:
-                    return value_at(part, functional, known, duration, time)
-                if functional.is_extremum:
+                    value = value_at(part, functional, known, duration, time)
+                    if functional.reduction == "at":
+                        return value
+                elif functional.is_extremum:
                     peak = peak_with(part, functional, known, duration, peak)
                 else:
                     total = total + sampled(part, functional, known, duration).integral()
         if functional.is_value:
-            return np.full(1, np.nan)
+            return value
         return np.array([peak.value]) if functional.is_extremum else total
 
     def stored(self) -> StoredState:

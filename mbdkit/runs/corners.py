@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -11,15 +13,20 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.input_schedule import same_time
+from mbdkit.events.state_program import state_program
+from mbdkit.expressions.program import Program, parts_of_time
 from mbdkit.integrators.interface import SAME_TIME, on_grid
 from mbdkit.integrators.run.sampled_control import sample_times
-from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot
+from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, overshoot, program_of
+from mbdkit.mechanism.motion_pieces import step_limits
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.runs.run_seams import spec_criterion
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
+
+_TIME = re.compile(r"\bt\b")
 
 MOST_STOPS = 5000
 """If a motion has more points or discontinuities than this, steps do not end there, except at impacts of drivers."""
@@ -33,6 +40,9 @@ Its distance from this end may be at most this share of the step.
 QUINTIC_ORDER = 4
 """Highest order of methods whose fixed steps may cross the points of a quintic spline."""
 
+ACCURATE = 1e-4
+"""Largest error of a rate beside a corner at which drivers have impacts, relative to the rates there."""
+
 OVERSHOOT = 0.1
 """A warning is issued if the spline of a table overshoots the range of its values by more than this share of the
 range.
@@ -45,28 +55,36 @@ class Stops:
 
     `margins` [s] are the uncertainties of `times`. `impacts` maps each time at which velocities of drivers are
     discontinuous to the names of these drivers. `samples` are the times at which an output of a controller changes.
-    Margins are 0 at times without a discontinuity, at which inputs are set or the spec asks for the end of a step.
+    Margins are 0 at times without a discontinuity, at which inputs are set, the spec asks for the end of a step, or
+    another limit of controlled steps begins. `step_limits` are these limits: pairs of time and largest step [s].
     """
 
     times: tuple[float, ...] = ()
     margins: tuple[float, ...] = ()
     impacts: Mapping[float, tuple[str, ...]] = field(default_factory=dict)
     samples: tuple[float, ...] = ()
+    step_limits: tuple[tuple[float, float], ...] = ()
 
 
-def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
+def stops_of(
+    spec: RunSpec, *, all_knots: bool = False, integrands: Sequence[Program] = (), share: float | None = None
+) -> Stops:
     """Return the times at which steps of a run have to end, apart from the grid of fixed steps.
 
     With `all_knots`, points of tables are stops even if they are close to this grid; this is needed for another run of
-    the mechanism, with other steps. Raises the errors of `RunSpec.mechanism`, and SpecError if a controller would be
-    sampled more often than ``limits.max_steps``.
+    the mechanism, with other steps. `integrands` are quantities that are asked for; `share`: see
+    `mbdkit.mechanism.motion_pieces.step_limits`. Raises the errors of `RunSpec.mechanism`, and SpecError if a
+    controller would be sampled more often than ``limits.max_steps``.
     """
     start, end = spec.time.start, spec.time.final
-    motions = spec.mechanism().motions()
+    motions = functions_of_time(spec)
+    motions += [("measures", part) for program in integrands for part in parts_of_time(program)]
     soft = _soft_stops(spec)
     if not motions and not soft and not spec.mechanism().controllers:
         return Stops()
-    places = [(time, 0.0, False, "") for time in soft]
+    programs = [program_of(motion) for _, motion in motions if isinstance(motion, str | tuple)]
+    limits = step_limits(programs, start, end, MOST_STOPS, share) if spec.claims.adaptive else []
+    places = [(time, 0.0, False, "") for time in [*soft, *(time for time, _ in limits[1:])]]
     places += [(time, margin, True, "") for time, margin in _samples(spec)]
     drivers = _drivers(spec)
     for key, motion in motions:
@@ -93,7 +111,25 @@ def stops_of(spec: RunSpec, *, all_knots: bool = False) -> Stops:
             impacts[times[-1]] = (*impacts.get(times[-1], ()), struck)
         if is_sample and times[-1] not in samples[-1:]:
             samples.append(times[-1])
-    return Stops(tuple(times), tuple(margins), impacts, tuple(samples))
+    # where a limit begins, a discontinuity may be close by, at which steps end instead
+    limits = [([start, *times][bisect(times, at)], size) for at, size in limits]
+    return Stops(tuple(times), tuple(margins), impacts, tuple(samples), tuple(limits))
+
+
+def functions_of_time(spec: RunSpec) -> list[tuple[str, Motion | Program]]:
+    """Return (key path, function) of every function of time that acts in a run, or that its events look at.
+
+    These are motions, loads and excitations, and the largest parts of expressions of the state that depend on t alone.
+    """
+    mechanism = spec.mechanism()
+    texts = [*mechanism.expressions(), *((f"events.{quoted(n)}.when", event.when) for n, event in spec.events.items())]
+    parts = [
+        (key, part)
+        for key, text in texts
+        if _TIME.search(text) and not key.startswith("model.controllers.")  # sampled
+        for part in parts_of_time(state_program(text, mechanism)[0])
+    ]
+    return [*mechanism.motions(), *parts]
 
 
 def _soft_stops(spec: RunSpec) -> list[float]:
@@ -175,6 +211,23 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
                 "ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around the jump, or set "
                 "`impacts: allow` to change the velocities there by an impulse",
             )
+        elif corner.jumps[1]:
+            _check_accuracy(motion, corner, unit)
+
+
+def _check_accuracy(motion: Motion, corner: Corner, unit: str) -> None:
+    """Check that a motion gives its rates beside a corner; those of ``asin(sin(t))``, for example, are rounding errors.
+
+    Raises SpecError if it does not.
+    """
+    beside = np.array([corner.time - corner.margin, corner.time + corner.margin])
+    given, right = jet_of(motion, beside).rate, np.array([corner.before[1], corner.after[1]])
+    if not np.all(np.abs(given - right) <= ACCURATE * np.max(np.abs(right))):
+        raise SpecError(
+            f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s at t = "
+            f"{corner.time:.6g} s, and rounding errors of the expression hide its derivatives near this time; write "
+            "the motion with abs, min or max, or as a table with `interpolation: linear`"
+        )
 
 
 @spec_criterion
@@ -208,7 +261,7 @@ def _drivers(spec: RunSpec) -> dict[str, str]:
     return {f"model.joints.{quoted(name)}.{key}": name for name, joint in joints.items() for key, _ in joint.motions()}
 
 
-def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion) -> bool:
+def _needs_stop(spec: RunSpec, corner: Corner, motion: Motion | Program) -> bool:
     """Return whether steps have to end at a discontinuity.
 
     Fixed steps need not end at points of tables that are close to the grid. Fixed steps of methods of up to order 4

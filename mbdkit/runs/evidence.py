@@ -87,8 +87,8 @@ def evidence_of_run(
         angle_joint=angle_joint,
         kinetic=max(energies.kinetic, steps.kinetic),
         energy=float(np.maximum(energies.energy, level)),  # nan if the energies are not known
-        balance=energies.balance,
-        energy_jump=steps.energy_jump,
+        balance=0.0 if recorder.mechanism.is_locked else energies.balance,
+        energy_jump=0.0 if recorder.mechanism.is_locked else steps.energy_jump,
         energy_jump_time=steps.energy_jump_time,
         branch=steps.branch,
         warnings=(*open_doubts(found, spec.accept), *doubts),

@@ -132,10 +132,8 @@ class GivenStart:
             element, _, axis = name.rpartition(".")
             kind, of = (moving, f"{element}.{RATES[axis]}") if axis in RATES else (held, name)
             quantity = self.names.find(of, "initial")
-            try:
+            with SpecError.locate(f"initial.{quoted(name)}"):
                 value = number_in(given, f"{quantity.unit}/s" if axis in RATES else quantity.unit)
-            except SpecError as error:
-                raise error.located(prefix=f"initial.{quoted(name)}") from None
             if not math.isfinite(value):
                 raise SpecError(f"the value of '{name}' should be a finite number, not {value!r}", key="initial")
             kind[name] = quantity, value

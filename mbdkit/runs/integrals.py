@@ -11,6 +11,7 @@ Until then, the values of its quantities are stored at all nodes (times of stage
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -157,10 +158,11 @@ class RunIntegrals:
         if sum(len(waiting.time) for waiting in self._waiting) >= BLOCK:
             self._take(whole=True)
 
-    def totals(self, events: EventTimes = no_events) -> Integrals:
+    def totals(self, events: EventTimes = no_events, deadline: float = math.inf) -> Integrals:
         """Return the values of all functionals by their source text, in SI units; nan where undefined.
 
-        `events`: function that returns quantities of the events of the run.
+        `events`: function that returns quantities of the events of the run. `deadline`: when the wall time of the run
+        is over (`time.perf_counter`); nested functionals that are not known then are nan.
         """
         self._take(whole=False)
         totals: dict[str, float | tuple[float, ...]] = {}
@@ -175,7 +177,7 @@ class RunIntegrals:
                 at_nodes = functional.values(series, totals, duration)
                 totals[functional.text] = _plain(np.atleast_1d(np.sum(at_nodes * weight, axis=-1)))
             elif functional.is_nested and self.continuous is not None:
-                totals[functional.text] = _plain(self.continuous.nested(functional, totals, events))
+                totals[functional.text] = _plain(self.continuous.nested(functional, totals, events, deadline))
         return {functional.text: totals[functional.text] for functional in self.functionals}
 
     def stored(self) -> StoredState:

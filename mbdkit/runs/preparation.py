@@ -21,6 +21,7 @@ from mbdkit.engine.kernels.table_rows import STATE_ROW
 from mbdkit.engine.python_controllers import PythonControllers
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
+from mbdkit.expressions.program import Program
 from mbdkit.integrators.interface import Failure, Guards, Timetable
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
@@ -125,10 +126,8 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     if rows is None or spec.limits.wall_time is not None:
         return
     row = row_bytes(archive_names(mechanism), spec.output.recorded)
-    try:
+    with SpecError.place_by(spec.placed):
         check_room(path, rows, row, spec.output.every)
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def rows_expected(spec: RunSpec) -> int | None:
@@ -158,15 +157,11 @@ def make_method(spec: RunSpec) -> Method:
             "create an ExplicitRungeKutta, an ImplicitRungeKutta, a SciPySolver, or an instance of a subclass of "
             "StepMethod or ExternalMethod"
         )
-    try:
+    with SpecError.place_by(spec.placed):
         method = controlled(method, spec.integrator, spec.integrator_item.name)
-    except SpecError as error:
-        raise spec.placed(error) from None
     if (chosen := spec.reacting) is not None and (require := chosen.item.require) is not None:
-        try:
+        with SpecError.place_by(spec.placed):
             treatment_condition.of(require)(spec, method)
-        except SpecError as error:
-            raise spec.placed(error) from None
     if spec.stabilized.symmetric and isinstance(method, ExternalMethod):
         raise PluginError(
             f"integrator {spec.integrator_item.id} claims to support symmetric projection, which libraries with a loop "
@@ -238,15 +233,22 @@ def guards(spec: RunSpec, size: float) -> Guards:
 
 
 def timetable(
-    spec: RunSpec, guards: Guards, *, all_knots: bool = False, nodes: bool = False, ends: bool = False
+    spec: RunSpec,
+    guards: Guards,
+    *,
+    all_knots: bool = False,
+    nodes: bool = False,
+    ends: bool = False,
+    integrands: Sequence[Program] = (),
+    share: float | None = None,
 ) -> Timetable:
     """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits.
 
     With `all_knots`, points of tables close to the grid are stops as well. With `nodes`, states at the stages of steps
     are stored. With `ends`, the stepper returns after each step unless all steps are recorded, so that the states at
-    the ends of all steps are available.
+    the ends of all steps are available. `integrands`, `share`: see `stops_of`.
     """
-    stops = stops_of(spec, all_knots=all_knots)
+    stops = stops_of(spec, all_knots=all_knots, integrands=integrands, share=share)
     table = Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -262,6 +264,7 @@ def timetable(
         stop_margins=stops.margins,
         impacts=tuple(stops.impacts),
         samples=stops.samples,
+        step_limits=stops.step_limits,
     )
     reacts = spec.reacting is not None
     return replace(table, single=table.single or reacts or not rows_are_ends(table)) if ends else table

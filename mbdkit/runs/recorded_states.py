@@ -55,16 +55,24 @@ class ObservedRows:
 
     @classmethod
     def at(
-        cls, workspace: Workspace, times: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray | None = None
+        cls,
+        workspace: Workspace,
+        times: np.ndarray,
+        q: np.ndarray,
+        v: np.ndarray,
+        z: np.ndarray | None = None,
+        *,
+        seen: np.ndarray,
     ) -> ObservedRows:
         """Return states with their reactions; rows are nan from the first missing or singular state on.
 
-        Positions and velocities are (T, 3 (B + 1)); first-order states, if there are any, are (T, Z).
+        Positions and velocities are (T, 3 (B + 1)); first-order states, if there are any, are (T, Z). Motions and loads
+        are evaluated at the times `seen` (T,); see `Timetable.before`.
         """
         count = int(np.sum(np.minimum.accumulate(np.all(np.isfinite(q) & np.isfinite(v), axis=1))))
         observer = StateObserver(workspace.with_own_pivots())
         observed = observer.arrays(count)
-        singular = observer.observe(times[:count], q[:count], v[:count], observed, z=None if z is None else z[:count])
+        singular = observer.observe(seen[:count], q[:count], v[:count], observed, z=None if z is None else z[:count])
         count = count if singular is None else singular.row
         position, velocity = (x[:, :-3].reshape(len(times), -1, 3).copy() for x in (q, v))
         wrench = np.full((len(times), len(workspace.mechanism.joints), 3), np.nan)

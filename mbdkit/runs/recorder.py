@@ -19,7 +19,7 @@ from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Failure, Guards, Stretch
+from mbdkit.integrators.interface import Failure, Stretch, Timetable
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
@@ -52,9 +52,6 @@ diverge, they exceed five times the uncertainty.
 """
 
 
-NO_GUARDS = Guards()
-
-
 def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
     """Return the description of non-unique reactions of redundant joints; None without redundant constraints."""
     redundancy = mechanism.redundancy
@@ -69,7 +66,7 @@ class Recorder:
 
     - `workspace`: the mechanism at its start. The recorder uses a copy with its own pivots.
     - `writer`: writer that receives the rows.
-    - `guards`: limits of the misalignment of a recorded state.
+    - `table`: times of the run; its guards limit the misalignment of a recorded state.
     - `ranges`: checks force laws that declare a range; None if there are none.
     - `watchers`: look at all recorded states; None to give no warnings.
     - `finer`: see `mbdkit.spec.run_spec.RunSpec.finer`.
@@ -84,7 +81,7 @@ class Recorder:
         self,
         workspace: Workspace,
         writer: RunWriter,
-        guards: Guards = NO_GUARDS,
+        table: Timetable,
         ranges: LawRanges | None = None,
         watchers: StateWatchers | None = None,
         *,
@@ -92,7 +89,7 @@ class Recorder:
     ):
         # The number of steps between two calls depends on wall time. If the recorder shared its pivots with the
         # stepper, the rounding errors of steps and of recorded rows would depend on it too.
-        self.workspace, self.writer, self.guards = workspace.with_own_pivots(), writer, guards
+        self.workspace, self.writer, self.table = workspace.with_own_pivots(), writer, table
         mechanism = workspace.mechanism
         self._observer = StateObserver(self.workspace)
         self._joints = joint_sums(mechanism)
@@ -122,7 +119,7 @@ class Recorder:
             return None
         observed = self._observer.arrays(count)
         q, v = np.ascontiguousarray(stretch.q), np.ascontiguousarray(stretch.v)
-        singular = self._observer.observe(stretch.time, q, v, observed, z=stretch.z)
+        singular = self._observer.observe(self.table.before(stretch.time), q, v, observed, z=stretch.z)
         valid, failure = self._checked(stretch, observed, singular)
         if valid:
             part = slice(0, valid)
@@ -197,14 +194,15 @@ class Recorder:
         )
 
     def _fallen_apart(self, stretch: Stretch, observed: Observed) -> tuple[int, Failure] | None:
-        smallest = min(self.guards.misalignment, self.guards.angle_misalignment)
+        guards = self.table.guards
+        smallest = min(guards.misalignment, guards.angle_misalignment)
         # a joint has at most three rows, so that none can exceed a limit; the check saves time
         if np.max(np.abs(observed.phi), initial=0.0) <= smallest / 4:
             return None
         first: tuple[int, Failure] | None = None
         for values, limit, unit in (
-            (self._joints.misalignment(observed.phi), self.guards.misalignment, "m"),
-            (self._joints.angle_misalignment(observed.phi), self.guards.angle_misalignment, "rad"),
+            (self._joints.misalignment(observed.phi), guards.misalignment, "m"),
+            (self._joints.angle_misalignment(observed.phi), guards.angle_misalignment, "rad"),
         ):
             beyond = ~(values <= limit)
             if not np.any(beyond):

@@ -33,6 +33,9 @@ from mbdkit.trust.finding import Finding
 FAR = 0.1
 """Share of the mechanism's size by which assembly may change the initial positions without a warning."""
 
+TURNED = 0.5
+"""Angle [rad] by which assembly may turn a body without a warning."""
+
 CHANGED = 0.01
 """Share of a given velocity by which assembly may change it without a warning: more than the rounding of a value to
 three digits, which is at most 0.005 of it.
@@ -72,7 +75,7 @@ def left_out(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
 
 @start_criterion
 def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
-    """Yield a warning if assembly moves a point by more than a tenth of the mechanism's size."""
+    """Yield a warning if assembly moves a point by more than a tenth of the mechanism's size, or turns a body far."""
     if not start.changed:
         return
     mechanism = spec.mechanism()
@@ -80,19 +83,24 @@ def moved_start(spec: RunSpec, start: AssembledState) -> Iterator[str]:
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
             points.get(name, set()).add(point)
-    moved, name = 0.0, ""
+    moved, name, turn, turned = 0.0, "", 0.0, ""
     for (body, given), (x, y, angle) in zip(mechanism.bodies.items(), start.q.tolist(), strict=True):
+        turn, turned = max((turn, turned), (abs(angle - given.angle), body))
         now = given.model_copy(update={"position": (x, y), "angle": angle})
         for point in points[body]:
             distance = math.dist(given.to_global(point), now.to_global(point))
             moved, name = max((moved, name), (distance, body))
-    size = mechanism_size(mechanism, start.q)
+    size, what = mechanism_size(mechanism, start.q), ""
     if moved > FAR * size:
+        what = f"moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's size of "
+        what += f"{size:.3g} m; check the positions and angles at {_key(mechanism, name)} and its neighbours"
+    elif turn > TURNED:
+        what = f"turns {turned} by {turn:.3g} rad at the start; check the angle at {_key(mechanism, turned)}, those of "
+        what += "its neighbours, and the motions of drivers, which give angles with their whole turns"
+    if what:
         yield (
-            f"assembly moves a point of {name} by {moved:.3g} m at the start, more than a tenth of the mechanism's "
-            f"size of {size:.3g} m; check the positions and angles at {_key(mechanism, name)} and its neighbours, "
-            f"because the mechanism may have been assembled in an unintended configuration (`mbdkit validate` lists "
-            f"all changes){_accepted('moved-start')}"
+            f"assembly {what}, because the mechanism may have been assembled in an unintended configuration (`mbdkit "
+            f"validate` lists all changes){_accepted('moved-start')}"
         )
 
 

@@ -38,11 +38,13 @@ from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacti
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.measures.reductions import Functional
+from mbdkit.mechanism.motion_pieces import share_of_integrals
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
 from mbdkit.runs.accuracy.chosen_method import Choice
+from mbdkit.runs.accuracy.companion import Budget
 from mbdkit.runs.accuracy.compared_measures import compared_measures
 from mbdkit.runs.accuracy.parameter_errors import with_parameter_errors
 from mbdkit.runs.accuracy.pilot_run import Replay
@@ -167,7 +169,16 @@ class SimulatedRun:
         self.failure: Failure | None = None
         self.begin_record(writer)
         ends = self.integrals is not None and self.integrals.continuous is not None
-        self.table = timetable(spec, self.guards, nodes=self.keeps_nodes, ends=ends)
+        tolerances, estimate, share = method.traits.tolerances, method.traits.local_error, None
+        if tolerances is not None and self.integrals is not None and self.integrals.needs_nodes:
+            # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
+            share = share_of_integrals(tolerances.rtol, 6.0 if estimate is None else estimate.order)
+        self.table = timetable(
+            spec, self.guards, nodes=self.keeps_nodes, ends=ends, share=share,
+            integrands=[functional.program for functional in functionals],
+        )  # fmt: skip
+        #: When the wall time of the run is over (`time.perf_counter`).
+        self.deadline = math.inf
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
         self.cause: BaseException | None = None
@@ -185,10 +196,10 @@ class SimulatedRun:
         ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
         watchers = StateWatchers(spec, workspace.mechanism, self.size)
         self.writer = writer
-        self.recorder = Recorder(workspace, writer, self.guards, ranges, watchers, finer=spec.finer)
+        self.table = timetable(spec, self.guards)
+        self.recorder = Recorder(workspace, writer, self.table, ranges, watchers, finer=spec.finer)
         if spec.estimates_errors:
             self.recorder.kept = []
-        self.table = timetable(spec, self.guards)
         self.integrals: RunIntegrals | None = None
         if self._functionals:
             suits_stiff = self.method.traits.suits_stiff
@@ -402,9 +413,11 @@ class SimulatedRun:
     ) -> None:
         """Step until the end, a limit, a failure or an interrupt, and record the states."""
         limit, end = self.spec.limits.wall_time, self.spec.time.final
+        self.deadline = math.inf if limit is None else begin + limit
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
         recorded = self.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
+            since, done = time.perf_counter(), stepper.counters.steps
             stretch = self.next_stretch(stepper)
             if stretch is None:
                 break
@@ -418,6 +431,9 @@ class SimulatedRun:
                 progress(stepper.time, end)
             if checkpoints is not None and not (stepper.finished or stepper.failure or self.failure):
                 checkpoints.write_if_due()
+            if limit is not None and isinstance(inner := self.inner_stepper, CompiledStepper):
+                inner.pace.timed(inner.counters.steps - done, since)  # with the time of integrals and extrema
+                now = time.perf_counter() - begin
             if limit is not None and now > limit and not (stepper.finished or stepper.failure or self.failure):
                 self.failure = Failure(
                     "wall-time", f"stopped at t = {stepper.time:.6g} s after limits.wall_time = {limit:g} s."
@@ -436,7 +452,10 @@ class SimulatedRun:
         """
         inner = self.inner_stepper
         if isinstance(inner, CompiledStepper | StepHost) and inner.sampler.is_needed:
-            self.recorder.record_inputs([*inner.sampler.taken(), *(inner.sampler.ends(inner.time) if at_end else ())])
+            stopped = None if self.watch is None else self.watch.stopped
+            until = math.inf if stopped is None else max(stopped.time, math.nextafter(self.workspace.t0, math.inf))
+            settings = [setting for setting in inner.sampler.taken() if setting.time < until]  # it ends before a jump
+            self.recorder.record_inputs([*settings, *(inner.sampler.ends(inner.time) if at_end else ())])
             if self.workspace.python is not None:
                 self.recorder.record_samples(inner.sampler.taken_samples())
 
@@ -448,14 +467,13 @@ class SimulatedRun:
                 self._check_accuracy(kept, progress)
 
     def _check_accuracy(self, kept: Sequence[ObservedRows], progress: Progress | None) -> None:
+        budget = Budget(self.spec.limits.wall_time, lambda: self.interrupted)
         rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
         choice = self.choice
         if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
             estimated = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
         else:
-            estimated = check_run(
-                self.spec, self.method, self.workspace, rows, steps, lambda: self.interrupted, progress, self.memory
-            )
+            estimated = check_run(self.spec, self.method, self.workspace, rows, steps, budget, progress, self.memory)
         self.accuracy = with_asked(estimated, self.spec, self.workspace, self.choice)
         expressions = (
             tuple(dict.fromkeys((*expressions_of(self.spec, self.request.measures), *self.compared_loads())))
@@ -465,14 +483,14 @@ class SimulatedRun:
         if expressions and self.failure is None:
             compared = compared_measures(
                 self.spec, self.method, self.workspace, steps, expressions,
-                partial(self.request.measured_in, expressions), lambda: self.interrupted,
+                partial(self.request.measured_in, expressions), budget,
             )  # fmt: skip
             self.accuracy = replace(self.accuracy, compared_measures=compared)
         if self.spec.check:
             expressions = () if self.failure else expressions
             self.accuracy = with_parameter_errors(
                 self.accuracy, self.spec, self.method, steps, expressions,
-                partial(self.request.measured_in, expressions), lambda: self.interrupted, progress,
+                partial(self.request.measured_in, expressions), budget, progress,
             )  # fmt: skip
 
     def compared_loads(self) -> tuple[str, ...]:
@@ -480,7 +498,7 @@ class SimulatedRun:
         peaks = peaks_of(archive_names(self.workspace.mechanism))
         if self.integrals is None or not peaks:
             return ()
-        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event), peaks)
+        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event, self.deadline), peaks)
 
     def doubtful_gradients(self) -> Iterator[str]:
         """Yield a sentence about the measures whose gradients fail their checks, if any."""
@@ -517,7 +535,7 @@ class SimulatedRun:
         of_drivers = [] if steps is None else [impact for impact in steps.impacts if isinstance(impact, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
-        totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event)
+        totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event, self.deadline)
         findings = (*self.findings, *self.recorder.findings(totals))
         if self.request.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)

@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.bundle import PinnedBundle
@@ -78,6 +79,8 @@ class SimulationBatch:
         The mechanism of the spec.
     inputs : (N, I) array
         Values of its inputs from the next `advance` on; those of a simulation that is started are the initial ones.
+    in_use : UseLock
+        Held by the thread that uses the batch.
 
     Raises
     ------
@@ -89,6 +92,7 @@ class SimulationBatch:
         if reason := why_not_batched(spec):
             raise SpecError(f"simulations of this spec cannot be batched: {reason}")
         self.spec, self.number, self.apart = spec, number, apart
+        self.in_use = UseLock("another thread is using these simulations; give each thread its own")
         self._workspace, _ = build(spec)
         self.mechanism = self._workspace.mechanism
         self._topology = topology_of(self.mechanism)
@@ -132,6 +136,7 @@ class SimulationBatch:
         """End the threads."""
         self._pool.shutdown()
 
+    @one_thread_at_a_time
     def advance(self, steps: int) -> None:
         """Advance all simulations by a number of steps; inputs that are held linearly reach their values at the end."""
         state, times, taken = self._state, self._runs[0].times, self._batch.taken
@@ -152,6 +157,7 @@ class SimulationBatch:
         for future in further:
             future.result()
 
+    @one_thread_at_a_time
     def start(
         self, which: Sequence[int], q: np.ndarray, v: np.ndarray, mechanisms: Sequence[CompiledMechanism] | None = None
     ) -> None:

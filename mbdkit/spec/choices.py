@@ -76,10 +76,8 @@ class Choice:
         if data is None and self.optional:
             return None
         name = self._name(data)
-        try:
+        with SpecError.rekey("name"):  # its key is that of the section which usually has such a choice
             item = self.registry.get(self.kind, name)
-        except SpecError as error:  # its key is that of the section which usually has such a choice
-            raise SpecError(error.message, key="name") from None
         validator = _validator(item, self._keys(item, cast("Mapping[str, object]", data)))
         if info.mode == "json":  # strict mode accepts a list for a tuple, or a text for a path, only in JSON
             return validator.validate_json(json.dumps(data), context=info.context)

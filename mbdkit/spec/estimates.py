@@ -85,7 +85,7 @@ def read_estimates(data: dict[str, Any], folder: Path) -> None:
 
     They become numbers of `parameters`, and the section `estimates`. Those are taken for which `parameters` gives no
     number, and whose name a text of the spec contains. `folder`: folder of the spec. Raises SpecError if the file is
-    not the result of an identification, or if its data do not determine a parameter that is taken.
+    not the result of an identification, or if it has no covariance of a parameter that is taken.
     """
     if not isinstance(data.get("parameters"), Mapping) or FROM not in data["parameters"]:
         return
@@ -93,14 +93,14 @@ def read_estimates(data: dict[str, Any], folder: Path) -> None:
     given, key = texts["parameters"], f"parameters.{FROM}"
     if not isinstance(file := given.pop(FROM), str):
         raise SpecError(f"should be the file of an identification, not {value_text(file)}", key=key)
-    names, values, covariance, is_known = higher_layers.identified_parameters(folder / file)
+    names, values, covariance, reasons = higher_layers.identified_parameters(folder / file)
     used = names_in(texts)
     rows = [row for row, name in enumerate(names) if name in used and name not in given]
     if not rows and not given.keys() & set(names):
         message = f"has no effect: no expression contains a parameter of {file}, which has {listed(names, 'and')}"
         raise SpecError(message, key=key)
-    if unknown := [f"'{names[row]}'" for row in rows if not is_known[row]]:
-        message = f"the data of {file} do not determine {listed(unknown, 'and')}; give a number beside `from`"
+    if unknown := [f"'{names[row]}' ({reasons[row]})" for row in rows if reasons[row]]:
+        message = f"{file} has no estimate with a covariance of {listed(unknown, 'and')}; give a number beside `from`"
         raise SpecError(message, key=key)
     taken = {names[row]: float(values[row]) for row in rows}
     data["parameters"] = taken | given

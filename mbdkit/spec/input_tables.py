@@ -63,12 +63,10 @@ class InputTable(Section):
     def _factor(self, of: Input) -> float:
         if self.unit is None or self.unit == of.unit:
             return 1.0
-        try:
+        with SpecError.locate("unit"):
             given = read_unit(self.unit)
             if not given.fits(read_unit(of.unit)):
                 raise SpecError(misfit(self.unit, given, (of.unit,)))
-        except SpecError as error:
-            raise error.located(prefix="unit") from None
         return given.factor
 
 
@@ -84,10 +82,8 @@ def schedules_of(tables: Mapping[str, InputTable], inputs: Mapping[str, Input]) 
             raise SpecError(message, key=f"inputs.{quoted(name)}")
     schedules = []
     for name, item in inputs.items():
-        try:
+        with SpecError.locate(f"inputs.{quoted(name)}"):
             schedules.append(tables[name].schedule(item) if name in tables else InputSchedule())
-        except SpecError as error:
-            raise error.located(prefix=f"inputs.{quoted(name)}") from None
     return tuple(schedules)
 
 

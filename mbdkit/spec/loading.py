@@ -105,15 +105,13 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
     for assignment in overrides:
         set_value(document, assignment)
     files = document.files
-    try:
+    with SpecError.place_by(document.place):
         _read_files(document)
         spec = kind(**document.data)
         spec._document = document  # before the mechanism, which may depend on files in the folder of the spec
         mechanism = spec.mechanism()
         if files.all:
             spec.adopt(mechanism, files.all)
-    except SpecError as error:
-        raise document.place(error) from None
     return spec
 
 
@@ -133,8 +131,8 @@ def _read_files(document: Document) -> None:
 def example_names(kind: str | None = None) -> list[str]:
     """Return the names of the packaged examples of specs of a kind, such as ``run`` or ``inverse``, or of all specs.
 
-    `load_spec` accepts the names of run specs as a source, `load_inverse_spec` those of inverse dynamics, and
-    `load_design_spec` those of designs.
+    `load_spec` and `mbdkit.run` accept the names of run specs as a source, `mbdkit.inverse` those of inverse dynamics,
+    and `mbdkit.design` those of designs.
     """
     return [name for name, own in _kinds(registry()).items() if kind in (None, own)]
 
@@ -183,11 +181,8 @@ def read_source(source: Any) -> Document:
     Estimates of an identification that its `parameters` name are taken.
     """
     document = _document(source)
-    try:
-        with recording(document.files):
-            read_estimates(document.data, document.folder)
-    except SpecError as error:
-        raise document.place(error) from None
+    with SpecError.place_by(document.place), recording(document.files):
+        read_estimates(document.data, document.folder)
     return document
 
 

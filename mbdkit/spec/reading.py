@@ -99,7 +99,7 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     `file`: origin of the text, for error messages. `suffix`: ``.json`` or ``.toml``; any other suffix means YAML.
     """
     _check_size(text, suffix, file)
-    try:
+    with SpecError.place_by(lambda error: error.located(file=file)):
         match suffix:
             case ".json":
                 data, document = _json(text), Document({}, file, lambda: read_yaml(text)[1])
@@ -107,18 +107,14 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
                 data, document = _toml(text), Document({}, file, lambda: _toml_lines(text))
             case _:
                 data, document = read_data(text), Document({}, file, lambda: read_yaml(text)[1])
-    except SpecError as error:
-        raise error.located(file=file) from None
     if data is None:
         raise SpecError("this file is empty; a spec begins with `mbdkit: 1`", file=file)
     if not isinstance(data, Mapping):
         raise SpecError(
             f"a spec should be a mapping (`key: value`) at the top level, not {value_text(data)}", file=file, line=1
         )
-    try:
+    with SpecError.place_by(lambda error: error.located(file=file)):
         document.data = copied(data)  # also checks the depth
-    except SpecError as error:
-        raise error.located(file=file) from None
     return document
 
 
@@ -238,10 +234,8 @@ def set_value(document: Document, assignment: str) -> None:
     """
     path, value = read_assignment(assignment)
     where = f"--set {assignment}"
-    try:
+    with SpecError.place_by(lambda error: error.located(file=where)):
         put(document.data, path, value)
-    except SpecError as error:
-        raise error.located(file=where) from None
     document.overridden[path] = assignment
 
 

@@ -501,10 +501,8 @@ class RunSpec(ModelSpec):
 
         parsed = {}
         for name, event in self.events.items():
-            try:
+            with SpecError.rekey(f"events.{quoted(name)}.when"):
                 parsed[name] = RunExpression.parse(event.when, mechanism, self.numbers)
-            except SpecError as error:
-                raise SpecError(error.message, key=f"events.{quoted(name)}.when") from None
         return parsed
 
     def _parsed_settings(self, mechanism: Mechanism) -> dict[str, dict[str, RunExpression]]:
@@ -513,11 +511,9 @@ class RunSpec(ModelSpec):
         parsed: dict[str, dict[str, RunExpression]] = {}
         for name, event in self.events.items():
             for state, text in event.set.items():
-                try:
+                with SpecError.rekey(f"events.{quoted(name)}.set.{quoted(state)}"):
                     check_state(state, mechanism)
                     value = RunExpression.parse(text, mechanism, self.numbers, crosses=False)
-                except SpecError as error:
-                    raise SpecError(error.message, key=f"events.{quoted(name)}.set.{quoted(state)}") from None
                 parsed.setdefault(name, {})[state] = value
         return parsed
 

@@ -107,7 +107,8 @@ class Output(Section):
     every: Count | None = None
     """Number of steps between records; 1 unless `interval` is given."""
     interval: Positive | None = None
-    """Time between records [s], instead of `every`; requires a method with dense output."""
+    """Time between records [s], instead of `every`; requires a method with dense output. As any row, one at an impact
+    or another instant with two sides holds the limit from before; see the page `events`."""
     quantities: Literal["all"] | tuple[ChosenGroup, ...] = "all"
     """Groups of quantities recorded in addition to trajectory, steps and stats."""
 

@@ -129,10 +129,8 @@ def _unit(keys: Mapping[str, object], path: Path) -> str:
         if not isinstance(unit, str):
             message = f"should be a unit such as N, in quotes if it is a number, not {value_text(unit)}"
             raise SpecError(message, key=path_text((*path, "unit")))
-        try:
+        with SpecError.locate(path_text((*path, "unit"))):
             read_unit(unit)
-        except SpecError as error:
-            raise error.located(prefix=path_text((*path, "unit"))) from None
     return str(unit)
 
 
@@ -148,10 +146,8 @@ def _of_plugin(name: str, definition: Mapping[str, object], path: Path) -> Defin
         text = f"; known: {listed(known)}" if known else "; no installed plugin has any"
         hint = did_you_mean(wanted, known) or text
         raise SpecError(f"there is no measure '{wanted}'{hint}{installed.advice(wanted)}", key=path_text(path))
-    try:
+    with SpecError.rekey(path_text(path)):  # several distributions use this name
         item = installed.get("measure", wanted)
-    except SpecError as error:  # several distributions use this name
-        raise SpecError(error.message, key=path_text(path)) from None
     model = named_options(item)
     with blaming(f"measure {item.id} failed to check its options"):
         try:

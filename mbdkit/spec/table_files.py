@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files_read import read_data
-from mbdkit.base.text import did_you_mean, listed, shown
+from mbdkit.base.text import counted, did_you_mean, listed, shortened, shown
+from mbdkit.base.units import NUMBER
 
 LARGEST_FILE = 16 * 2**20
 """Largest size of a file [bytes]."""
@@ -19,8 +22,9 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
     """Return the numbers in the columns of a CSV file with the given headings, in the order of `columns`.
 
     The file has a line of headings, and commas, semicolons or tabs between its cells; lines that begin with ``#`` are
-    ignored. With `has_gaps`, empty cells are nan. Raises SpecError, with the file and line, if it has no such columns,
-    or if a cell is not a number.
+    ignored. With `has_gaps`, empty cells and ``nan`` are nan. Raises SpecError, with the file and line, if it has no
+    such columns, if a cell is not a finite number in ASCII digits, or if a row has another number of cells than the
+    headings.
     """
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     try:
@@ -32,7 +36,7 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
         message = "this file is empty; it should have a line of headings, and numbers in each further line"
         raise SpecError(message, file=path)
     delimiter = max(",;\t", key=numbered[0][1].count)
-    rows = [next(csv.reader([line], delimiter=delimiter)) for _, line in numbered]
+    rows = [_cells(line, delimiter, path, number) for number, line in numbered]
     headings = [heading.strip() for heading in rows[0]]
     for column in columns:
         if headings.count(column) != 1:
@@ -41,10 +45,25 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
     places = [headings.index(column) for column in columns]
     numbers: list[list[float]] = [[] for _ in columns]
     for (line, _), row in zip(numbered[1:], rows[1:], strict=True):
-        try:
-            for own, place in zip(numbers, places, strict=True):
-                own.append(math.nan if has_gaps and not row[place].strip() else float(row[place]))
-        except (ValueError, IndexError):
-            names = listed([f"'{column}'" for column in columns], "and")
-            raise SpecError(f"the columns {names} should have numbers here", file=path, line=line) from None
+        if len(row) != len(headings) and (len(row) < len(headings) or any(row[len(headings) :])):
+            message = f"this row has {counted(len(row), 'cell')}, but there are {counted(len(headings), 'heading')}"
+            raise SpecError(message, file=path, line=line)
+        for own, place, column in zip(numbers, places, columns, strict=True):
+            cell = row[place].strip()
+            is_gap = has_gaps and cell.lower() in ("", "nan")
+            if not is_gap and not (re.fullmatch(NUMBER, cell) and math.isfinite(float(cell))):
+                message = f"the column '{column}' should have a number here, not '{shortened(shown(cell))}'"
+                raise SpecError(message, file=path, line=line)
+            own.append(math.nan if is_gap else float(cell))
     return numbers
+
+
+def _cells(line: str, delimiter: str, path: Path, number: int) -> list[str]:
+    is_open, most = line.count('"') % 2 == 1, csv.field_size_limit()
+    with suppress(csv.Error):  # the cell is too long
+        if not is_open:
+            return next(csv.reader([line], delimiter=delimiter))
+    parts = enumerate(line.split(delimiter), 1)
+    column = next((i for i, part in parts if part.count('"') % 2 or len(part) > most), 1)
+    why = "has a quotation mark that is not closed" if is_open else f"has more than {most} characters"
+    raise SpecError(f"cell {column} of this row {why}", file=path, line=number)

@@ -12,6 +12,7 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.result_table import ResultTable, TableColumn
 from tests.installing import install_module, python
+from tests.margins import assert_within
 
 PLUGIN = """
 from pathlib import Path
@@ -95,7 +96,7 @@ def test_residuals_and_a_covariance_of_another_kind_are_read_without_its_plugin(
         square = np.array(RATES) ** 2
         inverse = np.linalg.inv([[4.0, square.sum()], [square.sum(), (square**2).sum()]])
         np.testing.assert_allclose(line["covariance"], inverse, rtol=1e-12)
-        assert np.max(np.abs(residuals["residual"])) < 1e-9
+        assert_within(residuals["residual"], 1e-9)
         assert residuals.columns["rate"].units == "rad/s"
 
 

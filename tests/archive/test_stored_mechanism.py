@@ -12,6 +12,7 @@ import h5py
 import pytest
 
 import mbdkit
+from mbdkit.archive.fingerprint import seal
 from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
 from mbdkit.mechanism.mechanism import Mechanism
 from tests.archive.stored import SHORT, stored, swing
@@ -41,6 +42,7 @@ def test_a_damaged_mechanism_is_an_error_about_the_archive(tmp_path: Path, text:
         pass
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         file.attrs["mechanism"] = text
+        seal(file)
     with mbdkit.load(tmp_path / "a.h5") as run, pytest.raises(mbdkit.ArchiveError, match=r"a\.h5"):
         assert run.mechanism
 

@@ -150,3 +150,10 @@ def test_a_file_up_to_the_limit_is_read(tmp_path: Path) -> None:
         read_bytes(tmp_path / "a", 2)
     with pytest.raises(SpecError, match="this file cannot be read: No such file or directory"):
         read_bytes(tmp_path / "b", 2)
+
+
+@pytest.mark.parametrize("name", ["a\0b.csv", "a\ud800b.csv"])
+def test_names_that_no_file_can_have_are_refused(name: str, tmp_path: Path) -> None:
+    for use in (lambda path: read_bytes(path, 1), lambda path: check_output(path, overwrite=False)):
+        with pytest.raises(SpecError, match="no file can have this name"):
+            use(tmp_path / name)

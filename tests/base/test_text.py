@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from mbdkit.base.command_words import command_line, executing
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.errors import ResourceError, RunError, SpecError
 from mbdkit.base.terminal import PlainStream
 from mbdkit.base.text import csv_cell, markdown, shown, table
 from mbdkit.spec import load_spec
@@ -97,3 +97,10 @@ def test_the_command_in_an_archive_is_valid_text_even_if_a_name_is_not() -> None
         assert command_line() == "mbdkit run -o 'ö.h5'"
     with executing(["mbdkit", "run", "-o", "\udcff.h5"]):
         assert command_line() == "mbdkit run -o '\\xff.h5'"
+
+
+def test_sentences_do_not_repeat_long_input() -> None:
+    for word in ("x" * 100_000, "x " * 50_000, "x\n" * 3 + "y" * 100_000):
+        for error in (SpecError(f"no '{word}'; use a", key=word, file=word), RunError(word), ResourceError(word)):
+            assert len(str(error)) < 12_000
+    assert str(SpecError(f"there is no '{'x' * 100_000}' here; use a")).endswith("xxx... here; use a")

@@ -27,6 +27,9 @@ OF_A_MACHINE = ("time-bodies", "substitution")
 
 ANSWERS = {Answer.YES: "Confirmed", Answer.NO: "Not confirmed", Answer.PARTLY: "Partly confirmed", Answer.OPEN: "Open"}
 
+PICTURES = "../../../../../.github"
+"""Folder of pictures, from that of the page."""
+
 OUTLINE = """\
 # The source paper, re-run
 
@@ -51,8 +54,8 @@ BibTeX entry of the paper, whose author and DOI are not known to us, is:
 {bibtex}
 ```
 
-![Misalignment of a double pendulum over 150 steps: it grows with RK-Gill only](../../.github/paper-drift.png)
-![Misalignment of a knee linkage over the step, with the two predicted ranges shaded](../../.github/paper-knee.png)
+![Misalignment of a double pendulum over 150 steps: it grows with RK-Gill only]({pictures}/paper-drift.png)
+![Misalignment of a knee linkage over the step, with the two predicted ranges shaded]({pictures}/paper-knee.png)
 
 ## Claims
 
@@ -69,7 +72,12 @@ def page(verdict: Verdict, runs: int) -> str:
     claims = "\n".join(full_entry(claim) for claim in verdict.claims)
     notes = "\n".join(_item(note) for note in verdict.notes[1:])  # the first one names the paper, as the page does
     return OUTLINE.format(
-        runs=runs, title="\n> ".join(textwrap.wrap(TITLE, 118)), bibtex=BIBTEX, claims=claims, notes=notes
+        pictures=PICTURES,
+        runs=runs,
+        title="\n> ".join(textwrap.wrap(TITLE, 118)),
+        bibtex=BIBTEX,
+        claims=claims,
+        notes=notes,
     )
 
 

@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
 
 FRAMES, EQUATIONS, MUSCLES = 151, 6, 18
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]

@@ -1,11 +1,14 @@
 """How often the confidence intervals of studies contain the true value: ``python -m tests.benchmarks.study_intervals``.
 
 Means, standard deviations and quantiles are those of known distributions. Sobol indices are those of the Ishigami
-function, of a product (1 + a x)(1 + b y)(1 + c z) and of a sum x + 0.3 y + 0.02 exp(z) of functions of normal
-variables, whose indices have closed forms.
+function, of a product (1 + a x)(1 + b y)(1 + c z), of the products of (|2 x| + a)/(1 + a) by I. M. Sobol with four and
+six variables between -1 and 1, and of a sum x + 0.3 y + 0.02 exp(z) of functions of normal variables, whose indices
+have closed forms.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import scipy.stats
@@ -31,9 +34,20 @@ def product(x: np.ndarray) -> np.ndarray:
     return np.asarray(np.prod(1 + _FACTORS[:, None] * x, axis=0))
 
 
+def _kinked(*a: float) -> tuple[Callable[[np.ndarray], np.ndarray], float, np.ndarray]:
+    """Return a function of Sobol of points x (d, N), (N,), the end of the range of x, and its 2 d indices."""
+    known = np.array(a)
+    parts = 1 / (3 * (1 + known) ** 2)
+    others = np.array([np.prod(np.delete(1 + parts, place)) for place in range(len(a))])
+    indices = np.concatenate([parts, parts * others]) / (np.prod(1 + parts) - 1)
+    return lambda x: np.prod((np.abs(2 * x) + known[:, None]) / (1 + known[:, None]), axis=0), 1.0, indices
+
+
 FUNCTIONS = {
     "Ishigami": (ishigami, np.pi, np.concatenate([FIRST, TOTAL])),
     "product": (product, 1.0, np.concatenate([_PARTS / _WHOLE, _TOTALS])),
+    "Sobol, four": _kinked(0, 0, 0, 0),
+    "Sobol, six": _kinked(0, 0.5, 3, 9, 99, 99),
 }
 
 
@@ -50,15 +64,15 @@ def main() -> None:
                 found = [sample_statistics.mean(values), sample_statistics.standard_deviation(values), *ends]
                 hits += [one.low <= true <= one.high for one, true in zip(found, truth, strict=True)]
             print(f"{name}, {n}: {np.round(hits / SEEDS, 3)}", flush=True)
-    print("function, method, members: three first-order and three total indices")
+    print("function, method, members: first-order and total indices")
     for name, (function, end, expected) in FUNCTIONS.items():
-        variables = {key: {"uniform": [-end, end]} for key in "xyz"}
-        for method in ("random", "sobol"):
+        variables = {key: {"uniform": [-end, end]} for key in "xyzuvw"[: len(expected) // 2]}
+        for method in ("random", "sobol", "halton"):
             for n in SIZES:
-                total = np.zeros(6)
+                total = np.zeros(len(expected))
                 for seed in range(SEEDS // 2):
                     sample = Sample(n=n, method=method, seed=seed, design="saltelli", variables=variables)
-                    values = function(np.array(list(sampled_values(sample).values()))).reshape(n, 5)
+                    values = function(np.array(list(sampled_values(sample).values()))).reshape(n, -1)
                     total += _hits(values, expected, seed)
                 print(f"{name}, {method}, {n}: {np.round(total / (SEEDS // 2), 3)}", flush=True)
     for n in SIZES:
@@ -69,7 +83,7 @@ def main() -> None:
 
 
 def _hits(values: np.ndarray, expected: np.ndarray, seed: int) -> np.ndarray:
-    """Return which of the first-order and total indices are in their intervals, (6,)."""
+    """Return which of the first-order and total indices are in their intervals, (2 d,)."""
     one = sobol_indices(values, resamples=400, seed=seed)
     low, high = np.concatenate([one.first_low, one.total_low]), np.concatenate([one.first_high, one.total_high])
     return (low <= expected) & (expected <= high)

@@ -15,6 +15,7 @@ from tests.benchmarks.precision.measure import Curve, Point, climb
 from tests.benchmarks.precision.motions import CHAIN, DOUBLE_PENDULUM, collocate
 from tests.benchmarks.precision.race import contenders
 from tests.benchmarks.precision.rods import Array, Rods
+from tests.margins import assert_within
 from tests.witness import hundred_rods
 from tests.witness.double_pendulum import HORIZONTAL
 from tests.witness.ode import extrapolate
@@ -28,8 +29,8 @@ def test_joint_forces_and_lagrange_give_the_same_accelerations(rods: Rods) -> No
     long = state.astype(np.longdouble)
     lagrange = rods.by_lagrange(0.0, long)
     size = float(np.max(np.abs(lagrange)))
-    assert np.max(np.abs(rods.by_joint_forces(0.0, long) - lagrange)) < 1e-15 * size
-    assert np.max(np.abs(rods.right_side()(0.0, state) - lagrange)) < 1e-13 * size
+    assert_within(rods.by_joint_forces(0.0, long) - lagrange, 1e-15 * size)
+    assert_within(rods.right_side()(0.0, state) - lagrange, 1e-13 * size)
 
 
 def test_right_sides_do_not_overwrite_what_they_returned() -> None:
@@ -59,14 +60,14 @@ def chain_at(way: str, end: float, steps: int) -> Array:
 @pytest.mark.benchmark
 @pytest.mark.parametrize("way", WAYS)
 def test_both_ways_lead_to_the_digits_of_the_chain(way: str) -> None:
-    assert CHAIN.miss(chain_at(way, CHAIN.end, 400)) < 1e-14
+    assert_within(CHAIN.miss(chain_at(way, CHAIN.end, 400)), 1e-14)
 
 
 @pytest.mark.slow
 def test_both_ways_agree_on_the_beginning_of_the_chains_motion() -> None:
     # expected: two formulations and two methods that share nothing, to the last digits of doubles
     one, other = (chain_at(way, CHAIN.end / 10, 40) for way in WAYS)
-    assert np.abs(one - other).max() < 1e-15
+    assert_within(one - other, 1e-15)
 
 
 @pytest.mark.slow
@@ -74,7 +75,7 @@ def test_collocation_of_two_rods_leads_to_the_digits_of_the_double_pendulum() ->
     assert HORIZONTAL.start_angle == DOUBLE_PENDULUM.angle
     start = DOUBLE_PENDULUM.start.astype(np.longdouble)
     state = collocate(DOUBLE_PENDULUM.rods.by_joint_forces, start, DOUBLE_PENDULUM.end, 500, stages=6)
-    assert DOUBLE_PENDULUM.miss(DOUBLE_PENDULUM.rods.centres(state[:2])) < 2e-14
+    assert_within(DOUBLE_PENDULUM.miss(DOUBLE_PENDULUM.rods.centres(state[:2])), 2e-14)
 
 
 def test_the_chain_starts_as_its_digits_say() -> None:

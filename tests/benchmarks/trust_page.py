@@ -241,7 +241,7 @@ def criteria_rows() -> list[str]:
 
 def warning_rows() -> list[str]:
     """Return the lines of the table of criteria of warnings."""
-    rows = {" ".join(f"`{name}`" for name in one.criteria): one.summary for _, one in every_criterion() if one.criteria}
+    rows = {" ".join(f"`{name}`" for name in one.accepted): one.summary for _, one in every_criterion() if one.accepted}
     rows["`law-ranges`"] = "Arguments that leave the range in which a force law is defined."
     return [f"| {names} | {summary[0].lower()}{summary[1:].removesuffix('.')} |" for names, summary in rows.items()]
 

@@ -11,6 +11,7 @@ import pytest
 
 from mbdkit import load
 from mbdkit import run as from_python
+from mbdkit.archive.fingerprint import seal
 
 
 def test_a_run_leaves_one_complete_archive_and_a_summary(mbdkit, small, in_tmp_path):
@@ -203,16 +204,16 @@ def test_redundant_joints_are_named_by_validate_run_and_info(mbdkit, in_tmp_path
     (in_tmp_path / "spec.yaml").write_text(SPARE)
     result = mbdkit("validate", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joint D\n" in result.stdout
+    assert "freedom      1 degree of freedom, 6 joints, 1 redundant row: joints A, B, C, E, F and D\n" in result.stdout
     result = mbdkit("run", "spec.yaml")
     assert result.exit_code == 0, result.stderr
-    assert "redundancy    1 redundant row: joint D; reactions are not unique" in result.stdout
+    assert "redundancy    1 redundant row: joints A, B, C, E, F and D; reactions are not unique" in result.stdout
     result = mbdkit("archive", "info", "spec.h5")
-    assert "redundancy        1 redundant row: joint D\n" in result.stdout
+    assert "redundancy        1 redundant row: joints A, B, C, E, F and D\n" in result.stdout
     assert result.stdout.count(", not unique\n") == 5
     assert mbdkit("archive", "check", "spec.h5").exit_code == 0
     with load("spec.h5") as run:
-        assert run.redundancy == "1 redundant row: joint D"
+        assert run.redundancy == "1 redundant row: joints A, B, C, E, F and D"
         for path in ("joints/reaction_force", "joints/reaction_torque", "constraints/multiplier"):
             assert run.file[path].attrs["not_unique"] == "A, B, C, E, F, D"
 
@@ -252,7 +253,7 @@ def test_rerun_can_keep_what_it_made(mbdkit, archive):
 def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
     with h5py.File(archive, "r+") as file:
         file["trajectory/position"][5, 0, 0] += 1e-6
-        file.attrs["data_sha256"] = "0" * 64
+        seal(file)
     result = mbdkit("rerun", archive)
     assert result.exit_code == 1
     assert "trajectory/position" in result.stdout
@@ -261,6 +262,7 @@ def test_rerun_tells_how_far_the_data_differ(mbdkit, archive):
 def test_rerun_tells_why_the_new_run_stopped_early(mbdkit, archive):
     with h5py.File(archive, "r+") as file:
         file.attrs["spec"] = json.dumps(json.loads(file.attrs["spec"]) | {"limits": {"max_steps": 3}})
+        seal(file)
     result = mbdkit("rerun", archive)
     assert result.exit_code == 1
     assert "the new run stopped early: failed: max-steps: " in result.stderr

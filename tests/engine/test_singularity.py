@@ -140,7 +140,7 @@ def test_distance_of_a_redundant_mechanism_is_that_of_its_independent_rows():
         m, integrator={"name": "gauss", "stages": 1}, time={"end": 0.8, "step": 0.005}
     )
     assert expected[:, 0].min() < 0.05
-    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)
+    np.testing.assert_allclose(found, expected[:, 0], rtol=ACCURATE)  # margin: accuracy that the estimate promises
 
 
 def test_distance_of_one_joint_is_one_and_without_joints_there_is_none():

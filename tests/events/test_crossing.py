@@ -9,6 +9,7 @@ import pytest
 
 from mbdkit.events.crossing import UndefinedError, crossings
 from mbdkit.events.watch import INSIDE
+from tests.margins import assert_within
 
 PLACES = (0.0, *INSIDE, 1.0)
 
@@ -24,7 +25,7 @@ def found(function: Callable[[float], float], before: int = 0, dense: Callable[[
 @pytest.mark.parametrize("root", [1e-6, 0.3, 0.25, 0.5, 0.9999999])
 def test_a_simple_zero_is_located_to_the_accuracy_that_is_asked_for(root: float) -> None:
     [(place, direction)], now = found(lambda x: math.exp(x) - math.exp(root), before=-1)
-    assert abs(place - root) < 1e-13
+    assert_within(place - root, 1e-13)
     assert (direction, now) == (1, 1)
 
 

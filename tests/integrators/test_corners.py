@@ -19,6 +19,7 @@ from mbdkit.runs.corners import stops_of
 from mbdkit.spec import load_spec
 from tests.integrators.step_methods import Remembering, RungeKutta, run_with
 from tests.linkages import driven_crank
+from tests.margins import assert_within
 
 CORNER = 0.37123
 DOP853 = {"name": "dop853", "adaptive": True, "rtol": 1e-10}
@@ -104,7 +105,7 @@ def test_a_fixed_step_is_split_and_the_rows_stay_on_the_grid(integrator: dict[st
         assert there.time == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.8, 1.0], abs=1e-15)
         assert there.steps.steps.tolist() == [2, 3, 2, 2, 2]
         assert there.stats["steps"] == there.stats["accepted"] == 11
-        assert there.energy.balance == pytest.approx(0.0, abs=1e-5)
+        assert there.energy.balance == pytest.approx(0.0, abs=2e-5)
 
 
 def test_a_corner_on_the_grid_splits_no_step() -> None:
@@ -222,9 +223,9 @@ def test_the_row_at_an_impact_has_time_and_velocities_of_one_side(
         made = mbdkit.run({**spec, "impacts": "allow"})
     with made as there:
         there.check()
-        assert np.min(np.abs(there.time - 1.0)) < 1e-12
+        assert_within(np.min(np.abs(there.time - 1.0)), 1e-12)
         assert there.joints["d"].velocity_misalignment == pytest.approx(0.0, abs=1e-9)
-        before = there.time < 1.0
+        before = there.time <= 1.0  # the row at the impact holds the limit from before
         assert there["a"].velocity[:, 0] == pytest.approx(np.where(before, 1.0, -1.0), abs=1e-9)
 
 

@@ -47,6 +47,7 @@ def test_the_order_of_the_literature_is_observed_on_the_double_pendulum(
     assert not tableau.is_diagonalisable
     method = ImplicitRungeKutta(tableau, stage_solver=solver)
     coarse, fine = (float(np.max(np.abs(final(method, steps) - exact))) for steps in (50, 100))
+    # margin: order, from errors of mbdkit alone
     assert math.log2(coarse / fine) == pytest.approx(tableau.order, abs=0.2)
 
 

@@ -20,6 +20,7 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.spanning_tree import cut_joints, is_tree_of_pins, spanning_tree
 from mbdkit.mechanism.mechanism import Mechanism
 from tests.integrators.pendulums_on_joints import JOINT, KINDS, forced_pendulum, lagrange
+from tests.margins import assert_within
 
 from .running import EPS, assert_same_end
 
@@ -50,7 +51,7 @@ def test_motion_and_every_reaction_are_those_in_the_coordinates_of_the_bodies(ki
     for name, mine in ours.joints.items():
         if name not in cut:
             assert np.max(mine.misalignment[1:]) <= 4 * EPS * size, name
-            assert np.max(np.abs(mine.velocity_misalignment[1:])) <= 1e-13 * size
+            assert_within(mine.velocity_misalignment[1:], 1e-13 * size)
 
 
 @pytest.mark.parametrize(("method", "order", "steps"), [("rk4", 4, 100), ("rk-gill", 4, 100), ("dopri5", 5, 200)])
@@ -65,7 +66,7 @@ def test_methods_keep_their_order(method: str, order: int, steps: int) -> None:
         rods = run.bodies["r0"], run.bodies["r1"]
         found = [*(one.angle[-1] for one in rods), *(one.angular_velocity[-1] for one in rods)]
         errors.append(np.max(np.abs(np.array(found) - expected)))
-    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 @pytest.mark.parametrize("method", ["rk4", "dopri5"])
@@ -84,7 +85,7 @@ def test_cut_joints_drift_until_they_are_projected() -> None:
         run = mbdkit.run(make(np.random.default_rng(1)), formulation=JOINT, stabilization=kind, **settings)
         drift[kind] = max(run.joints[name].misalignment_max for name in cut)
         kept = [joint.misalignment_max for name, joint in run.joints.items() if name not in cut]
-        assert max(kept) <= (1e-13 if kind == "projection" else 16 * EPS)
+        assert_within(max(kept), 1e-13 if kind == "projection" else 16 * EPS)
     assert drift["projection"] < 1e-13 < drift["none"]
 
 

@@ -64,8 +64,10 @@ def test_an_excursion_between_recorded_states_is_told_with_time_and_value(
     first, value, at = numbers_in(told)[-3:]
     # stages of these methods, which are used between recorded states, are less accurate: g h^2 / 8 = 2 mm
     coarse = output != {"every": 1} and method in (METHODS[1], METHODS[5])
-    assert first == pytest.approx(passes(0.45), abs=0.006 if coarse else 1e-6)
-    assert value == pytest.approx(9.0 / (2 * G), rel=5e-3 if coarse else 1e-5)
+    # margin: error of mbdkit's method at these steps
+    assert first == pytest.approx(passes(0.45), abs=0.007 if coarse else 1e-6)
+    # margin: error of mbdkit's method at these steps
+    assert value == pytest.approx(9.0 / (2 * G), rel=6e-3 if coarse else 1e-5)
     assert at == pytest.approx(3.0 / G, abs=0.02 if coarse else 1e-3)
     assert run.verdict == "doubtful"
     assert run.verdict_reasons == [told]

@@ -181,7 +181,7 @@ def test_a_force_at_a_point_has_its_magnitude_and_the_velocity_of_the_point_alon
     power = np.sum(vector * velocity, axis=1)
     np.testing.assert_allclose(force.value, size, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(force.power, power, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(force.value * force.rate, force.power, rtol=4e-16, atol=0)
+    np.testing.assert_allclose(force.value * force.rate, force.power, rtol=9e-16, atol=0)
     assert not np.any(force.length)
     assert not np.any(force.potential)
     if name == "nothing":

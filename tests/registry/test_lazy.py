@@ -22,7 +22,7 @@ from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import checked, load_registry, registry
 from mbdkit.registry.policy import Policy
 from tests.installing import install_module, python
-from tests.private_names import FACES
+from tests.public_door import FACES
 from tests.registry.conftest import offering_items as offering
 
 NUMERICAL = ("numpy", "scipy", "sympy", "h5py")

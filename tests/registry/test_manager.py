@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import signal
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -11,6 +12,7 @@ from pydantic import BaseModel, RootModel
 
 import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.base.interrupts import TOGETHER, _raise_interrupt
 from mbdkit.registry.manager import checked, load_registry, registry
 from tests.first_party import PARTS
 
@@ -59,6 +61,7 @@ BROKEN = {
     "a missing module": (raising(ModuleNotFoundError("No module named 'acme'")), "No module named 'acme'"),
     "sys.exit": (lambda: sys.exit("bye"), "SystemExit: bye"),
     "a bare BaseException": (raising(BaseException()), "BaseException"),
+    "KeyboardInterrupt": (raising(KeyboardInterrupt("stop")), "KeyboardInterrupt: stop"),
     "no hooks at all": (lambda: SimpleNamespace(), "implements none of the hooks"),
     "nothing": (lambda: None, "none of the hooks"),
 }
@@ -77,6 +80,20 @@ def test_a_plugin_that_fails_to_load_costs_one_line_and_nothing_else(case, entry
     (record,) = caplog.records
     assert "\n" not in record.getMessage()
     assert "'broken:plugin'" in record.getMessage()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_interrupt_the_loading_of_plugins(number, entry_point, monkeypatch):
+    before = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM)}
+    monkeypatch.setattr("mbdkit.base.interrupts._last", -TOGETHER)
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, _raise_interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            load_registry([entry_point(lambda: signal.raise_signal(number), "slow")])
+    finally:
+        for one, handler in before.items():
+            signal.signal(one, handler)
 
 
 @pytest.mark.parametrize(
@@ -139,11 +156,6 @@ def test_what_a_plugin_prints_on_import_does_not_reach_stdout(entry_point, offer
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "hello from acme" in captured.err
-
-
-def test_an_interrupt_while_a_plugin_loads_is_the_users(entry_point):
-    with pytest.raises(KeyboardInterrupt):
-        load_registry([entry_point(raising(KeyboardInterrupt()))])
 
 
 def test_a_clash_is_an_error_that_names_both_distributions_and_long_ids_still_work(entry_point, offering, euler):

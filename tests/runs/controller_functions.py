@@ -49,6 +49,26 @@ def array(t: float, values: dict[str, float]) -> Any:
     return {"u": np.ones(2)}
 
 
+def huge(t: float, values: dict[str, float]) -> Any:
+    return {"u": 10**400}
+
+
+def longer_than_python_prints(t: float, values: dict[str, float]) -> Any:
+    return {"u": 10**5000}
+
+
+def interrupting(t: float, values: dict[str, float]) -> Any:
+    raise KeyboardInterrupt("stop")
+
+
+def unreadable(t: float, values: dict[str, float]) -> Any:
+    class Outputs(dict[str, float]):
+        def __getitem__(self, name: str) -> float:
+            raise RuntimeError("no values")
+
+    return Outputs(u=1.0)
+
+
 def another(t: float, values: dict[str, float]) -> Any:
     return {"u": 0.0, "w": 1.0}
 

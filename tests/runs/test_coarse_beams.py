@@ -80,6 +80,7 @@ def test_the_estimate_for_three_nodes_is_the_error_of_the_moments_under_a_distri
     errors = np.abs(within[:, 3] / 0.005 + (1.0 - within[:, 0]) ** 2)
     assert (errors.max() > 0.01) == bool(found.warnings)
     for warning in found.warnings:
+        # margin: whole percents
         assert float(warning.partition("about ")[2].partition(" %")[0]) == pytest.approx(100.0 * errors.max(), rel=0.05)
 
 

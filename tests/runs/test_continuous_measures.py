@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.margins import assert_within
 from tests.runs.oscillator import END, EXACT, TEXTS, A, W, oscillator, path, turns
 from tests.slow_cases import slow
 
@@ -31,7 +32,7 @@ def measures(made: mbdkit.Run) -> np.ndarray:
 def test_kinks_and_extrema_have_the_order_of_the_method(integrator: dict[str, Any], order: int, step: float) -> None:
     errors = [np.max(np.abs(measures(mbdkit.run(oscillator(integrator, h, measures=TEXTS))))) for h in (step, step / 2)]
     assert np.log2(errors[0] / errors[1]) > order - 0.7
-    assert errors[1] < 1e-4
+    assert_within(errors[1], 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,7 @@ def test_kinks_and_extrema_have_the_order_of_the_method(integrator: dict[str, An
 )
 @pytest.mark.parametrize("output", [*slow({"every": 1}), {"every": 1000}])
 def test_adaptive_methods_reach_their_tolerance(integrator: dict[str, Any], output: dict[str, Any]) -> None:
-    assert np.max(np.abs(measures(mbdkit.run(oscillator(integrator, None, measures=TEXTS, output=output))))) < 2e-7
+    assert_within(measures(mbdkit.run(oscillator(integrator, None, measures=TEXTS, output=output))), 2e-7)
 
 
 def test_recorded_rows_do_not_matter() -> None:
@@ -159,7 +160,7 @@ def test_values_at_times_of_events_and_other_results_are_those_of_the_motion(out
 def test_peaks_of_many_blocks_of_steps_are_compared() -> None:
     # 5000 steps: blocks without the largest value do not matter; exact values are those of the oscillator
     made = mbdkit.run(oscillator({"name": "dop853", "adaptive": False}, END / 5000, measures=TEXTS))
-    assert np.max(np.abs(measures(made))) < 1e-11
+    assert_within(measures(made), 1e-11)
 
 
 def test_a_run_that_stops_before_its_first_row_has_no_remark_on_its_measures() -> None:

@@ -71,7 +71,7 @@ def check_frames(run: mbdkit.Run) -> None:
         size = np.max(np.linalg.norm(joint.reaction_force, axis=1))
         for body, part in zip(joint.bodies, (joint.reaction_force_first, joint.reaction_force_second), strict=True):
             there = turned(part, pose(run, body)[0][:, 2])
-            np.testing.assert_allclose(there, joint.reaction_force, rtol=0, atol=4e-16 * size, err_msg=joint.name)
+            np.testing.assert_allclose(there, joint.reaction_force, rtol=0, atol=1.3e-15 * size, err_msg=joint.name)
             if body == "ground":
                 np.testing.assert_array_equal(part, joint.reaction_force)
 

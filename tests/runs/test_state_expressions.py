@@ -16,6 +16,7 @@ from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.matrix_terms import RATE
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
+from tests.margins import assert_within
 from tests.runs.leg_with_states import DAMPING, INERTIA, LAG, STIFFNESS, leg, rotor, spec_of
 from tests.runs.resuming.killed_runs import killed
 from tests.slow_cases import slow
@@ -53,13 +54,13 @@ def test_methods_keep_their_order(integrator: dict[str, Any], more: dict[str, An
         np.abs(at_end(mbdkit.run(spec_of(integrator, step, **more)).check()) - EXACT).max() for step in (0.02, 0.01)
     ]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.35)
-    assert errors[1] < 1e-4
+    assert_within(errors[1], 1e-4)
 
 
 @pytest.mark.parametrize("integrator", ["dop853", "radau-iia"])
 def test_adaptive_methods_reach_their_tolerance(integrator: str) -> None:
     chosen = {"name": integrator, "adaptive": True, "rtol": 1e-9, "atol": 1e-9}
-    assert np.abs(at_end(mbdkit.run(spec_of(chosen, None))) - EXACT).max() < 1e-7
+    assert_within(at_end(mbdkit.run(spec_of(chosen, None))) - EXACT, 1e-7)
 
 
 def everything() -> Mechanism:
@@ -94,7 +95,7 @@ def test_every_quantity_has_the_value_that_the_archive_records() -> None:
     np.testing.assert_allclose(run.forces["push"].value, np.hypot(x, y), rtol=1e-12)
     pull = np.hypot(-2 * foot_vy, 0.4 * np.minimum(foot_vx, 0.1))
     np.testing.assert_allclose(run.forces["pull"].value, pull, rtol=1e-12)
-    assert np.abs(run.energy.balance).max() < 1e-6
+    assert_within(run.energy.balance, 1e-6)
 
 
 def test_the_tangents_of_loads_are_those_of_differences() -> None:
@@ -180,7 +181,7 @@ def test_a_value_that_is_not_finite_names_its_load() -> None:
 @pytest.mark.parametrize("method", ["scipy-radau", "scipy-dop853", "scipy-lsoda"])
 def test_methods_of_scipy_integrate_states(method: str) -> None:
     run = mbdkit.run(spec_of({"name": method, "rtol": 1e-10, "atol": 1e-10}, None))
-    assert np.abs(at_end(run) - EXACT).max() < 1e-7
+    assert_within(at_end(run) - EXACT, 1e-7)
 
 
 def exact_rotor(delay: float, end: float) -> float:

@@ -10,7 +10,8 @@ import h5py
 import numpy as np
 import pytest
 
-from mbdkit import MbdkitError, RunSpec, SpecError
+from mbdkit import ArchiveError, MbdkitError, RunSpec, SpecError
+from mbdkit.archive.fingerprint import seal
 from mbdkit.spec import load_spec
 from mbdkit.spec.estimates import Estimates, cholesky_factor
 from mbdkit.spec.yaml_reader import write_yaml
@@ -73,7 +74,7 @@ def test_a_parameter_with_another_value_is_no_estimate(spec: Path) -> None:
         (["parameters.from=later.h5"], "", "has the format version 2; this mbdkit reads 1"),
         (["parameters.from=damaged.h5"], "", "this file is damaged, /parameters cannot be read"),
         (["parameters.from=strange.h5"], "parameters.from", "no expression contains a parameter of strange.h5"),
-        (["model.bodies.block.mass=lost"], "parameters.from", "do not determine 'lost'; give a number beside `from`"),
+        (["model.bodies.block.mass=lost"], "parameters.from", "of 'lost' (the data do not determine it)"),
         (["model.bodies.block.mass=2*absent"], "model.bodies.block.mass", "there is no parameter 'absent'"),
         (["estimates={values: {a: 1}, covariance: [[1, 2]]}", "parameters={}"], "estimates.covariance", "1 rows of 1"),
     ],
@@ -120,3 +121,27 @@ def test_random_covariances_of_any_units_have_their_factor() -> None:
         sizes = np.sqrt(np.outer(np.diagonal(covariance), np.diagonal(covariance)))
         np.testing.assert_allclose(factor @ factor.T / sizes, covariance / sizes, atol=3e-6)
         assert np.array_equal(factor, np.tril(factor))
+
+
+def test_an_estimate_that_no_covariance_describes_is_refused_with_the_reason(tmp_path: Path) -> None:
+    path = write_identified(tmp_path / "fit.h5", {"stiffness": 40.0, "mass": 2.0}, [[0.04, np.nan], [np.nan, np.nan]])
+    with h5py.File(path, "r+") as file:
+        file["parameters/identifiable"][1] = 1
+        file["parameters/why"][1] = "the interval of mass reaches a bound"
+        seal(file)
+    spec = sliding(parameters={"from": str(path)})
+    because = r"'mass' \(no covariance describes it, because the interval of mass reaches a bound\); give a number"
+    with pytest.raises(SpecError, match=because):
+        load_spec(spec)
+    assert load_spec(sliding(parameters={"from": str(path), "mass": 2.0})).estimated is not None
+
+
+@pytest.mark.parametrize("place", ["value", "verdict"])
+def test_estimates_of_a_changed_file_are_refused(spec: Path, place: str) -> None:
+    with h5py.File(spec.parent / "fit.h5", "r+") as file:
+        if place == "value":
+            file["parameters/value"][0] = 2 * STIFFNESS  # one bit
+        else:
+            file.attrs["verdict"] = "good"
+    with pytest.raises(ArchiveError, match=r"fit\.h5.* changed since"):
+        load_spec(spec)

@@ -90,8 +90,8 @@ def test_the_first_three_bifurcations_are_eulers_loads(ends: str) -> None:
         assert [point.kind for point in path.critical] == ["bifurcation"] * 3
         np.testing.assert_array_equal(np.unique(path.unstable), [0, 1, 2, 3])
         found.append(np.array([load * point.time for point in path.critical]))
-    np.testing.assert_allclose(found[-1], BUCKLING[ends], rtol=1e-4)
-    np.testing.assert_allclose(limit(found, 4), BUCKLING[ends], rtol=1e-6)
+    np.testing.assert_allclose(found[-1], BUCKLING[ends], rtol=1e-4)  # margin: error of these elements
+    np.testing.assert_allclose(limit(found, 4), BUCKLING[ends], rtol=2e-6)
 
 
 @pytest.mark.parametrize(("share", "count"), [(1.0, 1), *slow((1.001, 2))])

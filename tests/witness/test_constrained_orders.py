@@ -77,7 +77,7 @@ def test_positions_velocities_and_multipliers_of_the_pendulum_have_the_orders_of
     seen = np.log(coarse / fine) / math.log(steps[1] / steps[0])
     for order, slope in zip(orders, seen, strict=True):
         if order is not None:  # of 5 stages on index 2 the multipliers meet round-off before they show an order
-            assert slope == pytest.approx(order, abs=0.2)
+            assert slope == pytest.approx(order, abs=0.2)  # margin: order, from errors of mbdkit alone
 
 
 @pytest.mark.parametrize("problem", [FORCED_PENDULUM, DRIVEN_PENDULUM], ids=["forced", "driven"])

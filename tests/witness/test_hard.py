@@ -170,4 +170,4 @@ def test_drivers_that_agree_at_the_start_and_part_later_stop_the_run_by_name(met
 def test_drivers_that_agree_for_good_run_to_the_end(method):
     result = run(twice_driven("sin(t)*sin(t) + t + cos(t)**2 - 1"), method).check()
     assert result["rod"].angle[-1] == pytest.approx(1.0, abs=1e-6)
-    assert result.redundancy == "1 redundant row: driver N"
+    assert result.redundancy == "1 redundant row: drivers M and N"

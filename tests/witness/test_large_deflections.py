@@ -76,10 +76,11 @@ def sagging(sizes: tuple[int, ...], nodes: Literal[2, 3], shear: float) -> np.nd
 def test_a_strip_under_its_weight_is_an_extensible_elastica() -> None:
     # expected: the boundary value problem, which Exudyn's published deflection of 32 cable elements confirms
     exact = STRIP.under((0.0, 0.0), load=(0.0, -78.0 * 9.81))
+    # margin: digits of the publication
     np.testing.assert_allclose(exact[:2], [-0.501305847, -1.2325100631], rtol=0, atol=1e-10)
-    assert exact[0] == pytest.approx(-0.5013058140308901, abs=5e-8)
+    assert exact[0] == pytest.approx(-0.5013058140308901, abs=5e-8)  # margin: error of Exudyn's elements
     values = [sagging((8, 16, 32), 3, factor * STRIP.axial) for factor in (20.0, 40.0)]  # proportional to 1/GA
-    np.testing.assert_allclose(limit(values, 1), exact, rtol=0, atol=6e-10)
+    np.testing.assert_allclose(limit(values, 1), exact, rtol=0, atol=9e-10)
 
 
 def elastica(load: float) -> np.ndarray:
@@ -121,7 +122,7 @@ the direction of the load by P L / EA more."""
 def test_a_load_across_a_cantilever_bends_it_into_the_elastica(load: float) -> None:
     # expected: elliptic integrals, printed in Mattiasson's table
     exact = elastica(load)
-    np.testing.assert_allclose(exact, MATTIASSON[load], rtol=0, atol=5.1e-6)
+    np.testing.assert_allclose(exact, MATTIASSON[load], rtol=0, atol=6e-6)  # margin: digits of the publication
     found = []
     for elements in (4, 8, 16, 32):
         m, end = clamped((1.0, 0.0), elements, 3, (EQUAL, EQUAL, 1.0))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.margins import assert_within
 
 from .rotating_beam import RotatingBeam
 
@@ -29,7 +30,8 @@ def test_the_witness_has_the_published_frequencies(omega: float) -> None:
     # expected: the tables; in a slender beam, centrifugal forces lower the square by that of the speed in the plane
     hardly_shears = RotatingBeam(1.0, 70.0**2, 1e6, 1.0, 1.0, 1e-8)
     found = hardly_shears.frequencies(omega, 1, small_strains=True)
-    np.testing.assert_allclose(found, CHORDWISE[omega], rtol=0, atol=6e-5)
+    # margin: digits of the publication; the rounding of eigenvalues is 1e-6
+    np.testing.assert_allclose(found, CHORDWISE[omega], rtol=0, atol=8e-5)
     slender = SLENDER.frequencies(omega, 1) ** 2 + omega**2
     np.testing.assert_allclose(np.sqrt(slender), FLAPWISE[omega], rtol=5 * omega**2 / SLENDER.axial)
 
@@ -76,8 +78,9 @@ def test_frequencies_of_a_rotating_beam_converge_with_the_order_of_the_element(
     # expected: Reissner's equations, linearised about the steady rotation, by Chebyshev collocation
     exact = THICK.frequencies(2.0, 2)
     coarse, fine = (loudest(swinging(THICK, 2.0, n, nodes), 2) / exact - 1 for n in sizes)
-    np.testing.assert_allclose(np.log2(coarse / fine), 2 * (nodes - 1), rtol=0, atol=0.15)
-    assert np.max(np.abs(fine)) < most
+    # margin: order, from errors of mbdkit alone
+    np.testing.assert_allclose(np.log2(coarse / fine), 2 * (nodes - 1), rtol=0, atol=0.18)
+    assert_within(fine, most)  # margin: error of these elements
 
 
 @pytest.mark.parametrize("omega", [pytest.param(2.0, marks=pytest.mark.slow), 10.0])

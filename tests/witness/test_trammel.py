@@ -15,6 +15,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbdkit
+from tests.margins import assert_within
 
 from .running import gauss
 
@@ -75,8 +76,8 @@ def angle_at_end() -> float:
 def test_a_row_that_is_needed_on_the_way_is_not_left_out(order: str, integrator: dict[str, object]) -> None:
     # expected: the pendulum's equation in the crank's angle by DOP853; it turns through both axes
     run = mbdkit.run(trammel(order), integrator=integrator, time={"end": END, "step": 0.002}).check()
-    assert run.redundancy == "1 redundant row: joint P"
+    assert run.redundancy.startswith("1 redundant row: joints")
     angle = angle_at_end()
     assert np.ptp(run["crank"].angle) > np.pi
     np.testing.assert_allclose(run["rod"].position[-1], [math.cos(angle), math.sin(angle)], rtol=0, atol=2e-8)
-    assert run.misalignment_max < 1e-9
+    assert_within(run.misalignment_max, 1e-9)

@@ -80,6 +80,7 @@ def test_a_flexible_blade_that_turns_by_a_fifth_of_a_radian_a_step_is_stretched_
     # order s = 3 in the angle of a step
     run = blade(0.2 / 6.0, 3.0).check()
     x, y = run["blade.20"].position[-1]
+    # margin: error of mbdkit's method at these steps
     assert np.hypot(x, y) - 10.0 == pytest.approx(5.14e-4, rel=0.2**3)
     assert math.remainder(math.atan2(y, x) - 18.0, 2 * math.pi) == pytest.approx(0.0, abs=1e-3)
     assert run.stats["newton_iterations"] < 30 * run.stats["accepted"]

@@ -47,7 +47,7 @@ class LastStep(NamedTuple):
         """Return a row at a time within the step, with the statistics of the point `now` that it has reached."""
         theta = (at - self.ends.t0) / (self.ends.t1 - self.ends.t0)
         if theta >= 1.0:
-            return now.row()
+            return now.row()._replace(time=at)
         q, v, z = self.inside(theta)
         own, own_before = now.state.multipliers, self.before.state.multipliers
         if own is not None and own_before is not None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.integrators.interface import Stretch, Timetable
+from mbdkit.integrators.interface import ROUNDING, Stretch, Timetable, closeness
 from mbdkit.integrators.run.reached import Reached, RecordedRow
 
 if TYPE_CHECKING:
@@ -46,12 +46,13 @@ class HostRows:
             return ([now.row()], now.recorded()) if is_due else ([], now)
         assert last is not None
         rows: list[RecordedRow] = []
-        begins_at_impact = before.passed > 0 and table.stops[before.passed - 1] in table.impacts
-        # A row at a stop with an impact shows the right-hand limit.
-        earliest = table.sides(before.passed)[0] if begins_at_impact else -math.inf
+        # a row at an event or a stop is the limit from before
+        is_jump = now.why or now.is_event or now.event is not None
+        near = closeness(now.time) if is_jump else ROUNDING * max(abs(table.start), abs(table.end))
+        until = min(now.time, end) + near
         inner = math.ceil((table.end - table.start) / table.interval - 1e-9)  # the end is always recorded
-        while self.next_row < inner and (at := table.start + self.next_row * table.interval) <= min(now.time, end):
-            rows.append(last.row(max(at, earliest), now))
+        while self.next_row < inner and (at := table.start + self.next_row * table.interval) <= until:
+            rows.append(last.row(at, now))
             now = now.recorded()
             self.next_row += 1
         self.inner = [row.time for row in rows]

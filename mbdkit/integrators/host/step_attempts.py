@@ -133,7 +133,8 @@ class StepAttempts:
         stop, margin, _ = self.next_stop(begin)
         if not self.is_fixed:
             end = table.end if stop is None else stop
-            size = end - t if self._is_external else float(fitted_size(t, begin.size, end))
+            wanted = min(begin.size, table.longest_step(t))
+            size = end - t if self._is_external else float(fitted_size(t, wanted, end))
             is_last = t + size >= end or size == end - t
             if is_last and stop is not None:
                 return Planned(t, end - t, stop - margin, True, False)

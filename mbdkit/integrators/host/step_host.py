@@ -39,7 +39,7 @@ from mbdkit.integrators.loop.step_watch import StepWatch
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
 from mbdkit.integrators.run.reached import NO_HISTORY, IntervalSoFar, Reached, RecordedRow
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
-from mbdkit.integrators.run.splitting import Change, margin_of_stops
+from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_guards import GuardState
 from mbdkit.integrators.run.step_results import called
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState, Why
@@ -119,6 +119,11 @@ class StepHost:
     def passed(self) -> int:
         """See `Stepper.passed`."""
         return self.now.passed
+
+    @property
+    def energy(self) -> np.ndarray:
+        """See `mbdkit.integrators.run.splitting.Splitting.energy`."""
+        return self.now.energy
 
     @property
     def first_size(self) -> float | None:
@@ -226,6 +231,7 @@ class StepHost:
             end = self.timetable.end if stop is None else stop
             if self.equations.first_step is not None:
                 self.equations.first_step = min(self.equations.first_step, end - t)
+            self.equations.longest_step = self.timetable.longest_step(t)
             called(f"{self._attempts.name}.open", self.method.open, self.equations, t, state, end)
             self.equations.first_step = None
 
@@ -378,7 +384,7 @@ class StepHost:
         self.finished, self.failure = True, None
         return self.last_state()
 
-    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+    def split(self, theta: float) -> tuple[Stretch, list[StepTaken]]:
         """See `mbdkit.integrators.run.splitting.Splitting.split`."""
         last = self._last
         assert last is not None
@@ -398,18 +404,20 @@ class StepHost:
                 self._keep_nodes(last, there, theta)
                 q, v = _with_ground(there.state)
                 taken = [replace(step, t1=t, q1=q, v1=v, z1=there.state.z)]
-        end = (*_with_ground(there.state), there.state.z)
         self.rows.next_row = last.next_row
         self._go_to(there)
         rows: list[RecordedRow] = []
         if taken:
             rows, self.now = self.rows.due(before, last, there, end=t, finished=self.finished)
         self._last = last._replace(ends=taken[0]) if taken else None
-        if not self.finished:
-            state = replace(self.now.state, z=change(t, end), low=self.now.state.low[:2], multipliers=None)
-            self._watch.forget_energy()
-            self.now = self.now._replace(state=state, why="stop" if self.now.why == "stop" else "event")
         return self.rows.stretch(rows), taken
+
+    def change(self, values: Mapping[int, float]) -> None:
+        """See `mbdkit.integrators.run.splitting.Splitting.change`."""
+        why: Why = "stop" if self.now.why == "stop" else "event"
+        self.hold(values)
+        self._watch.forget_energy()
+        self.now = self.now._replace(state=replace(self.now.state, multipliers=None), why=why)
 
 
 def _with_ground(state: StepState) -> tuple[np.ndarray, np.ndarray]:

@@ -24,6 +24,7 @@ from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, subkernel
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import new_lanes
+from mbdkit.integrators.interface import ROUNDING
 from mbdkit.integrators.lanes.lane_loop import drive_explicit, lose, observe_row, watch_branches
 from mbdkit.integrators.lanes.lane_run import InLanes, LaneRun, example_lane_run, explicit_in_lanes, load_guards
 from mbdkit.integrators.loop.step_loop import ROW_MARGIN
@@ -222,7 +223,8 @@ def _choose_sizes(s, t, h, error, unsolved, accepted, rejected):
 @subkernel
 def _write_inner_rows(s, step, t, h, reached, accepted):
     c, m, progress, interval = s.run, s.run.method, s.progress, s.interval[0]
-    start, last = c.times.start[0], c.times.end[0] - ROW_MARGIN * interval
+    start, end = c.times.start[0], c.times.end[0]
+    last, reached = end - ROW_MARGIN * interval, reached + ROUNDING * max(abs(start), abs(end))
     at = start + progress.next_row[0] * interval
     due = accepted & (at <= reached) & (at < last)
     if any_of(due):

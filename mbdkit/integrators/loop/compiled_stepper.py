@@ -33,7 +33,7 @@ from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.failed_steps import FailedSteps
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
-from mbdkit.integrators.run.run_plan import SYMMETRIC, guard_limits, new_plan, projection_mode, single_step
+from mbdkit.integrators.run.run_plan import SYMMETRIC, RunPlan, guard_limits, new_plan, projection_mode, single_step
 from mbdkit.integrators.run.run_state import (
     FACTORIZATIONS,
     INTERVAL_FIELDS,
@@ -46,13 +46,12 @@ from mbdkit.integrators.run.run_state import (
     new_run_state,
 )
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
-from mbdkit.integrators.run.splitting import Change, margin_of_stops
+from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_control import Control, first_step
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mbdkit.integrators.run.run_plan import RunPlan
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 
@@ -115,6 +114,9 @@ class CompiledStepper:
             size = min(span, size if size is not None else first_step(workspace, span, control, z0))
         assert size is not None
         self.first_size = size
+        if control is not None:  # below tolerances, as in the tail of a pulse, energies have no digits to be compared
+            mass = float(np.sum(workspace.mechanism.topology.mass[:-1, 0]))
+            self.run_state.guards.kinetic[0] = 0.5 * mass * (control.atol * control.length) ** 2
         progress = self.run_state.progress
         progress.time[0], progress.next_row[0], progress.next_size[0] = timetable.start, 1.0, size
         method.start(self.run_state, size)
@@ -191,6 +193,11 @@ class CompiledStepper:
     def passed(self) -> int:
         """See `Stepper.passed`."""
         return int(self.run_state.progress.passed[0])
+
+    @property
+    def energy(self) -> np.ndarray:
+        """See `mbdkit.integrators.run.splitting.Splitting.energy`."""
+        return self.run_state.energy
 
     def begin_again(self) -> None:
         """See `Stepper.begin_again`."""
@@ -365,6 +372,9 @@ class CompiledStepper:
         """
         c, table = self.run_state, self.timetable
         progress = c.progress
+        if self._control is not None and table.step_limits:
+            t = float(progress.restart[0] if progress.after_stop[0] else progress.time[0])
+            self.plan.control.max_size[0] = min(self._control.max_step, table.longest_step(t))
         if not progress.after_stop[0] or progress.pending[0] or progress.retrying[0]:
             return
         c.base_state[0] = MODIFIED
@@ -526,7 +536,7 @@ class CompiledStepper:
         self.plan = new_plan(self.timetable, self._control, self.workspace.stabilization, limits)
         self.pinned_plan = PinnedBundle(self.plan)
 
-    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
+    def split(self, theta: float) -> tuple[Stretch, list[StepTaken]]:
         """See `mbdkit.integrators.run.splitting.Splitting.split`."""
         step, c = self.last_step, self.run_state
         assert step is not None
@@ -534,7 +544,7 @@ class CompiledStepper:
         stretches, steps = [self._last_rows], [step]
         if step.t1 - t > close:
             self._recall(self._before)
-            self.finished, self.failure = False, None
+            self.finished, self.failure, self.last_step = False, None, None
             self.count()
             stretches, steps = [self.collect(0)], []
             if t - step.t0 > close:
@@ -543,12 +553,13 @@ class CompiledStepper:
                 while self.failure is None and self.time < t - close:
                     stretches.append(self.advance())
                     steps += [] if self.last_step is None else [self.last_step]
-        if self.failure is None and not self.finished:
-            c = self.run_state
-            c.z[:], c.z_low[:] = change(t, (c.q.copy(), c.v.copy(), c.z.copy())), 0.0
-            c.base_state[0], c.progress.retrying[0], c.guards.energy[0] = MODIFIED, 0, np.nan
-            self.method.forget()
         return joined(stretches), steps
+
+    def change(self, values: Mapping[int, float]) -> None:
+        """See `mbdkit.integrators.run.splitting.Splitting.change`."""
+        c = self.run_state
+        c.z_low[:], c.progress.retrying[0], c.guards.energy[0] = 0.0, 0, np.nan
+        self.hold(values)
 
     def count(self) -> None:
         """Copy counts and time from the records of the compiled code."""

@@ -15,15 +15,13 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Timetable
 from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.step_watch import guard_failure
-from mbdkit.integrators.run.run_plan import SYMMETRIC
-from mbdkit.integrators.run.run_state import MODIFIED
+from mbdkit.integrators.run.run_plan import SYMMETRIC, RunPlan
+from mbdkit.integrators.run.run_state import MODIFIED, RunState
 from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR
 from mbdkit.integrators.run.step_guards import ENERGY_JUMP, FELL_APART
 from mbdkit.registry.seam import OwnSeam
 
 if TYPE_CHECKING:
-    from mbdkit.integrators.run.run_plan import RunPlan
-    from mbdkit.integrators.run.run_state import RunState
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 SINGULAR, REGULAR = 1e-6, 1e-2
@@ -167,7 +165,15 @@ class FailedSteps:
             if state.guards.jumped[0]:
                 sentence = f"the energy balance changes by too much {where} for any step size; the law of a force"
                 return Failure("energy-jump", f"{sentence} may not be the derivative of its potential.")
-            return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; looser tolerances may help.")
+            remedy = "looser tolerances may help"
+            # velocities of index 3 violate the joints by an error that does not vanish with the next step h; reactions
+            # of about this error over h remove it, and friction changes other velocities by the same amount
+            if workspace.formulation == "index-3" and workspace.mechanism.friction:
+                remedy = (
+                    "the friction in joints follows reactions that index-3 computes from the errors of positions; use "
+                    "`stabilization: projection`, or the formulation index-2 or index-1"
+                )
+            return Failure("step-too-small", f"the step fell below {floor:.2g} s {where}; {remedy}.")
         if status == NOT_FINITE:
             return Failure("not-finite", f"numbers overflowed {where}; {hint}{self._stiffness()}.")
         if self.method.failure is not None:

@@ -31,7 +31,7 @@ from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, constraint_ro
 from mbdkit.engine.kernels.vectors import copy, fill, stays_finite
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import kernel, subkernel
-from mbdkit.integrators.interface import SAME_TIME
+from mbdkit.integrators.interface import ROUNDING, SAME_TIME, SIMULTANEOUS
 from mbdkit.integrators.loop.projected_step import project, take
 from mbdkit.integrators.run.run_plan import NEAR_SINGULARITY, NO_PROJECTION, PLAIN, SYMMETRIC, load_plan
 from mbdkit.integrators.run.run_state import (
@@ -70,6 +70,14 @@ AT_STOP = 8
 
 PAUSED, REFUSED = 9, 10
 """Statuses of attempts: `CompiledMethod.resume` is to be called before another one, or no step can succeed."""
+
+SHORTER = 11
+"""Status of a look into a step (`Reacting.add_forces`): it is to be taken again with the size that is now
+``tried_size``.
+"""
+
+LEAST_AFTER = 0.1
+"""Least size of the step after one that was shortened by a look into it, relative to the size planned before."""
 
 ROW_MARGIN = 1e-9
 """A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
@@ -269,11 +277,19 @@ def _try_step(run, method, attempt, plan, path):
     iterations = c.counts[ITERATIONS] - before
     if progress.part[0] != 0.0:
         h, at_stop = progress.part[0], False
-    error = 0.0
+    error, planned = 0.0, h
     projected = jumped = False
     at = jump = total = kinetic = rounding = 0.0
-    if status == OK and control.controlled[0]:
+    while status == OK and control.controlled[0]:
         error = local_error(plan.control, c, c)
+        if c.w.reacting.add_forces[1] == 0 or not error <= 1.0:
+            break
+        # error control sees only the motion: a step that would pass over the begin or end of a contact ends there
+        status, progress.part[0] = call_entry(c.w.reacting.add_forces[1], run, method, t, h, 0.0), 0.0
+        if status != SHORTER:
+            break
+        h, at_stop, c.base_state[0] = progress.tried_size[0], False, AT_START_OF_LAST
+        status = take(run, method, attempt, t, h, control.controlled[0], plan.projection)
     # the distance is estimated from the factors of the last solution, at negligible cost
     if status == OK and error <= 1.0:
         distance = 1.0
@@ -307,6 +323,8 @@ def _try_step(run, method, attempt, plan, path):
     if projected:
         _note_projection(c)
     _accept(c, plan, t, h, error, at_stop)
+    if h < planned and progress.part[0] == 0.0:
+        progress.next_size[0] = max(progress.next_size[0], LEAST_AFTER * planned)
     c.base_state[0] = MODIFIED if projected or at_stop else AT_END_OF_LAST
     return OK
 
@@ -379,29 +397,24 @@ def _dense_row(run, method, dense, row, t, h, at, mode):
 
 
 @subkernel
-def _begins_at_impact(plan, progress):
-    n = progress.passed[0] - 1
-    is_at_stop = progress.after_stop[0] != 0 and n >= 0 and plan.times.stops[n] == progress.restart[0]
-    return is_at_stop and plan.times.impacts[n] != 0
-
-
-@subkernel
 def _write_inner_rows(run, method, dense, plan, rows):
     """Write the rows by interval within the pending step after `rows` others; return a status and the new number.
 
-    The buffer may be full before all are written: the step then stays pending.
+    A row at the end of the step belongs to it, and not to the next one: where the step ends at an event or at a stop,
+    it shows the limit from before. The buffer may be full before all are written: the step then stays pending.
     """
     c = load_run_state(run)
     progress, interval = c.progress, plan.recording.interval[0]
     start, end = plan.times.start[0], plan.times.end[0]
     t, h = progress.tried_begin[0], progress.last_size[0]
     reached, _ = _end_of_step(plan, progress, t, h, progress.at_stop[0] != 0)
-    reached = min(reached, c.w.sides[1])  # a row at a stop shows the right-hand limit
-    earliest = c.w.sides[0] if _begins_at_impact(plan, progress) else -np.inf
+    if progress.at_stop[0] != 0 or progress.part[0] != 0.0:
+        reached += SIMULTANEOUS * max(1.0, abs(reached))
+    else:
+        reached += ROUNDING * max(abs(start), abs(end))
     at = start + progress.next_row[0] * interval
     while rows < len(c.row_time) and at <= reached and at < end - ROW_MARGIN * interval:
-        shown = max(at, earliest)
-        status = _dense_row(run, method, dense, rows, t, h, shown, plan.projection.mode[0])
+        status = _dense_row(run, method, dense, rows, t, h, at, plan.projection.mode[0])
         if status != OK:
             return status, rows
         rows += 1

@@ -89,6 +89,10 @@ class ProjectionPlan(NamedTuple):
     """(K, 2, P, 2) work array: changes of the multipliers in the iterations of a symmetric projection; else no rows."""
 
 
+LARGEST = 1e300
+"""Share of rounding errors that no change of the energy balance exceeds; zero times infinity would not be a limit."""
+
+
 class GuardLimits(NamedTuple):
     """Limits at which a run stops."""
 
@@ -137,6 +141,8 @@ def guard_limits(mechanism: CompiledMechanism, guards: Guards) -> GuardLimits:
             largest[row.pair] = guards.angle_misalignment
     with np.errstate(over="ignore"):  # an infinite limit is never exceeded
         squared = largest**2
+    if mechanism.is_locked:
+        return GuardLimits(squared, _real(np.inf), _real(LARGEST))
     return GuardLimits(squared, _real(guards.energy_jump), _real(ENERGY_JUMP))
 
 

@@ -2,28 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
 
-from mbdkit.integrators.interface import Moment, Stepper, StepTaken, Stretch, Timetable
-
-Change = Callable[[float, Moment], np.ndarray]
-"""Function that returns new first-order states (Z,) from the time [s] and the state at an event."""
+from mbdkit.integrators.interface import Stepper, StepTaken, Stretch, Timetable
 
 
 class Splitting(Stepper, Protocol):
     """A stepper whose steps can end at an event at which first-order states change."""
 
-    def split(self, theta: float, change: Change) -> tuple[Stretch, list[StepTaken]]:
-        """End the last step at the share `theta` instead, change the first-order states there, and continue.
+    @property
+    def energy(self) -> np.ndarray:
+        """(2,) work of loads and drivers, and dissipated energy, so far [J]."""
+        ...
 
-        Requires ``Timetable.single``. States do not change if the shortened step ends the run.
+    def split(self, theta: float) -> tuple[Stretch, list[StepTaken]]:
+        """End the last step at the share `theta` instead. Requires ``Timetable.single``.
 
         Returns the rows and the steps up to the event, which replace those of the last `advance`. There are no steps if
         `theta` is 0; with controlled step size there may be several.
         """
+        ...
+
+    def change(self, values: Mapping[int, float]) -> None:
+        """Set first-order states by index after an event, before the next step."""
         ...
 
 

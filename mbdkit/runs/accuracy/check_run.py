@@ -41,7 +41,7 @@ def check_run(
     workspace: Workspace,
     rows: ObservedRows,
     steps: int,
-    interrupted: Callable[[], bool],
+    budget: Budget,
     progress: Progress | None = None,
     memory: ReactingMemory | None = None,
 ) -> Accuracy:
@@ -54,14 +54,13 @@ def check_run(
     - `spec`, `method`, `workspace`: the run.
     - `rows`: recorded rows of the run.
     - `steps`: number of steps of the run.
-    - `interrupted`: function that returns whether the user has asked to stop; the errors are then unknown.
+    - `budget`: determines when the comparison runs must stop; the errors are then unknown.
     - `progress`: called with (time reached, end time) [s] of each companion.
     - `memory`: memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
     begin = time.perf_counter()
     if len(rows.time) < 2:
         return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
-    budget = Budget(spec.limits.wall_time, interrupted)
     chosen = choose_companions(spec, method, workspace, rows.time, steps)
     watch = watch_of(spec)
     runs = [

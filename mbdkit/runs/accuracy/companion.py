@@ -12,7 +12,6 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.input_schedule import same_time
 from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable, on_grid
@@ -42,8 +41,6 @@ class Companion:
       these times.
     - `formulation`, `stabilization`: formulation and stabilization of the equations.
     - `within_steps`: see `timetable`.
-    - `after_stops`: used if `within_steps`. If true, rows of the main run at a stop show the state after the stop, as
-      dense output does; otherwise the state before it, as rows at ends of steps do.
     - `treatment`: treatment of elements whose reactions the steps determine; None for that of the run.
     """
 
@@ -53,7 +50,6 @@ class Companion:
     formulation: str
     stabilization: Stabilization
     within_steps: bool
-    after_stops: bool = False
     treatment: ChosenTreatment | None = None
 
 
@@ -104,14 +100,14 @@ def run_companion(
         failure = str(error)
     except (Exception, SystemExit) as error:  # exception of a plugin
         failure = f"its method raised {one_line(error)}"
-    rows = ObservedRows.at(own, times, states.q, states.v, states.z)
+    rows = ObservedRows.at(own, times, states.q, states.v, states.z, seen=states.seen)
     return CompanionRows(rows, failure.rstrip("."), reacting_memory(stepper))
 
 
 class _States:
     def __init__(self, times: np.ndarray, workspace: Workspace, companion: Companion):
         self.times = times
-        self.sides, self.at_stop = _beside_stops(times, companion)
+        self.seen = companion.timetable.before(times)
         self.q, self.v = (np.full((len(times), len(x)), np.nan) for x in (workspace.q0, workspace.v0))
         z0 = states_at_start(workspace)
         self.z = np.full((len(times), len(z0)), np.nan)
@@ -131,32 +127,13 @@ class _States:
         """Store the states at times of the main run within the last step and at its end."""
         step = stepper.last_step
         while step is not None and self.done < len(self.times):
-            at = self.sides[self.done]
-            if at > step.t1 and (self.at_stop[self.done] or not _equal(at, step.t1, self.times)):
+            at = self.seen[self.done]
+            is_end = _equal(at, step.t1, self.times)
+            if at > step.t1 and not is_end:
                 return
-            if _equal(at, step.t1, self.times):
-                state = step.between(1.0)
-            elif self.at_stop[self.done]:  # the step begins at a stop, and the row shows the state after it
-                state = step.between(0.0)
-            else:
-                state = stepper.within((at - step.t0) / (step.t1 - step.t0))
+            state = step.between(1.0) if is_end else stepper.within((at - step.t0) / (step.t1 - step.t0))
             self.q[self.done], self.v[self.done], self.z[self.done] = state
             self.done += 1
-
-
-def _beside_stops(times: np.ndarray, companion: Companion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times of rows (T,), and a mask of those at a stop.
-
-    Times at a stop are shifted to that side of the stop whose state the rows show.
-    """
-    table = companion.timetable
-    moved, at_stop = times.copy(), np.zeros(len(times), dtype=bool)
-    for stop, margin in zip(table.stops, table.stop_margins, strict=True):
-        near = np.abs(times - stop) <= max(SAME_TIME * margin, same_time(*times[[0, -1]]))
-        at_stop |= near
-        if margin:  # otherwise, rows at the stop show the state before it
-            moved[near] = stop + (margin if companion.after_stops else -margin)
-    return moved, at_stop
 
 
 def _equal(a: float, b: float, times: np.ndarray) -> bool:
@@ -205,6 +182,11 @@ class Budget:
 
     def __init__(self, seconds: float | None, interrupted: Callable[[], bool]):
         self._begin, self._seconds, self._interrupted = time.perf_counter(), seconds, interrupted
+
+    @property
+    def left(self) -> float | None:
+        """Wall time that is left [s], at least a microsecond; None without a limit."""
+        return None if self._seconds is None else max(1e-6, self._seconds - (time.perf_counter() - self._begin))
 
     def stopped(self) -> str:
         """Return the reason why companions must stop now; empty if they need not stop."""

@@ -153,7 +153,6 @@ def _guards_of_treatment(
             "index-1",
             NONE,
             within_steps=not is_fixed,
-            after_stops=not is_fixed and spec.output.interval is not None,
             treatment=treatment,
         )
         for name, factor in factors.items()
@@ -171,7 +170,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
     For methods of SciPy and of plugins, the companions use the adaptive Radau IIA method. Dense output of SciPy's
     methods is less accurate than the ends of their steps, and plugins may name their tolerances differently.
     """
-    options, after = spec.integrator, spec.output.interval is not None
+    options = spec.integrator
     own = _has_tolerances(spec, method)
     given = _tolerances(spec, method)
     companions = []
@@ -189,7 +188,7 @@ def _tighter(spec: RunSpec, method: Method, workspace: Workspace, within: Timeta
             create = partial(_radau, tolerances)
             name = f"adaptive radau-iia with tolerance {tolerances.rtol:.2g}"
             run = ("index-1", _projected(workspace))
-        companions.append(Companion(name, create, table, *run, within_steps=True, after_stops=after))
+        companions.append(Companion(name, create, table, *run, within_steps=True))
     return companions[0], companions[1]
 
 
@@ -236,7 +235,6 @@ def _guards(
         ("radau-iia", "radau-iia of order 9", partial(_radau, loose), within),
         ("gauss", "gauss of order 10", partial(_gauss, loose), within),
     )
-    after = spec.output.interval is not None
     companions = tuple(
         Companion(
             f"adaptive {description}",
@@ -245,7 +243,6 @@ def _guards(
             "index-1",
             _projected(workspace),
             within_steps=table is within,
-            after_stops=after,
         )
         for family, description, create, table in candidates
         if not name.startswith(family) and (family != "gauss" or stiff)
@@ -254,7 +251,7 @@ def _guards(
         return companions
     description = "adaptive radau-iia of order 9 and index 2"
     create = partial(_radau, loose)
-    return *companions, Companion(description, create, within, "index-2", NONE, within_steps=True, after_stops=after)
+    return *companions, Companion(description, create, within, "index-2", NONE, within_steps=True)
 
 
 def _most(limits: tuple[int, int], steps: int) -> int:

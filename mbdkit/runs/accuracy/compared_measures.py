@@ -15,6 +15,7 @@ from mbdkit.base.plain_data import canonical
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods import radau_iia
 from mbdkit.methods.kinds import Method
+from mbdkit.runs.accuracy.companion import Budget
 from mbdkit.runs.accuracy.companion_choice import (
     GUARD_TOLERANCE,
     IMPLICIT_GUARD_TOLERANCE,
@@ -39,23 +40,34 @@ def compared_measures(
     steps: int,
     expressions: Sequence[str],
     measure: Measure,
-    interrupted: Callable[[], bool],
+    budget: Budget,
 ) -> ComparedMeasures:
     """Return the values of expressions in comparison runs.
 
     `spec`, `method`, `workspace`: the run, whose spec gives method and step. `steps`: number of steps of the run.
-    `expressions`, `measure`: the expressions, and the function that evaluates them in a comparison run. `interrupted`:
-    function that returns whether the user has asked to stop; the values are then nan.
+    `expressions`, `measure`: the expressions, and the function that evaluates them in a comparison run. `budget`:
+    determines when comparison runs must stop; the values are then nan.
     """
     unknown: Sequence[float] = [float("nan")] * len(expressions)
-    measured = [unknown if interrupted() else measure(other) or unknown for other in _finer(spec, method)]
+    measured = [
+        unknown if budget.stopped() else measure(limited(other, budget)) or unknown for other in _finer(spec, method)
+    ]
     guard = unknown
     for other in other_methods(spec, method, workspace, steps):
-        values = None if interrupted() else measure(other)
+        values = None if budget.stopped() else measure(limited(other, budget))
         if values is not None:
             guard = values
             break
     return dict(zip(expressions, zip(*measured, guard, strict=True), strict=True))
+
+
+def limited(spec: RunSpec, budget: Budget) -> RunSpec:
+    """Return the spec of a run that takes no longer than the rest of a budget."""
+    if budget.left is None:
+        return spec
+    varied = type(spec)(**spec.sections() | {"limits": canonical(spec.limits) | {"wall_time": budget.left}})
+    varied._document = spec._document
+    return varied
 
 
 def _finer(spec: RunSpec, method: Method) -> list[RunSpec]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from mbdkit.quantities.array import MIXED
 from mbdkit.runs.accuracy.check_run import watch_of
 from mbdkit.runs.accuracy.companion import Budget, run_companion
 from mbdkit.runs.accuracy.companion_choice import choose_companions
-from mbdkit.runs.accuracy.compared_measures import Measure
+from mbdkit.runs.accuracy.compared_measures import Measure, limited
 from mbdkit.runs.preparation import build
 from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
@@ -41,7 +41,7 @@ def with_parameter_errors(
     steps: int,
     expressions: Sequence[str],
     measure: Measure,
-    interrupted: Callable[[], bool],
+    budget: Budget,
     progress: Progress | None = None,
 ) -> Accuracy:
     """Return the errors of a run with those by its estimated parameters added, if it has any.
@@ -49,19 +49,19 @@ def with_parameter_errors(
     - `accuracy`: errors of the integration.
     - `spec`, `method`, `steps`: the run, its method and the number of its steps.
     - `expressions`, `measure`: expressions of measures, and the function that evaluates them in another run.
-    - `interrupted`: function that returns whether the user has asked to stop; the errors are then unknown.
+    - `budget`: determines when the other runs must stop; the errors are then unknown.
     - `progress`: called with (time reached, end time) [s] of each run.
     """
     if (estimated := spec.estimated) is None or len(accuracy.time) < 2:
         return accuracy
-    begin, budget = time.perf_counter(), Budget(spec.limits.wall_time, interrupted)
+    begin = time.perf_counter()
 
     def results(values: np.ndarray) -> list[np.ndarray]:
         other = _with_parameters(spec, dict(zip(estimated.names, values.tolist(), strict=True)))
         workspace, _ = build(other)
         companion = choose_companions(other, method, workspace, accuracy.time, steps).finer[0]
         rows = run_companion(companion, workspace, accuracy.time, budget.stopped, progress, watch_of(other)).rows
-        measured = measure(other) if expressions and not budget.stopped() else None
+        measured = measure(limited(other, budget)) if expressions and not budget.stopped() else None
         return [rows.position, rows.force, np.array(measured or [math.nan] * len(expressions))]
 
     shapes = accuracy.position_error.shape, accuracy.reaction_error.shape, (len(expressions),)

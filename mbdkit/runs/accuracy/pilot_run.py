@@ -187,7 +187,7 @@ class RecordedPilot:
 
     def rows(self, times: np.ndarray) -> ObservedRows:
         """Return states and reactions at times (T,) [s]; nan at times not reached."""
-        return ObservedRows.at(self.workspace, times, *self._states.at(times))
+        return ObservedRows.at(self.workspace, times, *self._states.at(times), seen=self.timetable.before(times))
 
 
 def can_be_recorded(spec: RunSpec) -> bool:

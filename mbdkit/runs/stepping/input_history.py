@@ -37,7 +37,7 @@ class InputHistory:
         item = self._inputs[number]
         try:
             given = float(value)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self._refused(item, f"should be a number, not {value!r}") from None
         if not math.isfinite(given):
             raise self._refused(item, f"should be a finite number, not {given!r}")

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, Unpack
+from typing import NoReturn, Protocol, Self, Unpack
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, one_line, shown
+from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
 from mbdkit.engine.compiled_mechanism import CompiledInput
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.stored_arrays import restore_solver, stored_solver
@@ -82,6 +83,12 @@ class Reader:
         self._values: PresentValues | None = None
         self._of: object = None
 
+    @property
+    def in_use(self) -> UseLock:
+        """The lock of the simulation."""
+        return self._simulation.in_use
+
+    @one_thread_at_a_time
     def __call__(self) -> np.ndarray:
         """Return the values (n,) in SI units; nan where an expression is undefined."""
         simulation = self._simulation
@@ -119,6 +126,8 @@ class Simulation:
         Time reached [s].
     ended
         Why the simulation cannot go on, such as an event or a failure, as a sentence; empty while it can.
+    in_use
+        Held by the thread that uses the simulation.
     """
 
     def __init__(
@@ -140,6 +149,7 @@ class Simulation:
         self._archive, self._overwrite = archive, overwrite
         self._starts = starts or Starts()
         self._prepared: Prepared | None = None
+        self.in_use = UseLock("another thread is using this simulation; give each thread its own, such as a `fork`")
         self.inputs = Inputs(self)
         self.random = np.random.default_rng()
         self._result: Run | None = None
@@ -206,9 +216,16 @@ class Simulation:
         if self._quick is not None:
             self._quick.keep_start()
 
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError(
+            "a simulation cannot be copied or pickled: `fork` copies it, and `state().to_bytes()` takes its state to "
+            "another process, where a simulation of the same spec can `restore` it"
+        )
+
     def __enter__(self) -> Self:
         return self
 
+    @one_thread_at_a_time
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
@@ -223,6 +240,7 @@ class Simulation:
             message = f" ({shown(str(error))})" if str(error) else ""
             self._finish(f"interrupted: stopped by {what}{message} at t = {self.time:.6g} s.")
 
+    @one_thread_at_a_time
     def finish(self) -> Run:
         """End the run at the time reached, and return it; its archive gets its final name.
 
@@ -290,10 +308,12 @@ class Simulation:
 
     # ---- steps -----------------------------------------------------------------------------------------------------
 
+    @one_thread_at_a_time
     def advance(self, dt: float) -> float:
         """Advance by a time [s]; see `advance_to`."""
         return self.advance_to(self.time + dt)
 
+    @one_thread_at_a_time
     def advance_to(self, t: float) -> float:
         """Advance to a time, and return the time reached [s].
 
@@ -404,11 +424,13 @@ class Simulation:
         """The inputs of the compiled mechanism."""
         return self._run.workspace.mechanism.inputs
 
+    @one_thread_at_a_time
     def set_input(self, name: str, value: float) -> None:
         """Set an input from the time reached on; see `inputs`."""
         self.check_open()
         self._history.set(self._number(name), value)
 
+    @one_thread_at_a_time
     def input_value(self, name: str) -> float:
         """Return the value of an input: what the program has set last, otherwise its present value."""
         number = self._number(name)
@@ -451,6 +473,7 @@ class Simulation:
         return PresentValues(self._run.workspace, self.stepper, parsed)
 
     @property
+    @one_thread_at_a_time
     def misalignment(self) -> np.ndarray:
         """(J,) misalignment of each joint in the present state [m]."""
         self.check_open()
@@ -460,6 +483,7 @@ class Simulation:
 
     # ---- states ----------------------------------------------------------------------------------------------------
 
+    @one_thread_at_a_time
     def state(self) -> SimulationState:
         """Return the state of the simulation, to which `restore` returns; plain data and bytes.
 
@@ -484,6 +508,7 @@ class Simulation:
         self._record.remember(state)
         return state
 
+    @one_thread_at_a_time
     def restore(self, state: SimulationState) -> None:
         """Return to a state of this simulation, or of another one of the same spec; the record ends there.
 
@@ -517,6 +542,7 @@ class Simulation:
         run.failure, self.ended, self.time = None, "", state.time
         self._record.restore(state)
 
+    @one_thread_at_a_time
     def fork(self, archive: str | Path | None = None, *, overwrite: bool = False) -> Simulation:
         """Return a simulation in the same state that continues independently.
 
@@ -533,6 +559,7 @@ class Simulation:
         other._record.adopt(self._record, state)
         return other
 
+    @one_thread_at_a_time
     def reset(self, parameters: Numbers | None = None, initial: Numbers | None = None, seed: int | None = None) -> None:
         """Begin anew at the start, with an empty record; the record so far is discarded.
 

@@ -27,11 +27,13 @@ from mbdkit.quantities.states import States
 class PresentState:
     """The present state of a stepper, as arrays whose identity does not change.
 
-    `q`, `v`: (3 (B + 1),) positions and velocities, ground last. `z`: (Z,) first-order states.
+    `table`: times of the run. `q`, `v`: (3 (B + 1),) positions and velocities, ground last. `z`: (Z,) first-order
+    states.
     """
 
     def __init__(self, stepper: CompiledStepper | StepHost):
         self._stepper = stepper
+        self.table = stepper.timetable
         if isinstance(stepper, CompiledStepper):
             state = stepper.run_state
             self.q, self.v, self.z = state.q, state.v, state.z
@@ -65,6 +67,7 @@ class _ObservedNow:
         """Return the present state with the values that the engine computes; nan if they are not unique."""
         now = self._now
         self.time[0], self.q[0], self.v[0], self.z[0] = t, now.q, now.v, now.z
+        self.time[:] = now.table.before(self.time)
         status = OK + 1
         if not self._has_redundant:
             status, _ = observe_pinned(self.workspace.engine, self._pinned.address)

@@ -146,7 +146,8 @@ class Record:
         last = links[rows[-1]] if rows else None
         row = None if last is None else _rows(last)
         recorded = run.recorder.last_time if row is None else row.time[-1]
-        interval = None if stepper.failure is not None else run.table.interval
+        is_cut = stepper.failure is not None or (run.watch is not None and run.watch.stopped is not None)
+        interval = None if is_cut else run.table.interval  # a run that is cut has its last row
         if run.failure is not None or (recorded >= stepper.time and (row is None or interval is None)):
             yield from links
             return

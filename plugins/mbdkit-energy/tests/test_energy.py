@@ -94,8 +94,8 @@ def test_driven_and_damped_motions_and_their_energy_balance_converge_with_the_cl
     # the work is integrated along the dense output, the velocity of which is of order 5 in the interior of a step
     assert np.log2(unbalanced[0] / unbalanced[1]) > min(order, 5) - 0.3, unbalanced
     for each in runs:
-        assert each.misalignment_max < 1e-14
-        assert np.abs(each.array("constraints/velocity_residual")[1:]).max() < 1e-13
+        np.testing.assert_allclose(each.misalignment_max, 0.0, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(each.array("constraints/velocity_residual")[1:], 0.0, rtol=0, atol=1e-13)
 
 
 def change_of_energy(model: mbdkit.Mechanism, method: LineIntegral, h: float, steps: int) -> float:
@@ -136,7 +136,7 @@ def test_the_energy_of_rods_with_joints_changes_by_rounding_errors_only(
     method: LineIntegral, model: Any, steps: int
 ) -> None:
     # expected: Gonzalez (1999) and Brugnano, Gurioli, Iavernaro and Weinmueller (2018)
-    assert change_of_energy(model(), method, 0.01, steps) < 1e-12
+    np.testing.assert_allclose(change_of_energy(model(), method, 0.01, steps), 0.0, rtol=0, atol=1e-12)
 
 
 def test_the_midpoint_rule_and_too_few_nodes_lose_energy_where_the_methods_do_not() -> None:
@@ -145,7 +145,42 @@ def test_the_midpoint_rule_and_too_few_nodes_lose_energy_where_the_methods_do_no
         (LineIntegral(2, 2, 50), LineIntegral(10, 2, 50)),
     ):
         assert change_of_energy(two_rods(), loses, 0.05, 40) > 1e-7
-        assert change_of_energy(two_rods(), conserves, 0.05, 40) < 1e-12
+        np.testing.assert_allclose(change_of_energy(two_rods(), conserves, 0.05, 40), 0.0, rtol=0, atol=1e-12)
+
+
+def pinned_pair(kind: str, tilt: float, torque: float, stiffness: float) -> mbdkit.Mechanism:
+    """Return two bodies that are pinned at their centres and joined by a gear or belt; nothing but angles changes."""
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    place = 0.3 * cos(tilt), 0.3 * sin(tilt)
+    m.body("a", mass=1.0, inertia=0.01)
+    m.body("b", mass=1.0, inertia=0.02, position=place)
+    m.revolute("A", m.ground, "a", at=(0.0, 0.0))
+    m.revolute("B", m.ground, "b", at=place)
+    if kind == "gear":
+        m.gear("G", "a", "b", radii=(0.1, 0.2))
+    else:
+        m.belt("G", "a", "b", radii=(0.05, 0.1))
+    m.torque("T", "a", value=torque)
+    if stiffness:
+        m.torsion_spring("K", m.ground, "a", stiffness=stiffness)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("kind", "tilt", "torque", "stiffness"),
+    [("gear", 0.0, 1.0, 0.0), ("gear", 0.7, 100.0, 0.0), ("belt", -2.0, 1e-3, 0.0), ("gear", 2.0, 1.0, 1.5)],
+)
+@every_method
+def test_pairs_whose_centres_are_pinned_turn_as_one_degree_of_freedom(
+    method: str, kind: str, tilt: float, torque: float, stiffness: float
+) -> None:
+    # expected: the inertia of both bodies, the second at half the speed; velocities in x and y are rounding errors
+    found = run(pinned_pair(kind, tilt, torque, stiffness).to_spec(), METHODS[method], 50)
+    inertia, rate = 0.015, np.sqrt(stiffness / 0.015)
+    time = found.time
+    angle = torque / stiffness * (1 - np.cos(rate * time)) if stiffness else torque / inertia * time**2 / 2
+    accuracy = {1: 5e-3, 2: 5e-6, 3: 1e-8}[METHODS[method].get("s", 1)] if stiffness else 1e-11
+    np.testing.assert_allclose(found["a"].angle, angle, rtol=0, atol=accuracy * np.abs(angle).max())
 
 
 @pytest.mark.parametrize("s", [1, 2, 3])
@@ -167,9 +202,9 @@ def test_the_modes_of_the_iteration_diagonalise_the_coupling() -> None:
     for s in (1, 2, 3):
         p = polynomials(8, s)
         total = sum((root * np.outer(right, left)).real for root, right, left in p.modes)
-        np.testing.assert_allclose(total, p.coupling, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(total, p.coupling, rtol=0, atol=3e-15)
         weighted = p.weights[:, None] * p.values
-        np.testing.assert_allclose(weighted.T @ p.integrals, p.coupling, rtol=0, atol=1e-15)
+        np.testing.assert_allclose(weighted.T @ p.integrals, p.coupling, rtol=0, atol=3e-15)
 
 
 def test_the_car_axis_ends_at_the_published_positions() -> None:

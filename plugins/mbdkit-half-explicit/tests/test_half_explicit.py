@@ -81,7 +81,7 @@ def test_positions_velocities_and_multipliers_converge_with_the_claimed_order(na
     unbalanced = [np.abs(one.array("energy/balance")).max() for one in found]
     assert np.log2(unbalanced[0] / unbalanced[1]) > TABLEAUS[name].order - 0.2, unbalanced
     for one in found:  # after the start, which is consistent only to the accuracy of its assembly
-        assert np.abs(one.array("constraints/velocity_residual")[1:]).max() < 1e-14
+        np.testing.assert_allclose(one.array("constraints/velocity_residual")[1:], 0.0, rtol=0, atol=1e-14)
 
 
 def begun(name: str, p: mbdkit.EquationsOfMotion) -> tuple[HalfExplicit, mbdkit.StepState]:
@@ -123,6 +123,7 @@ def test_the_error_estimate_is_that_of_order_four_and_no_smaller_than_the_error(
         assert step.error is not None
         estimates.append(np.abs(step.error).max())
         assert error < 1.1 * estimates[-1]
+    # margin: order, from errors of mbdkit alone
     assert np.log2(estimates[0] / estimates[1]) == pytest.approx(5, abs=0.5)
 
 
@@ -130,10 +131,10 @@ def test_the_error_estimate_is_that_of_order_four_and_no_smaller_than_the_error(
 def test_a_loop_of_a_half_explicit_method_with_projection_drifts_at_neither_level(name: str) -> None:
     spec = {"mbdkit": 1, "model": slider_crank().to_spec(), "formulation": "index-2", "stabilization": "projection"}
     found = mbdkit.run(spec | {"integrator": {"name": name}, "time": {"end": 0.8, "step": 0.01}}).check()
-    assert found.misalignment_max < 1e-14
-    assert np.abs(found.array("constraints/velocity_residual")).max() < 1e-13
+    np.testing.assert_allclose(found.misalignment_max, 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found.array("constraints/velocity_residual"), 0.0, rtol=0, atol=1e-13)
     there = reference("slider-crank").array("trajectory/position")[-1]
-    assert np.abs(found.array("trajectory/position")[-1] - there).max() < 1e-5
+    np.testing.assert_allclose(found.array("trajectory/position")[-1], there, rtol=0, atol=1e-5)
 
 
 PARAMETERS = {
@@ -211,7 +212,7 @@ def test_the_car_axis_ends_at_the_published_positions() -> None:
     found = mbdkit.run(load_spec("car-axis", ["formulation=index-2", integrator, "time={end: 3.0}"])).check()
     ends = np.concatenate([found["left"].position[-1], found["right"].position[-1]])
     there = [0.0493455784275, 0.4969894602300, 1.0417425248854, 0.3739110272654]
-    np.testing.assert_allclose(ends, there, rtol=0, atol=20 * 1e-8)
+    np.testing.assert_allclose(ends, there, rtol=0, atol=20 * 1e-8)  # margin: error of mbdkit's method at these steps
 
 
 def test_the_weights_integrate_polynomials_and_stages_lie_where_the_constraints_hold() -> None:

@@ -152,13 +152,14 @@ def test_runs_end_at_the_digits_of_the_test_set(name: str, formulation: str, fac
     mine = run("andrews-squeezer", 0.03, integrator, formulation=formulation)
     k1, k2, k3, k4, k5, k6, k7 = (float(mine[f"K{i}"].angle[-1]) for i in range(1, 8))
     angles = np.array([k1, k2 - k1, k3, k4 - k5, k5, k6 - k7, k7])
-    assert np.max(np.abs(angles - END) / (1 + np.abs(END))) < factors[0] * rtol
+    # margin: error at this tolerance
+    np.testing.assert_allclose((angles - END) / (1 + np.abs(END)), 0.0, rtol=0, atol=factors[0] * rtol)
     axis = run("car-axis", 3.0, integrator, formulation=formulation)
     end = np.concatenate([np.asarray(axis[side].position)[-1] for side in ("left", "right")])
-    assert np.abs(end - AXIS_END).max() < factors[1] * rtol
+    np.testing.assert_allclose(end, AXIS_END, rtol=0, atol=factors[1] * rtol)  # margin: error at this tolerance
     if formulation == "ggl":
         for level in ("position", "velocity"):
-            assert np.abs(mine.array(f"constraints/{level}_residual")[-1]).max() < 1e-12
+            np.testing.assert_allclose(mine.array(f"constraints/{level}_residual")[-1], 0.0, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "formulation"), [("adams", "index-1"), ("bdf", "ggl")])
@@ -170,7 +171,10 @@ def test_pendulum_of_the_iftomm_benchmark_is_where_elliptic_functions_put_it(nam
     m.distance("link", m.ground, "mass", points=((0, 0), (0, 0)), length=1.0)
     integrator = {"name": name, "rtol": 1e-6, "atol": 1e-6}
     mine = run({"mbdkit": 1, "model": m.to_spec()}, 10.0, integrator, formulation=formulation)
-    assert np.abs(np.asarray(mine["mass"].position)[-1] - [0.275087462576116860, -0.961419205099125064]).max() < 1e-4
+    # margin: error at this tolerance
+    np.testing.assert_allclose(
+        np.asarray(mine["mass"].position)[-1], [0.275087462576116860, -0.961419205099125064], rtol=0, atol=1e-4
+    )
 
 
 @pytest.mark.parametrize("method", [Bdf(BdfOptions()), Adams(AdamsOptions())])

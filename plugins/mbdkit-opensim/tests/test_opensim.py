@@ -147,8 +147,8 @@ def test_the_joints_of_the_start_hold(leg: Path) -> None:
     values, speeds = drawn(5)
     run = started(str(leg), values, speeds)
     for name in run.joints:
-        assert run.joints[name].misalignment[0] < 1e-14
-        assert run.joints[name].velocity_misalignment[0] < 1e-13
+        np.testing.assert_allclose(run.joints[name].misalignment[0], 0.0, rtol=0, atol=1e-14)
+        np.testing.assert_allclose(run.joints[name].velocity_misalignment[0], 0.0, rtol=0, atol=1e-13)
     assert run.energy.balance[-1] == pytest.approx(0.0, abs=1e-9)
 
 

@@ -110,13 +110,15 @@ def test_andrews_mechanism_ends_at_the_digits_of_the_test_set(formulation: str, 
     # expected: the refined digits; errors are at most `factor` tolerances, those of velocities relative to the largest
     rtol = 1e-8
     mine = run("andrews-squeezer", 0.03, radau(rtol=rtol, atol=rtol), formulation=formulation)
-    assert np.max(np.abs(angles(mine) - END) / (1 + np.abs(END))) < factor * rtol
+    # margin: error at this tolerance
+    np.testing.assert_allclose((angles(mine) - END) / (1 + np.abs(END)), 0.0, rtol=0, atol=factor * rtol)
     if formulation != "index-1":
         residual = "position_residual" if formulation != "index-2" else "velocity_residual"
-        assert np.abs(mine.array(f"constraints/{residual}")[-1]).max() < 1e-12
+        np.testing.assert_allclose(mine.array(f"constraints/{residual}")[-1], 0.0, rtol=0, atol=1e-12)
     if formulation != "index-3":
         rates = angles(mine, "angular_velocity")
-        assert np.max(np.abs(rates - END_RATES)) < factor * rtol * np.max(np.abs(END_RATES))
+        # margin: error at this tolerance
+        np.testing.assert_allclose(rates, END_RATES, rtol=0, atol=factor * rtol * np.max(np.abs(END_RATES)))
 
 
 @pytest.mark.parametrize(
@@ -126,7 +128,7 @@ def test_car_axis_ends_at_the_digits_of_the_test_set(formulation: str) -> None:
     # expected: the refined digits
     mine = run("car-axis", 3.0, radau(rtol=1e-7, atol=1e-7), formulation=formulation)
     end = np.concatenate([np.asarray(mine[name].position)[-1] for name in ("left", "right")])
-    assert np.abs(end - AXIS_END).max() < 2e-7
+    np.testing.assert_allclose(end, AXIS_END, rtol=0, atol=2e-7)
 
 
 def test_pendulum_of_the_iftomm_benchmark_is_where_elliptic_functions_put_it() -> None:
@@ -137,7 +139,7 @@ def test_pendulum_of_the_iftomm_benchmark_is_where_elliptic_functions_put_it() -
     m.distance("link", m.ground, "mass", points=((0, 0), (0, 0)), length=1.0)
     mine = run({"mbdkit": 1, "model": m.to_spec()}, 10.0, radau(rtol=rtol, atol=rtol), formulation="ggl")
     end = np.asarray(mine["mass"].position)[-1]
-    assert np.abs(end - [0.275087462576116860, -0.961419205099125064]).max() < 20 * rtol
+    np.testing.assert_allclose(end, [0.275087462576116860, -0.961419205099125064], rtol=0, atol=20 * rtol)
 
 
 @pytest.mark.parametrize("s", [3, 5, 7])

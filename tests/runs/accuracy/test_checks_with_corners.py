@@ -18,6 +18,7 @@ from mbdkit.runs.accuracy.companion_choice import choose_companions
 from mbdkit.runs.preparation import guards, make_method, timetable
 from mbdkit.spec import load_spec
 from tests.linkages import driven_crank
+from tests.margins import assert_within
 from tests.slow_cases import slow
 
 SIX = {"name": "gauss", "stages": 6}
@@ -63,7 +64,7 @@ def test_errors_are_known_through_an_impact(
                 path = f"trajectory/{name}"
                 error = np.maximum.accumulate(np.abs(there.array(path) - exact.array(path)).max(axis=(1, 2)))
                 estimate = np.maximum.accumulate(there.array(f"accuracy/{name}_error").max(axis=(1, 2)))
-                assert np.all(error <= 3 * estimate + 1e-11)
+                assert_within(error, 3 * estimate + 1e-11)
                 assert error[-1] >= estimate[-1] / 30 - 1e-11
 
 
@@ -124,7 +125,7 @@ def test_companions_stop_at_knots_and_estimate_the_true_error(integrator: dict[s
         assert accuracy.is_complete, accuracy.method
         error = np.maximum.accumulate(np.abs(there["a"].position[:, 0] - displacement(there.time)))
         estimate = np.maximum.accumulate(there.array("accuracy/position_error")[:, 0, 0])
-        assert np.all(error <= 3 * estimate + 1e-13)
+        assert_within(error, 3 * estimate + 1e-13)
         times = there.time
     workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
     chosen = choose_companions(spec, make_method(spec), workspace, times, 100)

@@ -1,6 +1,9 @@
 """Simulations that a program advances: the same bits as whole runs, states, forks, records, and wrong use."""
 
+import contextlib
+import copy
 import json
+import pickle
 import subprocess
 import sys
 import threading
@@ -256,6 +259,63 @@ def test_threads_do_not_disturb_each_other():
     simulate()
     assert len(hashes) == 9
     assert len(set(hashes)) == 1
+
+
+def refused_to_other_threads(used, calls):
+    """Assert that another thread cannot make any of the calls while this one uses an object."""
+    refused = []
+
+    def call() -> None:
+        for one in calls:
+            with pytest.raises(mbdkit.SpecError, match="another thread is using th"):
+                one()
+            refused.append(one)
+
+    with contextlib.ExitStack() as stack:
+        assert used.in_use.acquire(blocking=False)
+        stack.callback(used.in_use.release)
+        thread = threading.Thread(target=call)
+        thread.start()
+        thread.join()
+    assert refused == calls
+
+
+def test_a_simulation_refuses_a_second_thread_and_loses_no_time():
+    simulation = mbdkit.open(driven_pendulum(), **sections("rk4"))
+    read, state = simulation.reader(["t"]), simulation.state()
+    calls = [
+        lambda: simulation.advance(0.01), lambda: simulation.advance_to(1.0), read, lambda: simulation.state(),
+        lambda: simulation.restore(state), lambda: simulation.reset(), lambda: simulation.fork(),
+        lambda: simulation.inputs.update({"held": 1.0}), lambda: simulation.misalignment, lambda: simulation.finish(),
+    ]  # fmt: skip
+    refused_to_other_threads(simulation, calls)
+    times = []
+
+    def advance() -> None:
+        for _ in range(20):
+            with contextlib.suppress(mbdkit.SpecError):
+                simulation.advance(0.01)
+                times.append(0.01)
+
+    threads = [threading.Thread(target=advance) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert simulation.time == pytest.approx(sum(times))  # what was not refused has been done
+
+
+def test_a_prepared_run_refuses_a_second_thread():
+    prepared = mbdkit.prepare("double-pendulum", time={"end": 0.1, "step": 0.01})
+    refused_to_other_threads(prepared, [prepared.run, prepared.spec_with, prepared.start_with])
+    assert copy.deepcopy(prepared).run().data_sha256 == prepared.run().data_sha256
+
+
+def test_copying_and_pickling_a_simulation_name_what_does_it():
+    simulation = mbdkit.open("double-pendulum")
+    for attempt in (pickle.dumps, copy.copy, copy.deepcopy):
+        with pytest.raises(TypeError, match=r"`fork` copies it, and `state\(\)\.to_bytes\(\)` takes its state"):
+            attempt(simulation)
 
 
 def test_a_held_torque_turns_a_wheel_as_in_closed_form():

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.plugin import counted, show, show_json
-from mbdkit.plugin.seams import repeated_run, spec_check
-from mbdkit.plugin.terminal import (
+from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.text import counted
+from mbdkit.cli.common_options import (
     Archive,
     AsJson,
     Debug,
@@ -19,14 +19,15 @@ from mbdkit.plugin.terminal import (
     check_new,
     grouped,
     output_to,
-    say,
     stem,
-    tell,
 )
+from mbdkit.cli.outcome import tell
+from mbdkit.runs.run_seams import repeated_run
+from mbdkit.spec.spec_kinds import spec_check
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
-    from mbdkit.plugin.specs import Document
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.reading import Document
 
 
 @grouped
@@ -77,8 +78,8 @@ def workload(
     With --load, the workload is also printed for each phase of contact, each swing and each cycle, and --json contains
     the mean cycle from 0 to 100 % with its standard deviation. Drivers of a forward run count as actuators.
     """
-    from mbdkit.plugin import load as opened
-    from mbdkit.plugin.archives import blaming_damage
+    from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.archive.reader import load as opened
     from mbdkit_biomech.inverse_dynamics.results.workload import workload as of
 
     with blaming_damage(archive), opened(archive) as run:
@@ -101,8 +102,9 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     SpecError
         If a table is not there.
     """
-    from mbdkit.plugin import SpecError, shown
-    from mbdkit.plugin.specs import Document
+    from mbdkit.base.errors import SpecError
+    from mbdkit.base.text import shown
+    from mbdkit.spec.reading import Document
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
     from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
@@ -124,8 +126,8 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
 @spec_check
 def validate_inverse(source: str | Document, name: str, assignments: list[str]) -> None:
     """Check a spec of inverse dynamics, its data and their first frame, and print what would be computed."""
-    from mbdkit.plugin.measures import check_measures
-    from mbdkit.plugin.mechanisms import gravity_text
+    from mbdkit.measures.take import check_measures
+    from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, check
     from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import causes_named

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin.archives import recorded_columns as columns
+from mbdkit.archive import recorded_columns as columns
 
 
 class ObservedHistory(columns.Motion, of="motion"):

@@ -5,26 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
+from mbdkit.registry.element_items import ElementFailures, ElementForces, ElementKind, QuantityKind
+from mbdkit.registry.feature_items import (
     Accessor,
-    Command,
     CriterionItem,
-    ElementFailures,
-    ElementForces,
-    ElementKind,
     Example,
     GuidePage,
     HeadlineItem,
-    Item,
-    ModelPlugin,
-    QuantityKind,
     ReportSection,
     SpecKind,
     SummaryLine,
-    Target,
     ViewItem,
-    hookimpl,
 )
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command, ModelPlugin
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

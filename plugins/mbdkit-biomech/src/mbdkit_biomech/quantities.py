@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from mbdkit.plugin import Array, Chart, Recorded, name_array, quantity_group
-from mbdkit.plugin.archives import AXIS, JOINT, MIXED, unit_array
+from mbdkit.quantities.array import MIXED, Array, Chart, Recorded
+from mbdkit.quantities.entries import AXIS, JOINT, name_array, quantity_group, unit_array
 from mbdkit_biomech.muscles.muscle_values import MuscleValues
 
 _TIME = Array("time", ("time",), "s", "time of the recorded row")

@@ -14,7 +14,7 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 import mbdkit
 import mbdkit_biomech
 from mbdkit import SpecError
-from mbdkit.plugin.specs import CriterionName
+from mbdkit.spec.item_names import CriterionName
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation

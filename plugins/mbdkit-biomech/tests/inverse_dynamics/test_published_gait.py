@@ -9,6 +9,7 @@ import pytest
 from tests.inverse_dynamics.running import JOINTS, differences, reference, running_spec, table
 
 import mbdkit
+from tests.margins import assert_within
 
 LIGHT = 1e-13
 """Mass [kg] and inertia of bodies that only carry joints."""
@@ -117,5 +118,5 @@ def test_walking_has_the_published_moments_and_forces() -> None:
         moment, force = data[f"{joint}_moment"], np.column_stack([data[f"{joint}_Fx"], data[f"{joint}_Fy"]])
         found = sign[joint] * run.actuators[joint].value
         # the ground force has nine digits: half a unit is 5e-8 N/kg, at a lever of up to 0.7 m
-        assert np.max(np.abs(found - moment)) < 1e-7 * np.max(np.abs(moment)) + 0.7 * 5e-8
-        assert np.max(np.abs(run.joints[joint].reaction_force - force)) < 1e-7 * np.max(np.abs(force))
+        assert_within(found - moment, 1e-7 * np.max(np.abs(moment)) + 0.7 * 5e-8)  # margin: digits of the publication
+        assert_within(run.joints[joint].reaction_force - force, 1e-7 * np.max(np.abs(force)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 
 FRAMES, EQUATIONS, MUSCLES = 12, 3, 9
 

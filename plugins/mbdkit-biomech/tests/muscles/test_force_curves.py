@@ -22,7 +22,7 @@ OPENSIM = {
 @pytest.mark.parametrize("name", OPENSIM)
 def test_the_curves_of_millard_are_those_of_opensim(name):
     x, y = np.array(list(OPENSIM[name].items())).T
-    np.testing.assert_allclose(getattr(CURVES["millard"], name)(x)[0], y, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(getattr(CURVES["millard"], name)(x)[0], y, rtol=0, atol=3e-14)
 
 
 @pytest.mark.parametrize("name", OPENSIM)
@@ -42,7 +42,7 @@ def test_fibres_of_millard_have_the_velocity_of_equilibrium(damping):
     velocity = np.concatenate([np.linspace(-1.6, 1.6, 2001), curve.x.ravel()])
     for active in (0.0, 1e-6, 1e-3, 0.05, 0.5, 1.0, 1.5):
         force = active * curve.at(velocity)[0] + damping * velocity
-        np.testing.assert_allclose(curve.x_where(active, damping, force), velocity, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(curve.x_where(active, damping, force), velocity, rtol=0, atol=3e-12)
 
 
 def test_the_curves_of_de_groote_and_fregly_have_their_published_values():
@@ -51,7 +51,7 @@ def test_the_curves_of_de_groote_and_fregly_have_their_published_values():
     assert curves.active(one)[0] == pytest.approx(1.0, abs=1e-3)
     assert curves.velocity(0 * one)[0] == pytest.approx(1.0, abs=5e-3)
     assert curves.velocity(-one)[0] == pytest.approx(0.0, abs=2e-3)
-    assert curves.passive(1.6 * one)[0] == pytest.approx(1.0, abs=1e-15)
+    assert curves.passive(1.6 * one)[0] == pytest.approx(1.0, abs=4e-15)
     assert curves.passive(0.2 * one)[0] == pytest.approx(0.0, abs=1e-15)
     assert curves.tendon(1.049 * one)[0] == pytest.approx(1.0, abs=1e-14)
     assert curves.tendon(one)[0] == pytest.approx(0.0, abs=1e-15)
@@ -66,4 +66,4 @@ def test_slopes_are_derivatives(curves, name, low, high):
     x, step, curve = np.linspace(low, high, 301) + 1e-4, 1e-6, getattr(CURVES[curves], name)
     slope = curve(x)[1]
     difference = (curve(x + step)[0] - curve(x - step)[0]) / (2 * step)
-    np.testing.assert_allclose(slope, difference, rtol=0, atol=1e-7 * np.max(np.abs(slope)) + 1e-8)
+    np.testing.assert_allclose(slope, difference, rtol=0, atol=2e-7 * np.max(np.abs(slope)) + 1e-8)

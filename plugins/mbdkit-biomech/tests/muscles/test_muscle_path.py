@@ -54,7 +54,7 @@ def test_a_path_on_a_cylinder_is_a_geodesic_and_shorter_than_that_of_opensim():
     q, _, _ = motion()
     ours, theirs = path_of(LEG, SHORTER).at(TIME, q).length, np.array(OPENSIM[SHORTER]["length"])
     assert np.all(ours <= theirs + 1e-12)
-    np.testing.assert_allclose(ours, theirs, rtol=0, atol=3e-5)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=5e-5)
 
 
 @pytest.mark.parametrize("name", leg.MUSCLES)
@@ -113,7 +113,7 @@ def test_a_path_over_two_circles_is_the_convex_hull():
     # up to the first circle, along the common tangent, and down again
     m = pulley([(-0.5, 0.0), (0.5, 0.0)])
     side = np.sqrt(0.5**2 - 0.1**2) + 0.1 * (np.pi / 2 - np.arccos(0.1 / 0.5))
-    assert length_at(m, 0, 0, 0) == pytest.approx(2 * side + 1.0, abs=1e-15)
+    assert length_at(m, 0, 0, 0) == pytest.approx(2 * side + 1.0, abs=3e-15)
     low = pulley([(-0.5, 0.0), (0.5, -0.4)])  # the second circle is not touched
     first = pulley([(-0.5, 0.0)])
     assert length_at(low, 0, 0, 0) == pytest.approx(length_at(first, 0, 0, 0), abs=1e-15)

@@ -20,6 +20,7 @@ from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_studies.compute.batch import simulate_batch
+from tests.margins import assert_within
 from tests.runs.resuming.killed_runs import killed
 
 IMPLICIT = {"name": "radau-iia", "stages": 3}
@@ -81,7 +82,7 @@ def test_runs_agree_with_an_independent_integration(kind: str) -> None:
     muscle, arm_ = run.muscles["biceps"], run["forearm"]
     got = [arm_.angle[-1], arm_.angular_velocity[-1], muscle.activation[-1], muscle.fiber_length[-1]]
     np.testing.assert_allclose(got[: len(wanted)], wanted, rtol=0, atol=1e-10)
-    assert np.abs(run.energy.balance).max() < 1e-11
+    assert_within(run.energy.balance, 1e-11)
 
 
 @pytest.mark.parametrize("kind", ["rigid", "elastic"])
@@ -95,7 +96,7 @@ def test_methods_keep_their_order(integrator: dict[str, Any], order: int, kind: 
     exact = mbdkit.run(model, integrator=PRECISE, time={"end": 0.1}).muscles["biceps"].fiber_length[-1]
     runs = [mbdkit.run(model, integrator=integrator, time={"end": 0.1, "step": step}) for step in (0.001, 0.0005)]
     coarse, fine = (abs(run.muscles["biceps"].fiber_length[-1] - exact) for run in runs)
-    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 STRAIGHT = [{"body": "ground", "point": (0.0, 0.0)}, {"body": "slider", "point": (0.0, 0.0)}]
@@ -135,7 +136,7 @@ def test_fibres_start_in_the_equilibrium_of_opensim(
     muscle = run.muscles["m"]
     assert muscle.fiber_length[0] == pytest.approx(fiber, abs=3e-12)
     assert muscle.force[0] == pytest.approx(tension, rel=1e-8)
-    assert abs(muscle.fiber_rate[0]) < 1e-11
+    assert_within(muscle.fiber_rate[0], 1e-11)
 
 
 def test_an_isokinetic_contraction_has_the_closed_form_of_the_curves() -> None:
@@ -162,7 +163,7 @@ def test_a_passive_muscle_makes_no_energy() -> None:
     cycle = "0.05*sin(2*pi*t)"
     elastic = mbdkit.run(slide(cycle, **rest, damping=0.0), integrator=IMPLICIT, time=time).check()
     assert np.ptp(elastic.muscles["m"].force) > 10.0
-    assert abs(elastic.energy.work[-1]) < 1e-9
+    assert_within(elastic.energy.work[-1], 1e-9)
     for kind in ("rigid", "elastic"):
         lossy = mbdkit.run(slide(cycle, kind, **rest), integrator=IMPLICIT, time=time).check()
         supplied = -np.trapezoid(lossy.muscles["m"].power, lossy.time)
@@ -230,7 +231,7 @@ def test_a_path_over_several_bodies_pulls_on_all_of_them(model: Mechanism) -> No
     pull = -muscle.force[:, None] * path.gradient[:, 3:5]
     wanted = 1.5 * run["forearm"].acceleration[:, :2] - pull - [0, -1.5 * 9.81]
     np.testing.assert_allclose(run.joints["elbow"].reaction_force, wanted, atol=1e-9)
-    assert np.abs(run.energy.balance).max() < 1e-7
+    assert_within(run.energy.balance, 1e-7)
 
 
 def rigid_millard() -> Mechanism:
@@ -304,7 +305,7 @@ def test_excitations_of_all_kinds_act_alike(excitation: Any) -> None:
     run = mbdkit.run({"mbdkit": 1, "model": spec, "integrator": integrator, "time": time}).check()
     for name in ("excitation", "activation", "fiber_length"):
         given, exact = (getattr(one.muscles["biceps"], name) for one in (run, wanted))
-        np.testing.assert_allclose(given, exact, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(given, exact, rtol=0, atol=3e-8)
 
 
 def test_a_reflex_sees_length_and_rate_of_its_muscle() -> None:
@@ -324,7 +325,7 @@ def test_events_measures_and_archives_know_muscles(tmp_path: Path) -> None:
     muscle = mbdkit.load(tmp_path / "run.h5").muscles["biceps"]
     before, top, after = muscle.force[muscle.force.argmax() + np.array([-1, 0, 1])]
     vertex = top - (after - before) ** 2 / (8 * (after - 2 * top + before))  # the largest force is between two rows
-    assert run.measures["most"] == pytest.approx(vertex, rel=2e-5)
+    assert run.measures["most"] == pytest.approx(vertex, rel=4e-5)
     (event,) = run.events[:1]
     assert np.interp(event.time, run.time, muscle.force) == pytest.approx(120, abs=0.1)
     assert list(run.states) == ["biceps.activation", "biceps.fiber_length"]

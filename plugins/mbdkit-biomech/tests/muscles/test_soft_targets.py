@@ -17,6 +17,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import (
     Targets,
     share_softly,
 )
+from tests.margins import assert_within
 
 DEVIATION = 0.2
 
@@ -30,7 +31,7 @@ def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
     right = np.insert(random.uniform(0.2, 4.0, (rows, 2)), 1, 0.4, axis=1)  # two bounds, which share muscles
     soft = SoftTargets(matrix, right, np.full((rows, 3), DEVIATION), np.array([True, False, True]))
     whole, found = share_softly(programme, float(p), soft)
-    assert np.max(found.certificate) < 1e-9
+    assert_within(found.certificate, 1e-9)
     assert whole.matrix.shape == (rows, programme.matrix.shape[1] + 3, count + 3)
     muscles = matrix.shape[2]
     below = 0
@@ -46,7 +47,7 @@ def test_bounds_and_targets_are_those_of_the_problem_with_inequalities(p):
         bounds = list(zip(programme.low[row], programme.high[row], strict=True))
         own = found.value[row, :count]
         other = minimize(cost, own, bounds=bounds, constraints=equal, method="SLSQP", options={"ftol": 1e-12})
-        assert np.max(np.abs(equal["fun"](own))) < 1e-8 * np.max(programme.size)
+        assert_within(equal["fun"](own), 1e-8 * np.max(programme.size))
         assert cost(own) <= other.fun * (1 + 1e-6)
         below += right[row, 0] > matrix[row, 0] @ own[:muscles]
     assert below  # some of the bounds act
@@ -61,7 +62,7 @@ def test_a_bound_that_does_not_act_leaves_a_frame_solvable(seed):
     right = size * random.uniform(0.2, 4.0, (rows, 2))
     right[::2, 1] = -size
     soft = SoftTargets(matrix, right, np.full((rows, 2), size * DEVIATION), np.array([True, True]))
-    assert np.max(share_softly(programme, 3.0, soft)[1].certificate) < 1e-9
+    assert_within(share_softly(programme, 3.0, soft)[1].certificate, 1e-9)
 
 
 @pytest.mark.parametrize("p", [3.0, 4.0])
@@ -73,7 +74,48 @@ def test_targets_that_are_almost_reached_leave_frames_solvable(p):
     for size in (0.0, 1e-9, 1e-6, 1e-3):
         right = own[:, :1] + size * random.standard_normal((len(own), 1))
         soft = SoftTargets(matrix, right, np.full(right.shape, DEVIATION), np.array([False]))
-        assert np.max(share_softly(programme, p, soft)[1].certificate) < 1e-9
+        assert_within(share_softly(programme, p, soft)[1].certificate, 1e-9)
+
+
+@pytest.mark.parametrize("p", [2.6667, 3.0, 4.0, 6.0])
+@pytest.mark.parametrize("reserves", [0.0, 20.0])
+def test_targets_of_all_muscles_leave_no_frame_without_solution(p, reserves):
+    # EMG of every muscle, whose targets are far, near and reached, and a force that a knee needs
+    programme, random = problems(reserves), np.random.default_rng(86)
+    rows, muscles = len(programme.right), 9
+    activation = share_loads(programme, p).value[:, :muscles]
+    emg = np.clip(
+        activation * np.exp(random.choice([0.0, 1e-4, 0.3], (rows, muscles)) * random.standard_normal()), 0, 1
+    )
+    matrix = np.zeros((rows, muscles + 1, muscles))
+    matrix[:, 0] = 1e3 * random.uniform(0.2, 4.0, (rows, muscles))
+    matrix[:, range(1, muscles + 1), range(muscles)] = 1.0
+    right = np.hstack(
+        [np.sum(matrix[:, 0] * activation, axis=1, keepdims=True) * random.uniform(0.7, 1.1, (rows, 1)), emg]
+    )
+    deviation = np.hstack([np.full((rows, 1), 30.0), np.hypot(0.4 * emg, 0.03)])
+    soft = SoftTargets(matrix, right, deviation, np.arange(muscles + 1) == 0)
+    _, found = share_softly(programme, p, soft)
+    assert np.max(found.certificate) < 1e-9
+    count = programme.matrix.shape[2]
+    for row in range(0, rows, 3):
+
+        def cost(x, row=row):
+            lacking = (right[row] - matrix[row] @ x[:muscles]) / deviation[row]
+            lacking[0] = max(lacking[0], 0.0)
+            return np.sum(np.abs(np.append(x / programme.weight, lacking)) ** p)
+
+        own = found.value[row, :count]
+
+        def lacks(x, row=row):
+            return (programme.matrix[row] @ x - programme.right[row]) / programme.size[row]
+
+        equal = {"type": "eq", "fun": lacks}
+        bounds = list(zip(programme.low[row], programme.high[row], strict=True))
+        start = np.clip(0.3 * np.ones(count), programme.low[row], programme.high[row])
+        other = minimize(cost, start, bounds=bounds, constraints=equal, method="SLSQP", options={"ftol": 1e-14})
+        assert np.max(np.abs(lacks(own))) < 1e-9
+        assert cost(own) <= other.fun * (1 + 1e-6)
 
 
 def arm(errors="none", **sections):
@@ -137,7 +179,7 @@ def test_noise_is_left_out_by_name_and_changes_nothing():
     with arm() as alone, arm(emg={"biceps": "noise"}) as run:
         for name in ("biceps", "triceps"):
             np.testing.assert_array_equal(run.muscles[name].force, alone.muscles[name].force)
-        assert any("the EMG of biceps does not follow" in warning for warning in run.warnings)
+        assert any("the EMG of biceps (column 'noise') does not follow" in warning for warning in run.warnings)
 
 
 @pytest.mark.parametrize(
@@ -155,6 +197,40 @@ def test_wrong_emg_is_refused(emg, key):
     with pytest.raises(SpecError) as error:
         arm(emg=emg)
     assert error.value.key == key
+
+
+@pytest.mark.parametrize("size", [0.005, 0.02, 0.3, 1.2])
+def test_a_raw_signal_is_no_activation_whatever_its_size(size):
+    time = np.linspace(0.0, 2.0, 81)
+    raw = size * (0.6 + 0.4 * np.sin(3 * time)) * np.sin(2 * np.pi * 17.3 * time)
+    with arm() as alone:
+        motion = {**alone.spec["motion"], "data": {**alone.spec["motion"]["data"], "VL": raw.tolist()}}
+    with pytest.raises(SpecError, match="column 'VL' is a raw signal, which has negative values") as error:
+        arm(motion=motion, emg={"biceps": "VL"})
+    assert error.value.key == "emg.biceps.maximum"
+
+
+@pytest.mark.parametrize("heading", ["time,VL [mV]", "time [s],VL (V)", "time,VL [mV]\ns,mV"])
+def test_a_voltage_needs_a_maximum(tmp_path, heading):
+    time = np.linspace(-0.1, 2.1, 221)
+    rows = np.transpose([time, 0.3 + 0.2 * np.sin(3 * time)])
+    np.savetxt(file := tmp_path / "emg.csv", rows, delimiter=",", header=heading, comments="")
+    column = heading.partition("\n")[0].partition(",")[2]
+    with pytest.raises(SpecError, match="is a voltage, and is no activation") as error:
+        arm(emg={"biceps": {"column": column, "file": str(file)}})
+    assert error.value.key == "emg.biceps.maximum"
+    arm(emg={"biceps": {"column": column, "file": str(file), "maximum": 1.0}}).close()
+
+
+def test_an_envelope_in_volts_is_left_out_with_its_remedy():
+    activation = np.column_stack([0.4 + 0.3 * np.sin(np.linspace(0.0, 6.0, 40))] * 2)
+    channels = tuple(EmgTarget(k, share * activation[:, k], 0.4) for k, share in enumerate((0.05, 0.3)))
+    targets = Targets(emg=channels).without_noise(activation)
+    assert [one.muscle for one in targets.emg] == [1]
+    ((one, why),) = targets.left_out
+    assert one.muscle == 0
+    assert why.startswith("is at most 0.035, while the moments of the joints need an activation of up to 0.7")
+    assert "give `maximum`" in why
 
 
 def test_gaps_of_emg_are_those_of_other_columns():

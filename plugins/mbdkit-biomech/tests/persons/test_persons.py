@@ -24,6 +24,7 @@ from mbdkit_biomech.persons.landmarks import Side, landmark
 from mbdkit_biomech.persons.person import Person
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, poses_of
 from tests.benchmarks.person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of, in_laboratory, table_text
+from tests.margins import assert_within
 
 HEADING = 2.0
 
@@ -69,7 +70,7 @@ def test_centres_and_lengths_lie_within_their_stated_covariances() -> None:
         assert 1.2 < np.mean(squares[joint]) < 2.8
         assert np.mean(np.array(squares[joint]) < 5.99) > 0.88
     assert np.mean(squares["hip"]) < 2  # the landmarks of the pelvis are those of the regression
-    assert np.all(np.abs(np.mean(lengths, axis=0)) < 1)
+    assert_within(np.mean(lengths, axis=0), 1)
     assert np.all(np.std(lengths, axis=0) < 1.4)
 
 
@@ -99,7 +100,7 @@ def test_skin_that_moves_in_step_with_a_joint_shifts_its_centre_as_stated(joint:
         person, at = skeleton_of(walker, markers, HEADING, **FUNCTIONAL), exact.segments.reference
         shifts.append((person.points[joint] - exact.points[joint])[at, :2])
     size = np.sqrt(np.sum(np.square(shifts), axis=0))  # those of turns about other axes are small
-    np.testing.assert_allclose(size, exact.centers[joint].deviation, rtol=0.1)
+    np.testing.assert_allclose(size, exact.centers[joint].deviation, rtol=0.15)
 
 
 @pytest.mark.parametrize(("heading", "up"), [(0.0, "z"), (np.pi, "z"), (2.0, "z"), (0.0, "y")])
@@ -156,7 +157,7 @@ def test_a_static_trial_gives_upright_angles_and_landmarks_to_several_motions(tm
         assert [one.method for one in person.centers.values()] == ["combined"] * 6
         assert person.lengths["thigh"].value == pytest.approx(THIGH, abs=0.004)
         tilt = np.degrees(person.columns["bodies.trunk.angle"] - walker.angles["trunk"])
-        assert abs(np.mean(tilt)) < 1
+        assert_within(np.mean(tilt), 1)
         assert np.degrees(np.std(person.columns["bodies.foot.angle"] - walker.angles["foot"])) < 2
 
 
@@ -195,9 +196,11 @@ def test_loads_of_a_person_are_those_of_the_known_motion_of_the_same_model(tmp_p
                            "loads": true_loads})  # fmt: skip
     for joint in ("hip", "knee", "ankle_left"):
         force = true.joints[joint].reaction_force
+        # margin: error of the smoothed markers
         np.testing.assert_allclose(found.joints[joint].reaction_force, force, rtol=0, atol=0.01 * np.max(np.abs(force)))
     for name in ("knee_flexion", "ankle_dorsiflexion"):
         moment = true.actuators[name].value  # the mean angle of the trunk is its zero, so that hips differ
+        # margin: error of the smoothed markers
         np.testing.assert_allclose(found.actuators[name].value, moment, rtol=0, atol=0.02 * np.max(np.abs(moment)))
     again = mbdkit.inverse(spec)
     assert again.data_sha256 == found.data_sha256
@@ -234,7 +237,7 @@ def test_the_packaged_example_finds_the_centres_of_the_person_who_made_its_table
     for joint in ("knee", "ankle"):
         found = np.column_stack([person.columns[f"markers.{joint}.{axis}"] for axis in "xy"])
         error = found - walker.joints[joint][:, :2]
-        assert np.max(np.abs(np.mean(error, axis=0))) < 2 * max(person.centers[joint].deviation)
+        assert_within(np.mean(error, axis=0), 2 * max(person.centers[joint].deviation))  # margin: seeded noise
     assert not [one for one in person.findings if one.level]
 
 
@@ -355,7 +358,7 @@ REFUSED: dict[str, tuple[Callable[[Data], Data], dict[str, Any], str]] = {
         r"motion.centers.knee: is functional, but no point of one segment stays at a point of the other"),
     "shank and foot that turn together": (lambda d: {one: own[20:32] for one, own in d.items()},
         {"motion": {"centers": {"ankle": "functional"}}},
-        r"motion.centers.ankle: is functional, but the two segments turn together: .* changes by \d+ deg"),
+        r"motion.centers.ankle: is functional, but the motion does not determine the centre: .* changes by \d+ deg"),
     "a gap that may not be bridged": (lambda d: {one: np.where(np.arange(len(own)) == 40, np.nan, own)
                                                  if one[:-2] in ("RTHU", "RTHF") else own for one, own in d.items()},
         {}, r"row 41: column 'markers.hip.x': the value is missing"),
@@ -414,6 +417,19 @@ def test_a_static_trial_of_other_markers_is_doubtful(tmp_path: Path, fault: str)
     findings = person_of(recorded(heading=2.0), motion={"static": str(tmp_path / "static.trc")}).findings
     sentences = [one.sentence for one in findings if one.criterion == "centers" and "another shape" in one.sentence]
     assert len(sentences) == (fault != "none")
+
+
+def test_a_static_trial_of_another_person_is_the_cause_of_a_centre_that_is_not_known(tmp_path: Path) -> None:
+    walker, random = Walker.of_example(2), np.random.default_rng(3)
+    standing = {
+        name: np.repeat(own[:1] + 0.06 * random.standard_normal(3), 10, 0) for name, own in walker.markers().items()
+    }
+    (tmp_path / "static.trc").write_text(trc_text(walker.time[:10], standing))
+    motion = {"static": str(tmp_path / "static.trc"), "centers": FUNCTIONAL}
+    with pytest.raises(SpecError, match=r"another shape in `motion.static` .*: is it a trial of this person") as error:
+        person_of(recorded(heading=2.0), motion=motion)
+    assert error.value.key == "motion.static"
+    assert "not at all" not in str(error.value)
 
 
 def test_what_has_no_effect() -> None:

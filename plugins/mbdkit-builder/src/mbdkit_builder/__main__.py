@@ -30,7 +30,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from mbdkit.kernels import PLATFORMS, Level, Platform, chosen_level, machine_code, this_platform
+from mbdkit.engine.native import machine_code
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, this_platform
 
 _GENERATED = {
     "contacts": "contact_kernels",

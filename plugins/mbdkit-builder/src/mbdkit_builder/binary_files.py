@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
 
 MEMORY_FUNCTIONS = {
     "linux": {"memcpy", "memmove", "memset"},

@@ -6,7 +6,9 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-from mbdkit.kernels import ITEM, WIDTH, call_entry, call_law, integers_at, new_registers, numbers_at
+from mbdkit.engine.native.calls import call_entry, call_law, integers_at, new_registers, numbers_at
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.number_arrays import ITEM
 from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL
 from mbdkit_builder.implementation import implement

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sympy as sp
 
-from mbdkit.kernels import machine_code
+from mbdkit.engine.native import machine_code
 from mbdkit_builder.element_kernels import Printer
 from mbdkit_contact.contact_rows import ARGUMENTS, numbers_of, row_definition
 

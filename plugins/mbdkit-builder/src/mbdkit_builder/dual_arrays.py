@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba.core import cgutils
 from numba.extending import register_model, typeof_impl
 
-from mbdkit.kernels import ITEM, ComplexDuals, Duals
+from mbdkit.engine.native.number_arrays import ITEM, ComplexDuals, Duals
 from mbdkit_builder.dual_types import DUAL, DUAL_COMPLEX, VECTOR, DualComplex, is_real
 from mbdkit_builder.item_arrays import ItemArray, ItemArrayModel
 

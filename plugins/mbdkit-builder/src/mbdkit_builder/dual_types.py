@@ -25,11 +25,11 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from mbdkit.base import elementary
+from mbdkit.engine.native import arithmetic
+from mbdkit.engine.native.arithmetic import DIRECTIONS, value_of, where
 from mbdkit.engine.native.operation_rules import compiled_rule
-from mbdkit.expressions.operations import Operation
-from mbdkit.kernels import DIRECTIONS, arithmetic, value_of, where
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import OPERATIONS
+from mbdkit.expressions.operations import OPERATIONS, Operation
 from mbdkit_builder.implementation import implement
 
 DOUBLE = ir.DoubleType()

@@ -16,7 +16,7 @@ from itertools import groupby
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
 
-from mbdkit.kernels import machine_code
+from mbdkit.engine.native import machine_code
 from mbdkit_statics import element_definitions as d
 
 TARGET = machine_code.PACKAGE / "engine/kernels/element_kernels.py"

@@ -15,7 +15,7 @@ import llvmlite.binding as llvm
 from numba import config
 from numba.core.registry import cpu_target
 
-from mbdkit.kernels import FUNCTIONS
+from mbdkit.engine.kernels.elementary import FUNCTIONS
 
 _ALIASES = {"numba_gamma": "tgamma"}
 """Functions of Numba's own library, and those of the C library that compute the same."""

@@ -9,7 +9,7 @@ from typing import Any
 from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
 from numba.extending import intrinsic, is_jitted
 
-from mbdkit.plugin import PluginError
+from mbdkit.base.errors import PluginError
 from mbdkit_builder import call_code
 from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL

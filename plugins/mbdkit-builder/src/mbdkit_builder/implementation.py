@@ -15,7 +15,7 @@ from numba import njit, types
 from numba.core.typing.templates import infer, infer_global, make_intrinsic_template
 from numba.extending import overload, typeof_impl
 
-from mbdkit.kernels import DECLARED
+from mbdkit.engine.native.functions import DECLARED
 from mbdkit_builder.subkernel_compiler import SubkernelCompiler
 
 _OPTIONS: dict[str, Any] = {

@@ -9,7 +9,8 @@ from typing import Any
 
 from numba.extending import register_model, typeof_impl
 
-from mbdkit.kernels import WIDTH, ComplexLanes, Lanes
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.number_arrays import ComplexLanes, Lanes
 from mbdkit_builder.item_arrays import ItemArray, ItemArrayModel
 from mbdkit_builder.lane_types import COMPLEX, REAL, VECTOR, is_operand
 

@@ -29,8 +29,12 @@ from numba.core.typeconv import Conversion  # type: ignore[attr-defined]
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from mbdkit.engine.kernels.elementary import FUNCTIONS
+from mbdkit.engine.kernels.elementary.exact_sums import bits_of, from_bits
 from mbdkit.engine.kernels.elementary.tables import entry
-from mbdkit.kernels import FUNCTIONS, WIDTH, any_of, arithmetic, bits_of, from_bits, where
+from mbdkit.engine.native import arithmetic
+from mbdkit.engine.native.arithmetic import any_of, where
+from mbdkit.engine.native.levels import WIDTH
 from mbdkit_builder.implementation import implement
 
 DOUBLE, _BIT, _WORD = ir.DoubleType(), ir.IntType(1), ir.IntType(64)

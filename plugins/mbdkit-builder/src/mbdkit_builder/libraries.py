@@ -24,8 +24,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbdkit.kernels import PLATFORMS, Level, Platform, machine_code, this_platform
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.native import machine_code
+from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, this_platform
 from mbdkit_builder import sources
 from mbdkit_builder.binary_files import check_imports
 from mbdkit_builder.sources import module_of

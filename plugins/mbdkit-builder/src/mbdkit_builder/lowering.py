@@ -8,7 +8,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from mbdkit.kernels import DECLARED, machine_code
+from mbdkit.engine.native import machine_code
+from mbdkit.engine.native.functions import DECLARED
 from mbdkit_builder import (  # noqa: F401
     bundle_pointers,
     call_code,

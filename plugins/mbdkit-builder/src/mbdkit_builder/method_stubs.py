@@ -11,9 +11,10 @@ import sys
 import textwrap
 from typing import Any, cast
 
-from mbdkit.kernels import machine_code
+from mbdkit.engine.native import machine_code
 from mbdkit.mechanism.element_methods import ElementMethods
-from mbdkit.plugin import ElementKind, JointKind, Mechanism
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.element_items import ElementKind, JointKind
 from mbdkit.registry.manager import built_in
 
 TARGET = machine_code.PACKAGE / "mechanism/element_methods.pyi"

@@ -17,9 +17,11 @@ from numba import from_dtype, typeof, types
 from numba.core import cgutils
 from numpy import dtype
 
+from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.elementary import FUNCTIONS
 from mbdkit.engine.native.bundle import ARRAY_WORDS
-from mbdkit.engine.native.kernel import DTYPES
-from mbdkit.kernels import FUNCTIONS, Kernel, Level, Platform, example_of
+from mbdkit.engine.native.kernel import DTYPES, Kernel
+from mbdkit.engine.native.levels import Level, Platform
 from mbdkit_builder.bundle_pointers import Pointer
 from mbdkit_builder.dual_arrays import DualArray
 from mbdkit_builder.dual_types import DUAL

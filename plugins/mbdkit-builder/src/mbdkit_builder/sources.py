@@ -11,9 +11,9 @@ import re
 from functools import cache
 from pathlib import Path
 
-from mbdkit.kernels import machine_code
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.equations import homes_of
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.lazy_names import homes_of
+from mbdkit.engine.native import machine_code
 
 _ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
 """Rooms of mbdkit that kernels may import; other packages have them in ``kernels``."""

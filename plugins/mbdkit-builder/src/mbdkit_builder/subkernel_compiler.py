@@ -18,7 +18,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
 
-from mbdkit.kernels import DECLARED
+from mbdkit.engine.native.functions import DECLARED
 from mbdkit_builder.elementary_names import with_own_names
 
 

@@ -13,9 +13,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, SpecError, Target
-from mbdkit.plugin.equations import CompiledLaw, NativeLaw, elementary, native_law, with_ground
-from mbdkit.plugin.seams import lowering, recorded_members, start_values
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compile_forces import lowering
+from mbdkit.engine.compile_mechanism import recorded_members
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.consistent_start import start_values
+from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.registry.target import Target
 from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.contact_laws import (
     FORCE_LAWS,
@@ -34,7 +40,9 @@ from mbdkit_contact.modes import OPEN, SLIP, STICK
 from mbdkit_contact.polylines import reaching_segments
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import ActingForce, Lowering, Mechanism
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce
+    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_contact.contact import Contact
 
 HEAVY = 10.0

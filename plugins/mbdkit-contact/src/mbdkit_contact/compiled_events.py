@@ -7,15 +7,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion
-from mbdkit.plugin.methods import CompiledMethod, states_at_start
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
+from mbdkit.methods.kinds import Tolerances
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.kernels.implicit_steps import constrain
 from mbdkit_contact.kernels.steps_to_events import attempt, dense, keep
 
 if TYPE_CHECKING:
-    from mbdkit.kernels import RunState
+    from mbdkit.integrators.run.run_state import RunState
     from mbdkit_contact.contact_section import ContactTreatment
 
 
@@ -28,18 +30,22 @@ class CompiledEventDriven(CompiledMethod):
         The method between events, which evaluates the index-1 accelerations at all of its stages.
     treatment
         Treatment of contacts in the run.
+    tolerances
+        Tolerances of the method; None if its steps are fixed.
     """
 
     attempt, keep = attempt, keep
     remembers = True
 
-    def __init__(self, between: CompiledMethod, treatment: ContactTreatment):
+    def __init__(self, between: CompiledMethod, treatment: ContactTreatment, tolerances: Tolerances | None = None):
         super().__init__(between.workspace)
         workspace = between.workspace
         workspace.leave_out_held_loads()
         self.between = between
         self.events = ContactEvents(EquationsOfMotion(workspace, states_at_start(workspace)))
         self.events.use(treatment)
+        if tolerances is not None:
+            self.events.bundle.limits[3:5] = tolerances.rtol, tolerances.atol
         self.dense = None if between.dense is None else dense
         self.has_dense_output, self.stages, self.limit = between.has_dense_output, between.stages, between.limit
         self.hint, self.carries_stages = between.hint, between.carries_stages  # type: ignore[misc]

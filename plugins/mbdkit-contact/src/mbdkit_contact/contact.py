@@ -5,33 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 from pydantic import BeforeValidator, Field, GetJsonSchemaHandler, model_validator
 from pydantic_core import CoreSchema
 
-from mbdkit.plugin import (
-    GROUND,
-    Element,
-    Joint,
-    NotNegative,
-    Point,
-    Positive,
-    Revolute,
-    SpecError,
-    StrictModel,
-    did_you_mean,
-    listed,
-    of_models,
-    quoted,
-)
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.mechanisms import Attachment, BodyPair, Weld, sequence
-from mbdkit.plugin.seams import ElementsByName, element_check
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.bodies import GROUND, Attachment, Element
+from mbdkit.mechanism.element_kinds import ElementsByName, element_check
+from mbdkit.mechanism.joints import Joint, Revolute, Weld
+from mbdkit.mechanism.model_methods import of_models
+from mbdkit.mechanism.values import BodyPair, NotNegative, Point, Positive, sequence
 from mbdkit_contact.polylines import check_polyline, surface_of
-
-if TYPE_CHECKING:
-    pass
 
 Pair = tuple[float, float]
 

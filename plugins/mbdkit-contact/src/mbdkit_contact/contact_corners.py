@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.kernels import Observed
-from mbdkit.plugin.equations import CompiledLaw
-from mbdkit.plugin.seams import gradient_doubts, law_sides
+from mbdkit.engine.force_laws import CompiledLaw
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.law_conditions import gradient_doubts, law_sides
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, has_sides, pairs_of_shapes
 from mbdkit_contact.kernels.contact_laws import STIFFNESS, VALUE, VALUES, contact_rows
 

@@ -8,14 +8,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Finding, quoted
-from mbdkit.plugin.doubts import SHARE, FrictionElement, SlowFriction
-from mbdkit.plugin.seams import rows_criterion, spec_criterion
+from mbdkit.base.plain_data import quoted
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.runs.run_seams import rows_criterion, spec_criterion
+from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
+from mbdkit.trust.finding import Finding
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.spec.run_spec import RunSpec
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 

@@ -6,7 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from mbdkit.plugin import StrictModel, TreatmentName
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.spec.item_names import TreatmentName
 
 
 class ContactTreatment(StrictModel):

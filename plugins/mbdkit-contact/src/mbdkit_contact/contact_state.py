@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import listed
-from mbdkit.plugin.methods import ElementImpact, ReactingMemory
+from mbdkit.base.text import listed
+from mbdkit.integrators.run.impulse import ElementImpact, ReactingMemory
 from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates, held_states
 
 if TYPE_CHECKING:

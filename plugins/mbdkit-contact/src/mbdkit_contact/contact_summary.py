@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import MISSED
-from mbdkit.archive.peak_errors import errors_of_largest
-from mbdkit.archive.run_summary import counted_impacts, impacts_of_drivers
-from mbdkit.plugin import Headline, MbdkitError, listed
-from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, missed_between_rows, ranked
-from mbdkit.plugin.seams import run_headlines, summary_lines
+from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, Headline, largest_of, run_headlines
+from mbdkit.archive.peak_errors import errors_of_largest, missed_between_rows
+from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run_summary import counted_impacts, few, impacts_of_drivers, ranked
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import listed
 from mbdkit_contact.modes import SLIP, STICK
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 
 @run_headlines

@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.archives import expression_of_largest
-from mbdkit.plugin.equations import fill
-from mbdkit.plugin.seams import rows_criterion
+from mbdkit.archive.peak_errors import expression_of_largest
+from mbdkit.engine.stored_arrays import fill
+from mbdkit.runs.run_seams import rows_criterion
+from mbdkit_contact.contact_kinematics import arms_of, shapes_of
+from mbdkit_contact.kernels.uneven_ground import EDGE
 from mbdkit_contact.quantities import contacts_in
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
-    from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.quantities.states import States
+    from mbdkit.spec.run_spec import RunSpec
+    from mbdkit.trust.energy_record import EnergyRecord
+    from mbdkit_contact.contact import ContactPair
 
 DEEP = 0.5
 """Overlaps up to this share of the radius of a circle cause no warning.
@@ -26,6 +30,10 @@ The laws of compliant contacts assume that overlaps are small. Feet of published
 OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third of their radius.
 """
 
+PASSING = 0.25
+"""Largest way of bodies in a fixed step, relative to the way on which two shapes overlap when they pass through each
+other, that causes no warning.
+"""
 
 RIGID, INTERPOLATED = 1e-7, 1e-3
 """Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: of open
@@ -88,6 +96,65 @@ def watch_deep_overlaps(spec: RunSpec, compiled: CompiledMechanism, _size: float
     """Return the `DeepOverlaps` of a mechanism; None if it has no contacts of circles."""
     has_circles = any(one.pair.radius > 0.0 for one in compiled.extensions["contacts"])
     return DeepOverlaps(compiled, spec.finer) if has_circles else None
+
+
+class LongSteps(DeepOverlaps):
+    """Ways of bodies in a fixed step beside compliant contacts that they may jump over: ``depth`` is their excess over
+    the way through the contact, of which a step may go `PASSING`.
+    """
+
+    def __init__(self, compiled: CompiledMechanism, finer: str, step: float, every: int):
+        super().__init__(compiled, finer)
+        self._step, self._every = step, every
+        self._through = np.array([_way_through(pair) for pair in self._pairs])
+        shapes = shapes_of(compiled.extensions["contacts"], len(compiled.bodies), 0.0)
+        self._arms = np.where(np.isinf(arms_of(shapes)), 0.0, arms_of(shapes))
+        self._bodies = shapes.contacts[:, :2]
+
+    def add(self, states: States) -> None:
+        """See `DeepOverlaps.add`."""
+        if len(states.time):
+            v = states.v.reshape(len(states.time), -1, 3)[:, self._bodies]  # (T, C, 2, 3)
+            speed = np.hypot(*np.moveaxis(v[:, :, 1, :2] - v[:, :, 0, :2], 2, 0))
+            way = self._step * (speed + np.sum(np.abs(v[..., 2]) * self._arms, axis=2))
+            is_near = states.of(contacts_in)["gap"] <= self._every * way
+            self._note(states.time, np.where(is_near, PASSING * self._through - way, 0.0))
+
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> tuple[str, ...]:
+        """Return a sentence for each contact that a step may jump over."""
+        sentences, values = dict[str, str](), (self._depth.tolist(), self._time.tolist(), self._through.tolist())
+        for pair, depth, time, through in sorted(zip(self._pairs, *values, strict=True), key=lambda row: row[1]):
+            if depth > 0.0:
+                way = depth + PASSING * through
+                sentences[pair.key] = (
+                    f"at t = {time:.6g} s, the shapes of contact '{pair.name}' move by {way:.3g} m in a step, but they "
+                    f"touch along at most {through:.3g} m of their way, so that they may pass through each other; use "
+                    "a smaller time.step, or an adaptive method"
+                )
+        return tuple(sentences.values())
+
+
+def _way_through(pair: ContactPair) -> float:
+    """Return the way on which two shapes overlap while one moves straight through the other at its thinnest [m];
+    infinite for lines, polylines and holes.
+    """
+    numbers, kind = pair.numbers, pair.kind[0]
+    if kind == "circles":
+        return 2.0 * (numbers[2] + numbers[5])
+    if kind not in ("edge", "inside"):
+        return np.inf
+    edges = np.reshape(numbers[-EDGE * pair.kind[1] :], (-1, EDGE))
+    heights = np.sum((edges[:, None, :2] - edges[None, :, :2]) * edges[None, :, 2:4], axis=2)
+    return float(np.min(np.max(-heights, axis=0))) + 2.0 * pair.radius
+
+
+@rows_criterion
+def watch_long_steps(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> LongSteps | None:
+    """Return the `LongSteps` of a run with compliant contacts and fixed steps."""
+    step, contacts = spec.time.step, compiled.extensions["contacts"]
+    if step is None or spec.claims.adaptive or compiled.reacting is not None or not contacts:
+        return None
+    return LongSteps(compiled, spec.finer, step, spec.output.every or 1)
 
 
 class RigidOverlaps(DeepOverlaps):

@@ -9,11 +9,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.kernels import STATE_ROW, fade
-from mbdkit.plugin import EquationsOfMotion, ExternalMethod, Step, StepError, StepMethod, StepState, Why
-from mbdkit.plugin.equations import Workspace, gauss_on_unit
-from mbdkit.plugin.methods import SAME_INSTANT, Dense, StepTaken, collocation_polynomials, states_at_start
-from mbdkit.plugin.seams import treatment_start
+from mbdkit.base.errors import StepError
+from mbdkit.base.quadrature import gauss_on_unit
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.interpolation import fade
+from mbdkit.engine.kernels.table_rows import STATE_ROW
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.stages.stage_polynomials import collocation_polynomials
+from mbdkit.methods.step_methods import Dense, ExternalMethod, Step, StepMethod, StepState, Why
+from mbdkit.runs.run_seams import treatment_start
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, StepPoint, gains, power_at
@@ -201,14 +207,18 @@ class EventDrivenLibrary(ExternalMethod):
         if self._ended:
             self._begin(self._step)
         step, begin = self._step, self._step.now
-        with step.events.acting():
-            made = step.acting(self._library.advance())
-        if made.dense is None or made.time is None:
-            raise StepError("not-finite", "the library gives no states within its steps")
-        end = made.state
-        step.dense = dense = made.dense
-        there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
-        search = step.first_event(there)
+        while True:
+            with step.events.acting():
+                made = step.acting(self._library.advance())
+            if made.dense is None or made.time is None:
+                raise StepError("not-finite", "the library gives no states within its steps")
+            end = made.state
+            step.dense = dense = made.dense
+            there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
+            search = step.first_event(there)
+            if search is None or not step.is_unclear:
+                break
+            self._begin(step, begin.t + search[0] * (there.t - begin.t))
         share, event = (1.0, None) if search is None else search
         if share < 1.0:
             there = step.inside(there, share)

@@ -5,17 +5,20 @@ The events, their search and what they change are those of `mbdkit_contact.kerne
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Step, StepError, StepMethod, StepState
-from mbdkit.plugin.equations import gauss_on_unit
-from mbdkit.plugin.methods import SAME_INSTANT, StepTaken
+from mbdkit.base.errors import StepError
+from mbdkit.base.quadrature import gauss_on_unit
+from mbdkit.integrators.interface import SAME_INSTANT, StepTaken
+from mbdkit.methods.step_methods import Step, StepMethod, StepState
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers
+from mbdkit_contact.kernels.event_bundle import UNKNOWN
 from mbdkit_contact.kernels.steps_to_events import (
     MOST_EVENTS,
     MOST_SAMPLES,
@@ -80,6 +83,7 @@ class EventStep:
         self.begin: StepPoint | None = self.now
         """The start of the step, if one step of the method has led from there to `now`; None after an event."""
         self.before = memory
+        self.is_unclear = False  # whether the last search has shown only that the step has to be shorter
         self.impacts = memory.impacts
         events.load(memory.known)
         if not events.bundle.known.determined[0]:
@@ -189,9 +193,14 @@ class EventStep:
 
     def to(self, end: float) -> Event | None:
         """Advance to the time `end` or to the first event before it; return that event, or None."""
+        longest = math.inf
         while (h := end - self.now.t) > SAME_INSTANT * max(abs(end), 1.0):
-            there = self._moved(self.limited(h))
+            there = self._moved(min(self.limited(h), longest))
             search = self.first_event(there)
+            longest = 2.0 * (there.t - self.now.t)
+            if search is not None and self.is_unclear:
+                longest *= 0.5 * search[0]
+                continue
             if there.made is not None and there.made.error is not None:
                 self.error = np.maximum(np.abs(there.made.error), 0.0 if self.error is None else self.error)
             if search is not None:
@@ -254,6 +263,7 @@ class EventStep:
             share = search_at(self.events.pinned.address, True)
         share = float(search.first[0])
         kind, contact = search.event.tolist()
+        self.is_unclear = kind == UNKNOWN
         return None if share == np.inf else (share, None if kind < 0 else (kind, contact))
 
     def _places(self, there: StepPoint) -> int:

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.kernels import NOT_FINITE, OK, PAUSED, PinnedBundle
-from mbdkit.plugin import EquationsOfMotion, StepError
-from mbdkit.plugin.equations import SingularSystemError
-from mbdkit.plugin.methods import ElementImpact
+from mbdkit.base.errors import StepError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.integrators.loop.step_loop import PAUSED
+from mbdkit.integrators.run.impulse import ElementImpact
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -36,10 +40,10 @@ from mbdkit_contact.kernels.event_bundle import (
 from mbdkit_contact.kernels.impacts import LAWS, new_impacts
 from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
 from mbdkit_contact.modes import OPEN, STICK
-from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.rigid_contacts import RigidContacts, zeros
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import Workspace
+    from mbdkit.engine.workspace import Workspace
     from mbdkit_contact.contact_section import ContactTreatment
 
 FAILURES: dict[int, tuple[str, str]] = {
@@ -52,6 +56,10 @@ FAILURES: dict[int, tuple[str, str]] = {
 """Codes and clauses of the reasons for which a step fails."""
 FIRST_ROOM, MOST_SAMPLES = 8, 64
 """Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step."""
+SLOWEST = 1e-3
+"""Least value of the largest velocity of a motion, so that rounding errors of bodies at rest count as zero, relative to
+that of a fall over the length of the mechanism, or without gravity, to this length per second.
+"""
 MOST_SHARES = 1024
 """Size of ``Known.shares``."""
 _PASSED = tuple(name for name in Known._fields if name not in ("number", "rows", "strikes"))
@@ -68,7 +76,7 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
         shares=np.zeros(MOST_SHARES), determined=integers(2), event=integers(2), streak=integers(1),
         normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
         energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
-        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(1),
+        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(2),
         shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
     )  # fmt: skip
 
@@ -83,28 +91,25 @@ class ContactEvents:
     """
 
     def __init__(self, equations: EquationsOfMotion):
-        self.p, self.contacts = equations, RigidContacts(equations)
+        self.p, self.contacts = equations, RigidContacts(equations, only_reacting=False)
         self.workspace: Workspace = equations.workspace
         self.impacts: list[ElementImpact] = []
-        top, size, states = self.workspace.mechanism.topology, equations.n + 3, len(equations.z0)
+        top, size = self.workspace.mechanism.topology, equations.n + 3
         count, pairs, held = len(self.contacts.names), len(top.pairs), self.contacts.held
 
         def integers(*shape: int) -> np.ndarray:
             return np.zeros(shape, dtype=np.int64)
 
+        fall = equations.length * float(np.hypot(*top.gravity))
+        slowest = SLOWEST * (math.sqrt(fall) if fall > 0.0 else equations.length)
         self._shapes = self.contacts.shapes
         given: dict[str, Any] = {
-            "coefficients": np.column_stack([self.contacts.restitution, self.contacts.static, self.contacts.kinetic]),
-            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3])]),
+            "coefficients": self.contacts.coefficients,
+            "limits": np.array([0.0, equations.length, np.sum(equations.mass[::3]), 0.0, 0.0, slowest]),
             "places": np.array([held.states.start, len(held.states)]),
             "coordinates": np.array(held.coordinates, dtype=np.int64),
             "known": _new_known(count, size, pairs, len(held.states)),
             "still": top._replace(gravity=np.zeros(2)),
-            "z": np.zeros(states),
-            "lam": np.zeros((pairs, 2)),
-            "lam_x": np.zeros((pairs, 2)),
-            "rows": np.zeros((count, 16)),
-            "sample_values": np.zeros((MOST_SAMPLES, 3, count)),
             "search": EventSearch(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
                 np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
@@ -115,18 +120,21 @@ class ContactEvents:
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),
         }  # fmt: skip
-        sizes: dict[str, tuple[int, ...]] = {"t": (1,), "gained": (2,), "sample_times": (MOST_SAMPLES,)}
-        sizes |= {"shares": (MOST_SHARES,)}
-        sizes |= dict.fromkeys(("q", "v", "a", "free", "x", "y", "rest"), (size,))
-        sizes |= dict.fromkeys(("normal", "tangent", "sliding", "approach", "pace", "gaps"), (count,))
-        sizes |= dict.fromkeys(("modes", "kept_modes", "kept_features"), (count,))
-        sizes |= dict.fromkeys(("values", "begin", "end"), (3, count))
-        given |= {name: np.zeros(shape) for name, shape in sizes.items()}
-        counts: dict[str, int] = {"inner": 4, "engine": 1, "law": 1, "samples": 3, "reason": 2, "pauses": 1}
-        counts |= {"power": 1, "ended": 2}
-        counts |= {"basis": 1 + 2 * count}
-        counts |= dict.fromkeys(("touching", "struck"), count)
-        given |= {name: integers(number) for name, number in counts.items()}
+        given |= zeros({
+            "q v a free x y rest": (size,),
+            "normal tangent sliding approach pace gaps modes kept_modes kept_features": (count,),
+            "values begin end": (3, count),
+            "rows": (count, 16),
+            "lam lam_x": (pairs, 2),
+            "z": (len(equations.z0),),
+            "t": (1,),
+            "gained": (2,),
+            "sample_times": (MOST_SAMPLES,),
+            "sample_values": (MOST_SAMPLES, 3, count),
+            "shares": (MOST_SHARES,),
+        })  # fmt: skip
+        counts = {"engine law pauses power": (1,), "ended reason": (2,), "samples": (3,), "inner": (4,)}
+        given |= zeros({**counts, "basis": (1 + 2 * count,), "touching struck": (count,)}, np.int64)
         self.bundle = EventBundle(**given)
         self.pinned = PinnedBundle(self.bundle)
         self.contacts.hold(self.contacts.own(equations.z0))

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, pairs_of_shapes
 from mbdkit_contact.kernels import contact_laws, uneven_ground
 
 if TYPE_CHECKING:
-    from mbdkit.kernels import Topology
+    from mbdkit.engine.kernels.engine_bundles import Topology
 
 
 class SymbolicContacts:

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.linear_systems import factors_of
 from mbdkit.engine.state_derivatives import differences
-from mbdkit.plugin import EquationsOfMotion, StepError, Tangents
-from mbdkit.plugin.equations import factors_of
+from mbdkit.engine.tangents import Tangents
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import Counters
+    from mbdkit.engine.counters import Counters
     from mbdkit_contact.events_of_contacts import ContactEvents
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -37,7 +39,7 @@ class ForcedEquations(EquationsOfMotion):
         self.__dict__.update(events.p.__dict__)  # the arrays and counters of the same run
         self._events, self._contacts, self._derived = events, events.contacts, {}
         self._own = self.z0 = self._contacts.own(events.p.z0)
-        self.has_power = events.p.has_power or bool(np.any(self._contacts.kinetic > 0.0))
+        self.has_power = events.p.has_power or bool(np.any(self._contacts.coefficients[:, 2] > 0.0))
 
     def hold(self, z: np.ndarray) -> None:
         """See `EquationsOfMotion.hold`."""

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.plugin import GROUND
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.modes import OPEN
 

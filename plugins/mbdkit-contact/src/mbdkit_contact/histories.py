@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from mbdkit.plugin.archives import recorded_columns as columns
+from mbdkit.archive import recorded_columns as columns
 
 MODES = ("open", "stick", "slip")
 """Names of the modes of contacts."""

@@ -5,22 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
-    CriterionItem,
-    ElementDerivatives,
-    ElementForces,
-    ElementKind,
-    Example,
-    GuidePage,
-    HeadlineItem,
-    IntegratorPlugin,
-    Item,
-    QuantityKind,
-    SummaryLine,
-    Target,
-    Treatment,
-    hookimpl,
-)
+from mbdkit.registry.element_items import ElementDerivatives, ElementForces, ElementKind, QuantityKind
+from mbdkit.registry.feature_items import CriterionItem, Example, GuidePage, HeadlineItem, SummaryLine, Treatment
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 
@@ -133,7 +123,6 @@ def mbdkit_items() -> Iterable[Item]:
             stage="spec",
             find=Target("mbdkit_contact.contact_criteria:rolling_point_masses"),
             of=frozenset({"run", "mechanism"}),
-            criteria=("rolling-point-masses",),
             elements="contacts",
         ),
         CriterionItem(
@@ -142,8 +131,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=107,
             stage="spec",
             find=Target("mbdkit_contact.contact_criteria:slip_events"),
-            of=frozenset({"run"}),
-            criteria=("slip-events",),
             elements="contacts",
         ),
         CriterionItem(
@@ -152,7 +139,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=155,
             stage="rows",
             find=Target("mbdkit_contact.contact_criteria:slow_friction"),
-            of=frozenset({"run"}),
             criteria=("slow-friction",),
             elements="contacts",
         ),
@@ -162,8 +148,14 @@ def mbdkit_items() -> Iterable[Item]:
             order=175,
             stage="rows",
             find=Target("mbdkit_contact.deep_overlaps:watch_deep_overlaps"),
-            of=frozenset({"run"}),
-            criteria=("deep-overlaps",),
+            elements="contacts",
+        ),
+        CriterionItem(
+            name="long-steps-at-contacts",
+            summary="Fixed steps so long that bodies may pass through each other.",
+            order=176,
+            stage="rows",
+            find=Target("mbdkit_contact.deep_overlaps:watch_long_steps"),
             elements="contacts",
         ),
         CriterionItem(
@@ -172,12 +164,16 @@ def mbdkit_items() -> Iterable[Item]:
             order=177,
             stage="rows",
             find=Target("mbdkit_contact.deep_overlaps:watch_rigid_overlaps"),
-            of=frozenset({"run"}),
-            criteria=("rigid-overlaps",),
             level="bad",
             elements="contacts",
         ),
-        Treatment(name="compliant", summary="Forces by the overlap of the shapes.", order=0, of="contacts"),
+        Treatment(
+            name="compliant",
+            summary="Forces by the overlap of the shapes.",
+            order=0,
+            of="contacts",
+            method=Target("mbdkit_contact.compliant_methods:compliant"),
+        ),
         Treatment(
             name="event-driven",
             summary="Rigid bodies; impacts and changes between sticking, slipping and separation are located.",

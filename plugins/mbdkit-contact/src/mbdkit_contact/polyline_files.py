@@ -10,9 +10,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from mbdkit.plugin import SpecError, quoted, read_unit
-from mbdkit.plugin.seams import element_files
-from mbdkit.plugin.specs import read_columns, spec_error
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.units import read_unit
+from mbdkit.mechanism.element_kinds import element_files
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.spec.table_files import read_columns
 from mbdkit_contact.contact import PolylineFile
 
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
 
 Pair = tuple[float, float]
 

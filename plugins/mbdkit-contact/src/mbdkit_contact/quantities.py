@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
-from mbdkit.plugin.archives import AXIS, TIME, computed
-from mbdkit.plugin.seams import member_names
+from mbdkit.mechanism.mechanism_seams import member_names
+from mbdkit.quantities.array import Chart, Recorded
+from mbdkit.quantities.entries import AXIS, TIME, computed, name_array, quantity_group
 from mbdkit_contact.acting_contacts import contact_values
 from mbdkit_contact.ground_reactions import feet, ground_reactions
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, States
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.quantities.states import States
     from mbdkit_contact.contact import ContactPair
 
 CLOSED = -1e-100

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, StepState
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.methods.step_methods import StepState
 from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import EXACT, arms_of, shapes_of
 from mbdkit_contact.contact_state import ContactState, HeldForces
@@ -17,6 +19,11 @@ FEW = 8
 """Up to this number of contacts, all gaps are computed exactly."""
 
 
+def zeros(shapes: Mapping[str, tuple[int, ...]], kind: type = float) -> dict[str, np.ndarray]:
+    """Return arrays by name; the keys are names of arrays of the same shape, separated by spaces."""
+    return {name: np.zeros(shape, dtype=kind) for names, shape in shapes.items() for name in names.split()}
+
+
 class RigidContacts:
     """Contacts of a mechanism in one run.
 
@@ -24,9 +31,13 @@ class RigidContacts:
     ----------
     equations
         The equations of motion, whose forces do not include those of contacts.
+    only_reacting
+        Whether compliant contacts are left out.
 
     Attributes
     ----------
+    coefficients
+        (C, 3) coefficients of restitution, and of static and kinetic friction.
     shapes
         Their geometry, with the features at which closed contacts stay.
     arms
@@ -35,17 +46,16 @@ class RigidContacts:
         Largest gap that time-stepping always computes exactly [m].
     """
 
-    def __init__(self, equations: EquationsOfMotion):
+    def __init__(self, equations: EquationsOfMotion, *, only_reacting: bool = True):
         self.p = equations
         acting: tuple[ActingContact, ...] = equations.workspace.mechanism.extensions.get("contacts", ())
-        self.contacts = tuple(contact for contact in acting if contact.first_state >= 0)
+        self.contacts = tuple(contact for contact in acting if contact.first_state >= 0 or not only_reacting)
         self.held = HeldForces(self.contacts)
         #: Whether a first-order state (Z,) does not belong to contacts.
         self._is_own = np.ones(len(equations.z0), dtype=bool)
         self._is_own[self.held.states] = False
         self.names = [contact.pair.name for contact in self.contacts]
-        given = np.array([contact.coefficients for contact in self.contacts]).reshape(-1, 3)
-        self.restitution, self.static, self.kinetic = np.ascontiguousarray(given.T)
+        self.coefficients = np.array([contact.coefficients for contact in self.contacts]).reshape(-1, 3)
         self.shapes = shapes_of(self.contacts, equations.n // 3, EXACT * equations.length)
         self.arms = arms_of(self.shapes)
         self.reach = NEAR * equations.length if len(self.contacts) > FEW else math.inf

@@ -7,11 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.kernels import MASS, PinnedBundle, tangents_at
-from mbdkit.plugin import EquationsOfMotion
-from mbdkit.plugin.equations import SingularSystemError, empty_pattern, new_factors, pattern_of, stored
-from mbdkit.plugin.methods import CompiledMethod, states_at_start
+from mbdkit.engine.kernels.equations import MASS
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.stored_arrays import pattern_of, stored
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.active_set import new_active_set
 from mbdkit_contact.kernels.impacts import new_impacts
@@ -21,13 +25,13 @@ from mbdkit_contact.kernels.smooth_steps import NO_IMPULSES, OVERLAP, STAGES
 from mbdkit_contact.kernels.step_impulses import FEW, MOST_PIVOTED
 from mbdkit_contact.kernels.stepping_bundle import HeldContacts, Stepping
 from mbdkit_contact.kernels.time_stepping import attempt, dense, keep
-from mbdkit_contact.rigid_contacts import RigidContacts
+from mbdkit_contact.rigid_contacts import RigidContacts, zeros
 from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
 
 if TYPE_CHECKING:
-    from mbdkit.kernels import RunState
-    from mbdkit.plugin.equations import Workspace
-    from mbdkit.plugin.methods import Control
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run.run_state import RunState
+    from mbdkit.integrators.run.step_control import Control
 
 FAILURES = {
     NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction"),
@@ -82,7 +86,7 @@ class CompiledTimeStepping(CompiledMethod):
         top, size = workspace.mechanism.topology, workspace.mechanism.size
         contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
         self._names, count = contacts.names, len(contacts.names)
-        few, bodies, pairs = min(count, MOST_PIVOTED), size // 3, len(top.pairs)
+        few, pairs = min(count, MOST_PIVOTED), len(top.pairs)
         classes, terms, n = classes_of(workspace), workspace.terms, size - 3
         is_coupling = classes != MASS
         # rows of constraints couple the bodies of their columns
@@ -93,61 +97,45 @@ class CompiledTimeStepping(CompiledMethod):
         others = len(top.loads) - of_contacts
         is_jointed = len(top.pairs) + len(top.springs) + len(top.sections) + others > 0
 
-        def vectors(number: int, length: int) -> list[np.ndarray]:
-            return [np.zeros(length) for _ in range(number)]
-
-        def integers(number: int, length: int) -> list[np.ndarray]:
-            return [np.zeros(length, dtype=np.int64) for _ in range(number)]
-
         none = empty_pattern()
+        given: dict[str, Any] = zeros({
+            "saved_q saved_v q v free after middle base end unchanged ended smooth point x y force": (size,),
+            "right solution correction": (workspace.unknowns,),
+            "lam lam_x miss": (pairs, 2),
+            "gaps more closing friction restitution normal tangent": (count,),
+            "factor error lost": (1,),
+            "z": (len(top.states),),
+            "rows": (count, 16),
+            "block": (count, 4),
+            "moved": (2 * (count if is_jointed else few), size),
+            "krylov": (9, 2 * count if count > few else 0),
+        })  # fmt: skip
+        given |= zeros(
+            {
+                "by_matrix is_sparse number other_law reason": (1,),
+                "some is_some closed slipping slides stops states": (count,),
+                "free_body": (size // 3,),
+                "scatter": (0, 3),
+            },
+            np.int64,
+        )
+        given |= {name: new_held(count, size) for name in ("now", "before", "saved", "new")}
         self.bundle = Stepping(
+            **given,
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
             alpha=alpha_of(method.spectral_radius) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
             shapes=contacts.shapes,
-            coefficients=np.column_stack([contacts.restitution, contacts.static, contacts.kinetic]),
+            coefficients=contacts.coefficients,
             places=np.array([states.start, len(states)]),
             coordinates=coordinates,
             reach=np.array([contacts.reach]),
-            now=new_held(count, size),
-            before=new_held(count, size),
-            saved=new_held(count, size),
-            new=new_held(count, size),
-            saved_q=np.zeros(size),
-            saved_v=np.zeros(size),
             terms=np.ascontiguousarray(np.column_stack(sides)[is_coupling].astype(np.int64)),
             sources=np.ascontiguousarray(terms.source[is_coupling].astype(np.int64)),
             pattern=none,
             factors=new_factors(none, float),
-            scatter=np.zeros((0, 3), dtype=np.int64),
-            **dict(zip(("right", "solution", "correction"), vectors(3, workspace.unknowns), strict=True)),
-            by_matrix=np.zeros(1, dtype=np.int64),
-            free_body=np.zeros(bodies, dtype=np.int64),
-            is_sparse=np.zeros(1, dtype=np.int64),
-            **dict(zip(("q", "v", "free", "after", "middle", "base"), vectors(6, size), strict=True)),
-            factor=np.zeros(1),
-            **dict(zip(("end", "unchanged", "ended", "smooth"), vectors(4, size), strict=True)),
-            z=np.zeros(len(top.states)),
-            **dict(zip(("point", "x", "y", "force"), vectors(4, size), strict=True)),
-            **{name: np.zeros((pairs, 2)) for name in ("lam", "lam_x", "miss")},
-            number=np.zeros(1, dtype=np.int64),
-            **dict(zip(("some", "is_some"), integers(2, count), strict=True)),
-            gaps=np.zeros(count),
-            rows=np.zeros((count, 16)),
-            moved=np.zeros((2 * (count if is_jointed else few), size)),
-            block=np.zeros((count, 4)),
-            **dict(
-                zip(("more", "closing", "friction", "restitution", "normal", "tangent"), vectors(6, count), strict=True)
-            ),
-            **dict(zip(("closed", "slipping", "slides", "stops"), integers(4, count), strict=True)),
-            error=np.zeros(1),
-            lost=np.zeros(1),
-            other_law=np.zeros(1, dtype=np.int64),
-            states=np.zeros(count, dtype=np.int64),
-            krylov=np.zeros((9, 2 * count if count > few else 0)),
             cones=new_cones(min(count, MOST_FACTORIZED), few),
             active=new_active_set(min(count, MOST_FACTORIZED)),
             impacts=new_impacts(min(count, FEW)),
-            reason=np.zeros(1, dtype=np.int64),
         )
         self.pinned = PinnedBundle(self.bundle)
 

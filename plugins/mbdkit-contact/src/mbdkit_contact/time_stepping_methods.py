@@ -10,8 +10,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from mbdkit.plugin import Claims, Method, Options, Target, Traits
-from mbdkit.plugin.seams import integrator_claims, integrator_method
+from mbdkit.methods.kinds import Method, Traits, integrator_method
+from mbdkit.methods.method_options import Options
+from mbdkit.registry.items import Claims, integrator_claims
+from mbdkit.registry.target import Target
 
 JEAN = """@article{jean1999,
   author = {Jean, Michel},

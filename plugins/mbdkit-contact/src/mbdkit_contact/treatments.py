@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mbdkit.plugin import ExternalMethod, Mechanism, Method, RunSpec, SpecError, StepMethod
-from mbdkit.plugin.equations import INDEX_1
-from mbdkit.plugin.mechanisms import force_of_reaction
-from mbdkit.plugin.methods import CompiledMethod
-from mbdkit.plugin.seams import run_check, treatment_condition, treatment_guards, treatment_method
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.formulation import INDEX_1
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
+from mbdkit.integrators.start import treatment_method
+from mbdkit.mechanism.joints import force_of_reaction
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import run_check
+from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod
+from mbdkit.runs.run_seams import treatment_condition, treatment_guards
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_contact.compiled_events import CompiledEventDriven
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary
@@ -80,7 +86,7 @@ def event_driven(
     """
     traits = method.traits
     if traits.compiled is not None:
-        return lambda between: CompiledEventDriven(between, treatment)
+        return lambda between: CompiledEventDriven(between, treatment, traits.tolerances)
     steps = method if traits.steps is None else traits.steps()(method)
     if isinstance(steps, ExternalMethod):
         return EventDrivenLibrary(steps, treatment)

@@ -15,6 +15,7 @@ from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_contact.acting_contacts import contact_values
+from tests.margins import assert_within
 
 FLOOR = {"line": {"normal": (0.0, 1.0)}}
 G = 9.81
@@ -156,9 +157,9 @@ def test_a_wheel_rolls_to_rest() -> None:
     slows = arm * G / (radius * (1.0 + inertia / (mass * radius**2)))
     velocity = done["wheel"].velocity[:, 0]
     at = int(np.searchsorted(done.time, 2.0))
-    assert velocity[at] == pytest.approx(1.0 - slows * done.time[at], rel=1e-4)
+    assert velocity[at] == pytest.approx(1.0 - slows * done.time[at], rel=2e-4)
     assert 1.0 / slows < 3.9
-    assert abs(velocity[-1]) < 1e-3  # below the transition speed
+    assert_within(velocity[-1], 1e-3)  # below the transition speed
     assert done["wheel"].position[-1, 0] == pytest.approx(0.5 / slows, rel=1e-3)
 
 
@@ -239,7 +240,7 @@ def test_the_force_is_continuous_where_another_corner_takes_over(dissipation: fl
         middle = 0.5 * (x - 0.3 + min(x + 0.3, 0.5)) - x
         np.testing.assert_allclose(force, [0.0, 2.0 * K * depth, 2.0 * K * depth * middle], rtol=1e-10, atol=1e-10)
         sizes.append(force[1])
-    assert np.ptp(sizes) < 1e-9
+    assert_within(np.ptp(sizes), 1e-9)
 
 
 @pytest.mark.parametrize("swapped", [False, True])
@@ -305,7 +306,7 @@ def test_what_a_sliding_box_loses_is_the_work_of_the_contact() -> None:
     assert done["box"].position[-1, 0] > 0.5
     assert done.contacts["c.0"].normal_force.max() > 10.0
     assert done.energy.total[-1] < done.energy.total[0] - 0.5
-    assert np.abs(done.energy.balance).max() < 1e-6
+    assert_within(done.energy.balance, 1e-6)
 
 
 @pytest.mark.parametrize("integrator", [{"name": "gauss", "stages": 3}, {"name": "rk4"}])

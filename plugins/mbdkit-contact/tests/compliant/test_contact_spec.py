@@ -146,8 +146,8 @@ def test_archives_have_the_points_of_a_file_and_its_name(spec_file: Path) -> Non
     [
         ("", None, "this file is empty"),
         ("x,y\n0,0\n", 1, "there should be one column 'height'; columns: x and y"),
-        ("x,height\n0,0\n1,high\n", 3, "should have numbers here"),
-        ("x,height\n0,0\n\n1\n", 4, "should have numbers here"),
+        ("x,height\n0,0\n1,high\n", 3, "should have a number here"),
+        ("x,height\n0,0\n\n1\n", 4, "this row has 1 cell, but there are 2 headings"),
         (None, None, "this file cannot be read"),
     ],
 )

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from tests.rigid.scenes import FLOOR, G, outline, run
 
 import mbdkit
+from tests.margins import assert_within
 
 RESTITUTION, FRICTION = 0.5, 0.3
 END, STEP = 0.7, 0.01
@@ -115,7 +116,7 @@ def test_a_ball_with_a_state_and_a_sliding_block_move_as_by_scipy(name: str) -> 
     np.testing.assert_allclose(ends, block, rtol=0, atol=bound)
     struck = found.impacts.time[(found.impacts.contact == "bounce") & (found.impacts.normal_impulse > 0)]
     np.testing.assert_allclose(struck, impacts, rtol=0, atol=bound)
-    assert np.max(np.abs(found.energy.balance)) < 100 * bound  # friction, impacts and the force are booked
+    assert_within(found.energy.balance, 100 * bound)  # friction, impacts and the force are booked
 
 
 @pytest.mark.parametrize("restitution", [0.0, 1.0])
@@ -130,8 +131,8 @@ def test_an_impact_within_rounding_errors_of_the_end_of_a_step_happens_once(rest
     assert found["b"].velocity[-1, 1] == pytest.approx(restitution * speed)
 
 
-def test_a_run_that_stops_at_an_impact_ends_after_it() -> None:
-    # expected: the velocity jumps from -v to e v
+def test_a_run_that_stops_at_an_impact_ends_before_it() -> None:
+    # expected: the velocity sqrt(2 g h) of the fall, before the impact
     bodies = {"b": {"mass": 1.0, "position": [0.0, 1.0]}}
     contact = {"bodies": ["ground", "b"], "shapes": [FLOOR, {"point": [0, 0]}], "restitution": 0.5}
     model = {"bodies": bodies, "contacts": {"floor": contact}}
@@ -139,7 +140,7 @@ def test_a_run_that_stops_at_an_impact_ends_after_it() -> None:
     for name in ("dopri5", "rk4"):
         found = run(model, 1.0, 0.01, method=name, events=events)
         assert found.time[-1] == pytest.approx(math.sqrt(2.0 / G), abs=1e-9)
-        assert found["b"].velocity[-1, 1] == pytest.approx(0.5 * math.sqrt(2.0 * G), rel=1e-9)
+        assert found["b"].velocity[-1, 1] == pytest.approx(-math.sqrt(2.0 * G), rel=1e-9)
         assert len(found.impacts.time) == 1
 
 
@@ -150,7 +151,7 @@ def test_errors_of_implicit_methods_with_contacts_decrease_with_their_order() ->
     for step in (0.04, 0.02):
         found = mbdkit.run(spec({"name": "gauss", "stages": 2}, time={"end": END, "step": step})).check()
         errors.append(abs(found.states["x"].value[-1] - exact[2]))
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.3)  # margin: order, from errors of mbdkit alone
 
 
 @pytest.mark.parametrize("method", [{"name": "radau-iia", "stages": 2}, {"name": "gauss", "stages": 2}])
@@ -178,7 +179,7 @@ def test_stiff_forces_on_a_sticking_block_take_few_iterations(method: dict[str, 
     }  # fmt: skip
     found = run(model, 1.0, 0.05, method=method).check()
     friction = sum(found.contacts[f"floor.{i}"].friction_force for i in range(4))
-    np.testing.assert_allclose(np.abs(friction[-5:]), np.abs(5.0 * np.sin(2.0 * found.time[-5:])), rtol=1e-3)
+    np.testing.assert_allclose(np.abs(friction[-5:]), np.abs(5.0 * np.sin(2.0 * found.time[-5:])), rtol=2e-3)
     assert found.stats["newton_iterations"] < 10 * found.stats["steps"]
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from tests.rigid.random_contacts import HILLS, STEP, computed, drawn, examined, positions
+
+from tests.margins import assert_within
 
 
 @pytest.mark.parametrize("seed", [8, 20, 28, 98])
@@ -29,4 +30,4 @@ def test_an_impact_presses_a_contact_that_rests() -> None:
     exact = positions(computed(model, "event-driven", STEP, end=0.3))
     for step in (2e-3, 5e-4):  # with these steps, the gap at rest is above zero just before the impact
         coarse = positions(computed(model, "time-stepping", step, end=0.3))
-        assert np.max(np.abs(coarse - exact)) < 5.0 * step
+        assert_within(coarse - exact, 5.0 * step)  # margin: error of mbdkit's method at these steps

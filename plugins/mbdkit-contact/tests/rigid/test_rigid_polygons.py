@@ -267,6 +267,7 @@ def test_a_box_slides_into_a_concave_corner(treatment: str) -> None:
     # expected: it stops at the wall, at the distance of its half width; time-stepping, up to a step before
     ground = polyline([[-1.0, 0.0], [0.5, 0.0], [0.5, 1.0], [1.0, 1.0]])
     found = over(treatment, ground, BOX, {"position": [0.0, 0.1], "velocity": [2.0, 0.0]}, friction=0.0)
+    # margin: error of mbdkit's method at these steps
     assert found["body"].position[-1] == pytest.approx([0.3, 0.1], abs=1e-9 if treatment == "event-driven" else 2e-3)
     assert min(np.min(row.gap) for row in found.contacts.values()) > -1e-9
 

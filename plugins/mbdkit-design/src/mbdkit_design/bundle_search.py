@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import OptimizeResult, linprog
 
-from mbdkit.plugin.equations import product
+from mbdkit.engine.linear_systems import product
 from mbdkit_design.problem import FAILED, FEASIBLE, Problem
 
 PENALTY = 100.0

@@ -10,14 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.plugin import listed, show, show_json
-from mbdkit.plugin.seams import spec_check
-from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, Set, grouped, output_to, say, silence, stem, tally_bar
+from mbdkit.base.progress_bars import tally_bar
+from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
+from mbdkit.base.text import listed
+from mbdkit.cli.common_options import Printing, Set, grouped, output_to, stem
+from mbdkit.spec.spec_kinds import spec_check
 from mbdkit_studies import Cluster, Workers
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec
-    from mbdkit.plugin.specs import Document
+    from mbdkit.spec.reading import Document
+    from mbdkit.spec.run_spec import RunSpec
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
     from mbdkit_design.design import Design
     from mbdkit_design.robustness import Deviation
@@ -114,7 +116,7 @@ def design(
 
 def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path | None) -> None:
     """Print the result of a design: costs in other quantities, warnings, robustness and files."""
-    from mbdkit.plugin import MbdkitError
+    from mbdkit.base.errors import MbdkitError
     from mbdkit_design.gains import costs
     from mbdkit_design.robustness import robustness_text
     from mbdkit_design.store import runs_of
@@ -145,8 +147,8 @@ def _of_scenarios(told: Mapping[str, Iterable[str]]) -> Iterator[str]:
 
 def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     """Return the warnings about a spec before its run."""
-    from mbdkit.plugin import RunSpec
-    from mbdkit.plugin.runs import caution
+    from mbdkit.runs.preparation import caution
+    from mbdkit.spec.run_spec import RunSpec
     from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
     from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import RunError, counted, table
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import goal_units, variable_unit

@@ -10,8 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from mbdkit.kernels import WIDTH
-from mbdkit.plugin import ResourceError, RunError, RunSpec
+from mbdkit.base.errors import ResourceError, RunError
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit_studies import PASSING, Batches, Engine, Task

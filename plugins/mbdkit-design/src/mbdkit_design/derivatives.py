@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, counted, path_text
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.terminal import told_apart
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import counted, told_apart
 from mbdkit_gradients.differentiated_expressions import definitions_of
 from mbdkit_gradients.gradient import Gradient
 from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries

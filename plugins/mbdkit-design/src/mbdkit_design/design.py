@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from mbdkit.plugin import RunSpec, SpecError, counted, table
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, table
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.compared_settings import Comparison, compare, comparison_table
 from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec

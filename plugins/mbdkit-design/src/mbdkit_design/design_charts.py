@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec
-from mbdkit.plugin.archives import Quantity
-from mbdkit.plugin.measures import MeasureExpression, recorded, unit_of
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.measured_quantities import recorded, unit_of
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.gains import goal_words, variable_unit
 from mbdkit_design.landscape import Cut
 from mbdkit_report import Axis, Figure, Line, Mark, band_over_time, bands, errors_at, key_words
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_design.design import Design
 
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}

@@ -7,10 +7,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path as FilePath
 from typing import cast
 
-from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, parse_path, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.seams import spec_loader
-from mbdkit.plugin.specs import Document, example_names, kind_of, parse_key, put, read_source, set_value, variable_path
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.spec.loading import example_names, read_source
+from mbdkit.spec.reading import Document, parse_key, put, set_value, variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units
@@ -47,7 +50,7 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
             if key in document.data:
                 message = f"this is the spec of a {command}; a design spec begins with `mbdkit_design: 1`"
                 raise document.place(SpecError(message, key=key))
-    try:
+    with SpecError.place_by(document.place):
         for assignment in assignments:
             set_value(document, assignment)
         spec = DesignSpec(**document.data)
@@ -63,8 +66,6 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
                 name: _scenario_spec(spec, name, situation, folder, changes)
                 for name, situation in spec.situations.items()
             }
-    except SpecError as error:
-        raise document.place(error) from None
     return spec
 
 
@@ -118,11 +119,9 @@ def _scenario_spec(
         measure.name: {"value": measure.expression} | ({"unit": measure.unit} if measure.unit else {})
         for measure in design.defined_measures()
     }
-    try:
+    with SpecError.place_by(lambda error: _located(error, given, document, path_text(place))):
         spec = spec_class(data)(**data)
         spec.mechanism()
-    except SpecError as error:
-        raise _located(error, given, document, path_text(place)) from None
     own_file = document.file or (design._document.file if design._document is not None else "")
     spec._document = Document(data, own_file, folder=document.folder)
     return spec
@@ -139,10 +138,8 @@ def spec_class(data: Mapping[str, object]) -> type[RunSpec] | type[InverseSpec]:
 def _put_all(data: dict[str, object], given: Given) -> None:
     """Set values in a base."""
     for where, (path, value) in given.items():
-        try:
+        with SpecError.rekey(where):
             put(data, path, value)
-        except SpecError as error:
-            raise SpecError(error.message, key=where) from None
 
 
 def _check_variable(name: str, data: Mapping[str, object]) -> None:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.specs import write_yaml
-from mbdkit.plugin.terminal import say
+from mbdkit.base.terminal import say
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
-from mbdkit_design.gains import costs, goal_units, goal_words, measure_units, variable_unit
+from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
 from mbdkit_design.sensitivity_bars import sensitivity_section
@@ -45,7 +45,6 @@ from mbdkit_studies import Engine
 
 if TYPE_CHECKING:
     from mbdkit_design.design import Design
-    from mbdkit_design.gains import Cost
     from mbdkit_design.point import DesignPoint
 
 _NUMBERS = 60_000

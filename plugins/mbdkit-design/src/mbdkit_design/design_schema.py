@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
+from mbdkit.registry.catalogue import Registry
+from mbdkit.spec.schema import DRAFT, allow_units, described, run_schema
+from mbdkit.spec.spec_kinds import spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
 from mbdkit_design.design_spec import DesignSpec
 

@@ -19,30 +19,17 @@ from pydantic import (
     model_validator,
 )
 
-from mbdkit.plugin import (
-    FormatVersion,
-    Number,
-    Positive,
-    RunSpec,
-    SpecError,
-    Unit,
-    copied,
-    path_text,
-    read_quantity,
-    read_unit,
-    value_text,
-)
-from mbdkit.plugin.mechanisms import pair
-from mbdkit.plugin.specs import (
-    Count,
-    DefinedMeasure,
-    Section,
-    StrictSpec,
-    check_name,
-    defined,
-    parse_key,
-    variable_path,
-)
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import copied, path_text, value_text
+from mbdkit.base.strict_model import FormatVersion
+from mbdkit.base.units import Unit, read_quantity, read_unit
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.values import Number, Positive, pair
+from mbdkit.spec.model_spec import StrictSpec
+from mbdkit.spec.reading import parse_key, variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_studies import Overrides
 
@@ -67,10 +54,8 @@ class _WithUnit(Section):
         for key, value in values.items():
             numbers = value if isinstance(value, list) else [value]
             for place, number in enumerate(numbers if key in cls.NUMBERS else ()):
-                try:
+                with SpecError.locate(key):
                     quantity = read_quantity(number)
-                except SpecError as error:
-                    raise error.located(prefix=key) from None
                 if quantity is None:
                     continue
                 numbers[place] = quantity[0]

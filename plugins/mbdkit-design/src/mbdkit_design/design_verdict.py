@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import counted
-from mbdkit.plugin.specs import write_yaml
+from mbdkit.base.text import counted
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design.gains import Cost, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.robustness import Deviation
 from mbdkit_design.trust import QUESTIONED

@@ -10,12 +10,18 @@ from itertools import islice
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, ResourceError, Run, RunSpec, SpecError, path_text, plain
-from mbdkit.plugin.archives import ArrayContents, FinishedRun
-from mbdkit.plugin.equations import one_thread_of_linear_algebra, product
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.measures import describe, error_of, take
-from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key, variable_path
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import Path, path_text, plain
+from mbdkit.engine.linear_systems import product
+from mbdkit.measures.take import describe, error_of, take
+from mbdkit.spec.reading import parse_key, variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
@@ -24,7 +30,6 @@ from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies import Batches
 
 Settings = Sequence[tuple[Path, object]]
-"""Key paths and their values."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from mbdkit.plugin import counted, table
+from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import goal_units, variable_unit

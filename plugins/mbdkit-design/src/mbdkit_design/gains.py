@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.archives import largest_loads
-from mbdkit.plugin.measures import describe
-from mbdkit.plugin.specs import variable_path
-from mbdkit_design.design_spec import GOAL
+from mbdkit.archive.headlines import largest_loads
+from mbdkit.measures.take import describe
+from mbdkit.spec.reading import variable_path
+from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.problem import FEASIBLE
 from mbdkit_report import key_unit, with_unit
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
-    from mbdkit_design.design_spec import DesignSpec
+    from mbdkit.archive.run import Run
     from mbdkit_design.point import DesignPoint
     from mbdkit_design.trust import Trust
 

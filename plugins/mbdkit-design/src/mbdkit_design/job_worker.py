@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from mbdkit.plugin.specs import Document
+from mbdkit.spec.reading import Document
 from mbdkit_design.computing import plain_outcome
 from mbdkit_design.design_loading import spec_class
 from mbdkit_design.evaluation import ScenarioRuns

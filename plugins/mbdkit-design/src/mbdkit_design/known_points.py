@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from mbdkit.plugin import SpecError, counted, file_error, shown
-from mbdkit.plugin.files import check_regular, replacing
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import check_regular, replacing
+from mbdkit.base.text import counted, shown
 from mbdkit_design.computing import is_passing, outcome_of, plain_outcome
 from mbdkit_design.evaluation import Job, Outcome
 from mbdkit_design.point import Notify

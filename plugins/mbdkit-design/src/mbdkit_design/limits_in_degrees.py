@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from mbdkit.plugin import path_text
-from mbdkit.plugin.doubts import looks_like_degrees
+from mbdkit.base.plain_data import path_text
+from mbdkit.runs.angles_in_degrees import looks_like_degrees
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import measure_units
 

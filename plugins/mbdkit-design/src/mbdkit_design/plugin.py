@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Command, Example, FileFormat, GuidePage, Item, SpecKind, Target, hookimpl
+from mbdkit.registry.feature_items import Example, FileFormat, GuidePage, SpecKind
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import RunError
+from mbdkit.base.errors import RunError
 from mbdkit_design.derivatives import derivatives
 
 if TYPE_CHECKING:

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import table
-from mbdkit.plugin.files import Path, canonical
-from mbdkit.plugin.specs import ModelSpec, variable_path
+from mbdkit.base.plain_data import Path, canonical
+from mbdkit.base.text import table
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_design.gains import goal_words

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, OptimizeResult, differential_evolution, least_squares, minimize
 from scipy.stats import qmc
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_design.bundle_search import STUCK, beyond_kink, bundle_search
 from mbdkit_design.design_spec import DesignSpec, EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
 from mbdkit_design.problem import Problem

@@ -7,8 +7,8 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from mbdkit.plugin import counted
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import counted
 from mbdkit_design.computing import Computer
 from mbdkit_design.design import Design, solve, with_comparisons
 from mbdkit_design.design_loading import load_design_spec

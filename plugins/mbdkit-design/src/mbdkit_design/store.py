@@ -11,16 +11,20 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.archive.part_file import remove_checkpoint
-from mbdkit.plugin import RunSpec, SpecError, load
-from mbdkit.plugin.files import canonical_text, replacing
-from mbdkit.plugin.seams import computed_run
-from mbdkit.plugin.specs import read_file, variable_path
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replacing
+from mbdkit.base.plain_data import canonical_text
+from mbdkit.runs.run_seams import computed_run
+from mbdkit.spec.reading import read_file, variable_path
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
@@ -32,10 +36,12 @@ from mbdkit_design.trust import check_of
 from mbdkit_studies import OwnedFolder
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 VERSION = "mbdkit_result"
 """Name of the format version in the result."""
+HASH = "sha256"
+"""Name of the hash of the spec and of everything else in the result."""
 WHICH = ("start", "best")
 """Points for which archives are written."""
 
@@ -85,6 +91,9 @@ class DesignFolder(OwnedFolder[DesignSpec]):
             message = "this design has no result yet; `mbdkit design` with the same spec and this folder continues it"
             raise SpecError(message, file=self.path)
         data = read_versioned(self.result.read_bytes(), VERSION, self.result)
+        if data and data.pop(HASH, "") != _hash_of(spec, data):
+            message = "it, or design.yaml beside it, has changed since it was written; remove it and repeat the design"
+            raise ArchiveError(message, file=self.result)
         try:
             return Design.from_dict(spec, data)
         except NOT_READ:
@@ -98,10 +107,10 @@ class DesignFolder(OwnedFolder[DesignSpec]):
 
     def write_result(self, design: Design) -> None:
         """Write the result alone."""
+        data = json.loads(json.dumps({VERSION: 1, **design.to_dict()}))
         with replacing(self.result) as temporary:
-            temporary.write_text(
-                json.dumps({VERSION: 1, **design.to_dict()}, indent=2) + "\n", encoding="utf-8", newline="\n"
-            )
+            text = json.dumps({**data, HASH: _hash_of(design.spec, data)}, indent=2) + "\n"
+            temporary.write_text(text, encoding="utf-8", newline="\n")
 
     def _archives(self, design: Design, which: str) -> Iterator[Path]:
         """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""
@@ -128,6 +137,10 @@ def runs_of(design: Design, folder: Path) -> Iterator[dict[str, dict[str, Run]]]
             name: {which: stack.enter_context(load(store.archive(which, name))) for which in WHICH}
             for name in design.spec.specs
         }
+
+
+def _hash_of(spec: DesignSpec, data: Mapping[str, object]) -> str:
+    return sha256(json.dumps([written_out(spec), data]).encode()).hexdigest()
 
 
 def written_out(spec: DesignSpec) -> dict[str, object]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec
-from mbdkit.plugin.equations import product
+from mbdkit.engine.linear_systems import product
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
@@ -153,7 +153,7 @@ def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
     """
     found = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
     known = [one for one in found if one is not None]
-    if len(known) < len(found) or len({(len(one.cutoffs), len(one.uncertain)) for one in known}) > 1:
+    if len(known) < len(found) or len({tuple(map(len, one[2:])) for one in known}) > 1:
         return None
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
 
@@ -164,8 +164,7 @@ def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
             of_goals = np.sum(of_goals**2, axis=-2, keepdims=True)
         return np.concatenate([product(of_goals, weights), np.max(table[..., count:, :], axis=-1)], axis=-1)
 
-    parts = ("value", "noisy", "cutoffs", "uncertain")
-    return SampledMeasures(*(summed([getattr(one, part) for one in known]) for part in parts))
+    return SampledMeasures(*map(summed, map(list, zip(*known, strict=True))))
 
 
 def _checked(evaluator: Evaluator, x: np.ndarray) -> list[Outcome]:

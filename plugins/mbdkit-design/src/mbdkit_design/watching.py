@@ -7,7 +7,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mbdkit.plugin import SpecError, counted, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, listed
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import Limit
 from mbdkit_design.problem import FEASIBLE

@@ -18,7 +18,7 @@ from tests.designs.design_command import command
 from tests.designs.oscillator import STIFFNESS, tuned
 
 import mbdkit
-from mbdkit import ResourceError, SpecError
+from mbdkit import ArchiveError, ResourceError, SpecError
 from mbdkit.spec.spec_kinds import kind_named
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_design import computing
@@ -285,6 +285,10 @@ def test_files_that_are_no_files_of_a_design_are_refused_in_a_sentence(whole: Pa
     shutil.copytree(whole, tmp_path / "copy")
     (tmp_path / "copy" / "design.json").write_text("[" * 1_000_000)
     with pytest.raises(SpecError, match=r"this is not the result of the design\.yaml beside it"):
+        mbdkit.load_design(tmp_path / "copy")
+    changed = (whole / "design.json").read_text().replace('"verdict": "', '"verdict": "x', 1)
+    (tmp_path / "copy" / "design.json").write_text(changed)
+    with pytest.raises(ArchiveError, match=r"design\.json.* has changed since it was written"):
         mbdkit.load_design(tmp_path / "copy")
     folder = begun(whole, tmp_path / "begun", "")
     (folder / "points.jsonl").unlink()

@@ -27,7 +27,7 @@ def test_the_best_torsion_spring_is_the_regression_of_the_moment(optimizer: str,
     k, k_free = np.linalg.solve(matrix, [-mean(angle * moment), mean(moment)])
     found = mbdkit.design(design_of(swing(), optimizer={"name": optimizer, "tolerance": 1e-9, "starts": starts}))
     assert found.best.variables[f"{BRACE}.stiffness"] == pytest.approx(k, rel=1e-4)
-    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=1e-4)
+    assert found.best.variables[f"{BRACE}.free_angle"] == pytest.approx(k_free / k, rel=3e-4)
     assert found.best.goals["goal"] == pytest.approx(mean((moment - k_free + k * angle) ** 2), abs=1e-6)
     assert found.trust.is_gain["goal"]
 
@@ -154,6 +154,7 @@ def test_the_command_writes_a_folder_once(tmp_path: Path, monkeypatch: pytest.Mo
     printed, stored = json.loads(done.stdout), json.loads(Path("drop/design.json").read_text(encoding="utf-8"))
     assert printed.pop("robustness")
     assert printed.pop("warnings") == mbdkit.load_design("drop").warnings
+    assert stored.pop("sha256")
     assert {"mbdkit_result": 1, **printed} == {"path": "drop", **stored}
     best = stored["best"]["variables"]["model.angle"]
     with mbdkit.load("drop/best.h5") as run:

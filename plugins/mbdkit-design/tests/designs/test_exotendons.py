@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from tests.inverse_dynamics.running import reference, table
 
 import mbdkit
+from tests.margins import assert_within
 
 STIFFNESS = 1e5
 """Stiffness of a tendon [N/m]. It is no free parameter: only the products k r_i r_j matter."""
@@ -157,7 +158,7 @@ def test_the_published_reductions_are_reached_within_five_points(
 ) -> None:
     weights = np.ones_like(gait.moments) if target == "moment" else gait.rates
     best = optimum(gait, shape, weights, NORMS[target], starts)
-    assert abs(change(gait, best, weights, NORMS[target]) - published) <= 5.0
+    assert_within(change(gait, best, weights, NORMS[target]) - published, 5.0)
 
 
 def test_the_cable_of_a_mechanism_takes_the_moments_of_the_exotendon(gait: Gait) -> None:

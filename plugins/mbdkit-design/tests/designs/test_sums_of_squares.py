@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.designs.oscillator import STIFFNESS, distance, moved, tuned, tuned_stiffness
 from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, shank, swing
 
 import mbdkit
@@ -62,6 +63,30 @@ def test_of_two_springs_in_parallel_only_the_sum_is_determined(optimizer: str) -
     assert sorted(change) == sorted(BOTH)
     assert sum(change.values()) == pytest.approx(0.0, abs=1e-3 * max(change.values()))
     assert "Only a combination of model.forces.brace.stiffness, model.forces.strap.stiffness" in found.summary()
+
+
+@pytest.mark.parametrize("most", [20.0, 1e3, 1e5])
+def test_springs_in_parallel_are_named_whatever_their_bounds(most: float) -> None:
+    # a wheel that turns freely: its last angle is no quadratic function of the stiffnesses
+    spec = tuned()
+    forces = spec["base"]["model"]["forces"]
+    forces["other"] = dict(forces["spring"])
+    names = STIFFNESS, "model.forces.other.stiffness"
+    spec["variables"] = {name: {"bounds": [0.0, most], "start": 1.1 + 0.1 * k} for k, name in enumerate(names)}
+    found = mbdkit.design(spec)
+    assert sum(found.best.variables.values()) == pytest.approx(tuned_stiffness(), rel=1e-3)
+    (change,) = found.undetermined
+    assert change[names[0]] == pytest.approx(-change[names[1]], rel=1e-3)
+
+
+@pytest.mark.parametrize("most", [2.0, 1e3])
+def test_variables_of_unequal_bounds_and_effects_are_determined(most: float) -> None:
+    spec = moved(f"{distance(0.3, 0.0)} + 0.01*({distance(0.3, 0.2)})")
+    first, second = spec["variables"]
+    spec["variables"] = {first: {"bounds": [-most, most], "start": 0.7}, second: {"bounds": [-1.0, 2.0], "start": 0.6}}
+    found = mbdkit.design({**spec, "optimizer": {"name": "slsqp", "tolerance": 1e-12}})
+    assert found.best.variables[first] == pytest.approx(0.3, abs=1e-2)
+    assert not found.undetermined
 
 
 @pytest.mark.slow

@@ -46,6 +46,11 @@ ROUNDING = 1e-14
 """Changes of the energy in a step below this share of it are rounding errors. Without their correction, which is below
 one unit in the last place of velocities in most steps, they added up to 1e-12 of the kinetic energy in 10,000 steps.
 """
+ROUNDED = 1e-4
+"""Velocities below this share of what reactions alone would cause in a step, or of the one that passes the largest
+coordinate in a step, are not sizes for the changes of velocities: they may be sums of forces that cancel, as in a gear
+whose centre is pinned. Such velocities of 1e-16 m/s change by their own size in each iteration.
+"""
 AT_REST = 1e-9
 """Relative change of positions in a step below which the corrections of the discrete gradient are rounding errors."""
 
@@ -124,7 +129,7 @@ class LineIntegral(mbdkit.StepMethod):
             if change <= CONVERGED or before / 2 <= change < STAGNANT:
                 break
             if not change < before / 4:
-                matrices = trial.matrices()
+                trial.least, matrices = trial.least_sizes(), trial.matrices()
             before = change
         else:
             raise mbdkit.StepError(
@@ -150,7 +155,7 @@ class _Trial:
         acceleration, lam, self.energy = state.memory
         self.g, self.lam = np.zeros((method.s, equations.n)), np.zeros((method.s, equations.m))
         self.g[0], self.lam[0] = acceleration, lam
-        self.times = t + h * self.p.nodes
+        self.times, self.least = t + h * self.p.nodes, np.zeros(3)
         if self.is_corrected:
             self.potential = equations.potential(self.times[0], state.q)
         self._move()
@@ -206,9 +211,12 @@ class _Trial:
         if equations.has_power:
             work, lost = equations.powers(t, q, mean, none)
             power -= work - lost
-        gap = equations.potential(t, self.state.q + h * mean) - self.potential + h * power
+        potential = equations.potential(t, self.state.q + h * mean)
+        gap = potential - self.potential + h * power
         if equations.m:
             gap -= h * float(np.add.reduce(self.lam[0] * equations.constraint_rates(t, q, mean)))
+        level = ROUNDING / 4 * (abs(potential) + abs(self.potential))
+        gap -= min(max(gap, -level), level)  # near a turning point, a gap by rounding would become a large force
         force: np.ndarray = gap / (2 * h * equations.kinetic(mean)) * equations.mass * mean
         return force
 
@@ -224,9 +232,19 @@ class _Trial:
             change += np.abs(da)
         self._move()
         largest = np.maximum(np.abs(self.state.v), np.abs(self.h * self.g).max(axis=0)).reshape(-1, 3)
-        sizes = np.array([largest[:, :2].max(), largest[:, :2].max(), largest[:, 2].max()])
+        sizes = np.maximum([largest[:, :2].max(), largest[:, :2].max(), largest[:, 2].max()], self.least)
         sizes[sizes == 0.0] = 1.0
         return float((self.h * change.reshape(-1, 3) / sizes).max())
+
+    def least_sizes(self) -> np.ndarray:
+        """Return the velocities (3,) of x, y and angle below which they are rounding errors, as `ROUNDED` says."""
+        equations, h, q = self.equations, self.h, self.state.q
+        sizes = np.array([1.0 / equations.relative_change(q, unit) for unit in np.eye(3, equations.n)]) / h
+        if equations.m:
+            rows = abs(equations.constraint_jacobian(self.t, q))
+            causes = (h * (rows.T @ np.abs(self.lam).max(axis=0)) / equations.mass).reshape(-1, 3).max(axis=0)
+            sizes = np.maximum(sizes, [causes[:2].max(), causes[:2].max(), causes[2]])
+        return ROUNDED * sizes
 
     def end(self) -> mbdkit.Step:
         """Return the step, with consistent velocities of the same kinetic energy at its end."""

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.plugin import show
-from mbdkit.plugin.terminal import Debug, Set, SpecName, say
+from mbdkit.base.terminal import say, show
+from mbdkit.cli.common_options import Debug, Set, SpecName
 
 
 def explore(

@@ -7,10 +7,14 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from mbdkit.archive.headlines import MOST
-from mbdkit.plugin import MbdkitError, RunSpec, copied, headline_texts, plain, shown
-from mbdkit.plugin.seams import spec_loader
-from mbdkit.plugin.specs import kind_of, load_spec, put, read_source
+from mbdkit.archive.headlines import MOST, headline_texts
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import copied, plain
+from mbdkit.base.text import shown
+from mbdkit.spec.loading import load_spec, read_source
+from mbdkit.spec.reading import put
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_explore.sliders import sliders
 from mbdkit_report import TONES, film_of
@@ -18,7 +22,7 @@ from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_studies import PreparedRun
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 NUMBERS = 20_000

@@ -16,7 +16,7 @@ from contextlib import suppress
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit_explore.explorer import Explorer, explorer_of
 from mbdkit_report import render
 
@@ -58,8 +58,9 @@ class Exploration:
         try:
             self._socket.bind((HOST, port))
             self._socket.listen()  # requests before the server has started wait instead of being refused
-        except OSError as error:
-            raise MbdkitError(f"port {port} of this machine cannot be used ({error.strerror})") from None
+        except (OSError, OverflowError, TypeError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise MbdkitError(f"port {port!r} of this machine cannot be used ({why})") from None
         self.url = f"http://{HOST}:{self._socket.getsockname()[1]}/?token={token}"
         config = uvicorn.Config(
             application(explorer, token),

@@ -8,9 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, parse_path, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import ModelSpec
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, parse_path, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit_report import key_unit, key_words, keys_ending_in
 
 MOST = 12

@@ -287,3 +287,9 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
             found = Axe().run(page)
             assert found.violations_count == 0, found.generate_report()
         assert statistics.median(took) < 1000.0  # 40 to 80 ms; machines that run tests are busy
+
+
+@pytest.mark.parametrize("port", [70_000, -1, 10**30, "80"])
+def test_a_port_that_does_not_exist_is_refused_in_one_sentence(port: Any) -> None:
+    with pytest.raises(mbdkit.MbdkitError, match=f"port '?{port}'? of this machine cannot be used"):
+        mbdkit.explore("double-pendulum", port=port)

@@ -10,15 +10,7 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit_gradients.sensitivities import (
-        PreparedSensitivities as PreparedSensitivities,
-    )
-    from mbdkit_gradients.sensitivities import (
-        Sensitivities as Sensitivities,
-    )
-    from mbdkit_gradients.sensitivities import (
-        is_smooth as is_smooth,
-    )
+    from mbdkit_gradients.sensitivities import PreparedSensitivities as PreparedSensitivities, is_smooth as is_smooth
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -9,12 +9,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from mbdkit.archive.headlines import is_at_end
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.expressions.operations import OF_PARTS, OPERATIONS
 from mbdkit.measures.measure_compiler import ALONG
-from mbdkit.measures.measure_expression import AT_END_OF_RUN
-from mbdkit.plugin import RunSpec, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.measures import OF_PARTS, OPERATIONS, MeasureExpression
-from mbdkit.plugin.runs import EQUAL
+from mbdkit.measures.measure_expression import AT_END_OF_RUN, MeasureExpression
+from mbdkit.runs.continuous_motion import EQUAL
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.gradient_parameters import Parameter

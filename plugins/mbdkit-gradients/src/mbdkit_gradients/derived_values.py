@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import OPERATIONS
+from mbdkit.base import elementary
+from mbdkit.expressions.operations import OPERATIONS
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError, path_text
-from mbdkit.plugin.measures import MeasureExpression, Program
-from mbdkit.plugin.methods import Seeds
-from mbdkit.plugin.specs import ModelSpec
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text
+from mbdkit.expressions.program import Program
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.run_spec import RunSpec
 
 if TYPE_CHECKING:
     pass

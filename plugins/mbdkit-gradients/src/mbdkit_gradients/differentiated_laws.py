@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.kernels import LAW_ROW, STATE_ROW
-from mbdkit.plugin import ExpressionLaw, SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
+from mbdkit.mechanism.force_law import ExpressionLaw
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.engine.force_laws import CompiledLaw
 
 
 class DifferentiatedLaws:

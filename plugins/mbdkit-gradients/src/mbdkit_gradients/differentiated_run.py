@@ -8,30 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.integrators.start import compiled_method
-from mbdkit.kernels import DIRECTIONS, Observed
-from mbdkit.plugin import MbdkitError, Method, RunError, RunSpec, SpecError, StepError, path_text, quoted
-from mbdkit.plugin.equations import (
-    FORMULATIONS,
-    Formulation,
-    SingularSystemError,
-    Stabilization,
-    StateObserver,
-    Workspace,
-)
-from mbdkit.plugin.measures import Found, RunExpression, Watch, Watched
-from mbdkit.plugin.methods import (
-    NO_SEEDS,
-    Moment,
-    Seeds,
-    Stepper,
-    Stretch,
-    constants,
-    joined,
-    start_method,
-    states_at_start,
-)
-from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
+from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
+from mbdkit.base.plain_data import path_text, quoted
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.formulation import FORMULATIONS, Formulation
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.arithmetic import DIRECTIONS
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.stabilization import Stabilization
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.watch import Found, Watch, Watched
+from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
+from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.start import compiled_method, start_method
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
@@ -172,7 +166,8 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     """
     method = make_method(spec)
     workspace, _ = build(spec)
-    stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
+    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+    stepper = start_method(method, workspace, table)
     none = np.zeros(1)
     stretches = [
         Stretch(
@@ -190,7 +185,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     observed = observer.arrays(len(rows.time))
     assert rows.z is not None
     q, v, z = (np.ascontiguousarray(x) for x in (rows.q, rows.v, rows.z))
-    if observer.observe(rows.time, q, v, observed, z=z) is not None:
+    if observer.observe(table.before(rows.time), q, v, observed, z=z) is not None:
         raise RunError("a recorded state has no unique accelerations")
     energy = np.stack([rows.work, rows.dissipated], axis=-1)
     q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
@@ -373,7 +368,9 @@ class _Pass:
                 for x, end in zip((q, v, z, energy), self._moving_end(last, moved), strict=True)
             )
         history = [] if self._sided is None else self._sided.history
-        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], time, q, v, z, None, energy)
+        seen = self.stepper.timetable.before(time)
+        rows = self._evaluated([(one.rows + 1, one.sides) for one in history], seen, q, v, z, None, energy)
+        rows = replace(rows, time=time)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
         motions = () if self.motion is None else (self.motion,)

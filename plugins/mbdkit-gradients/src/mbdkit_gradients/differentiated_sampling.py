@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mbdkit.kernels import OK, Duals, PinnedBundle, observe_duals
-from mbdkit.plugin import StepError
-from mbdkit.plugin.methods import DualRun, dual_states
+from mbdkit.base.errors import StepError
+from mbdkit.engine.kernels.dual_observe import observe_duals
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.number_arrays import Duals
+from mbdkit.integrators.duals.dual_run import DualRun, dual_states
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import Workspace
-    from mbdkit.plugin.methods import Sampler
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run.sampled_control import Sampler
     from mbdkit_gradients.differentiated_laws import DifferentiatedLaws
 
 

@@ -8,11 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.kernels import DualStates, Observed
-from mbdkit.plugin import SpecError, States
-from mbdkit.plugin.archives import NONE, ArchiveNames, Quantity, archive_names
-from mbdkit.plugin.equations import CompiledMechanism
-from mbdkit.plugin.measures import RunExpression, execute
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.dual_observe import DualStates
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.expressions.program import execute
+from mbdkit.quantities.names import ArchiveNames, archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import NONE, States
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
 
 

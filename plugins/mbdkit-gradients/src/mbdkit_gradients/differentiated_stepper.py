@@ -9,28 +9,26 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from mbdkit.base.errors import StepError
 from mbdkit.engine.force_laws import law_for_duals
-from mbdkit.kernels import (
-    DIVERGED,
-    LAW_ROW,
-    NOT_FINITE,
-    OK,
-    PROJECTIONS,
-    STATE,
-    CompiledExplicit,
-    PinnedBundle,
-    drive_explicit_duals,
-    kept,
-    new_dual_solver,
-)
-from mbdkit.plugin import StepError
-from mbdkit.plugin.equations import Workspace
-from mbdkit.plugin.methods import CompiledStepper, DualRun, Moment, Seeds, StepTaken, Timetable, new_dual_run
+from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.kernels.dual_system import new_dual_solver
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
+from mbdkit.engine.kernels.table_rows import LAW_ROW
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.dual_loop import drive_explicit_duals
+from mbdkit.integrators.duals.dual_run import DualRun, Seeds, new_dual_run
+from mbdkit.integrators.interface import Moment, StepTaken, Timetable
+from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.run.run_state import PROJECTIONS
+from mbdkit.integrators.stages.explicit import CompiledExplicit
 from mbdkit_gradients.differentiated_laws import DifferentiatedLaws
 from mbdkit_gradients.differentiated_sampling import DifferentiatedSampler
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.methods import CompiledMethod, Control
+    from mbdkit.integrators.run.step_control import Control
+    from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 _CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}
 """Reasons why the derivatives of a step are unknown, by status of the kernel."""

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import OK, Duals, PinnedBundle, observe_duals
-from mbdkit.plugin import RunError
-from mbdkit.plugin.equations import SingularSystemError
-from mbdkit.plugin.methods import constants, dual_states
+from mbdkit.base.errors import RunError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.dual_observe import observe_duals
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.number_arrays import Duals
+from mbdkit.integrators.duals.dual_run import constants, dual_states
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit_gradients.differentiated_stepper import DifferentiatedSteps
 from mbdkit_gradients.parameter_differences import CENTRAL, weights

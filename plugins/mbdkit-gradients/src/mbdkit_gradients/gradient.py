@@ -12,24 +12,23 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from mbdkit.plugin import (
-    MbdkitError,
-    Method,
-    RunError,
-    RunSpec,
-    SpecError,
-    findings,
-    open_doubts,
-    path_text,
-    plus_minus,
-)
-from mbdkit.plugin.doubts import zero_reactions_in
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.measures import MeasureExpression, natural_scales, natural_size
-from mbdkit.plugin.methods import NO_SEEDS
-from mbdkit.plugin.runs import build, caution
-from mbdkit.plugin.specs import ModelSpec, RunSource, VariedSpecs, load_spec
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.archive.headlines import plus_minus
+from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
+from mbdkit.integrators.duals.dual_run import NO_SEEDS
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.natural_size import natural_scales, natural_size
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.findings import findings
+from mbdkit.runs.notes import zero_reactions_in
+from mbdkit.runs.preparation import build, caution
+from mbdkit.spec.loading import RunSource, load_spec
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit.trust.finding import open_doubts
 from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
@@ -224,29 +223,23 @@ def gradient(
 
 def check_gradients(spec: RunSpec, method: Method) -> None:
     """Raise SpecError, with the key, if the gradients requested by a spec cannot be computed."""
-    try:
+    with SpecError.place_by(spec.placed):
         if not spec.measures:
             raise SpecError("gradients are derivatives of measures, but the spec has no `measures`", key="gradients")
         for index, name in enumerate(spec.gradients):
-            try:
+            with SpecError.rekey(path_text(("gradients", index))):
                 resolved(spec, [name])
-            except SpecError as error:
-                raise SpecError(error.message, key=path_text(("gradients", index))) from None
         resolved(spec, spec.gradients)
         require_derivatives(expressions_of(spec, definitions_of(spec, list(spec.measures))))
         refuse(spec, method)
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def require_derivatives(expressions: Mapping[str, MeasureExpression]) -> None:
     """Raise SpecError, with the name of the measure, if the measure contains a quantity that has no derivative."""
     for name, expression in expressions.items():
         for quantity in expression.quantities:
-            try:
+            with SpecError.rekey(path_text(("measures", name))):
                 require_derivative(quantity)
-            except SpecError as error:
-                raise SpecError(error.message, key=path_text(("measures", name))) from None
 
 
 def gradients_json(spec: RunSpec) -> str:

@@ -22,9 +22,9 @@ from itertools import compress
 
 import numpy as np
 
-from mbdkit.plugin import counted, listed, plus_minus
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.terminal import told_apart
+from mbdkit.archive.headlines import plus_minus
+from mbdkit.base.plain_data import Path
+from mbdkit.base.text import counted, listed, told_apart
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
@@ -83,7 +83,6 @@ the numbers from which the measure is computed.
 """
 
 Settings = Sequence[tuple[Path, float]]
-"""Key paths and their values."""
 
 Measured = Callable[[Settings], Sequence[float]]
 """Function that returns the measures of a run with these values; nan if the run stops early."""

@@ -7,12 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, path_text, plain, value_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import ModelSpec, names_in, parse_key, put, read_source
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, path_text, plain, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.parameters import names_in
+from mbdkit.spec.loading import read_source
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import parse_key, put
 
 MOST_PARAMETERS = 50
-"""Largest number of parameters of one gradient."""
 
 
 Names = str | Iterable[str] | Mapping[str, float | str]

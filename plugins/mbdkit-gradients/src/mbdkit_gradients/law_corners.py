@@ -18,12 +18,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.kernels import LAW_ROW, PIN, SLIDE, STATE_ROW, Observed
-from mbdkit.plugin import ExpressionLaw, FunctionLaw, SpecError, TracedLaw
-from mbdkit.plugin.equations import CompiledLaw, CompiledMechanism, bind_law
-from mbdkit.plugin.mechanisms import ARGUMENTS
-from mbdkit.plugin.methods import Seeds
-from mbdkit.plugin.seams import LawCondition, gradient_doubts, law_sides
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.force_laws import CompiledLaw, bind_law
+from mbdkit.engine.friction_forces import PIN, SLIDE
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
+from mbdkit.engine.law_conditions import LawCondition, gradient_doubts, law_sides
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw, TracedLaw
 
 if TYPE_CHECKING:
     import sympy

@@ -11,15 +11,20 @@ scalar g that changes sign there, where g_p is its derivative with respect to th
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin.archives import Integrals, Quantity
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import REDUCE, Functional, MeasureExpression, arity_of, execute
-from mbdkit.plugin.methods import Seeds
-from mbdkit.plugin.runs import EQUAL, Peak, Sampled, sampled
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.base import elementary
+from mbdkit.expressions.operations import REDUCE, arity_of
+from mbdkit.expressions.program import execute
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.reductions import Functional
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
 from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
@@ -382,8 +387,8 @@ class _MeasureEvaluation(DoubtedMeasure):
         """Return an operand at a time.
 
         It is the value in the row with this time. If there is no such row, it is the value of the motion between the
-        ends of steps or, if this motion is not stored, a linear interpolation between rows. At a discontinuity of a
-        force law or a load, the limit from the left is used.
+        ends of steps or, if this motion is not stored, a linear interpolation between rows. At a discontinuity, ``at``
+        is the limit from before and ``after`` that from after, of the value and of its derivatives.
         """
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
@@ -391,19 +396,35 @@ class _MeasureEvaluation(DoubtedMeasure):
         if functional is None or not self.run.motions:
             return self._between_rows(at, time, operand)
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
-        parts = self.run.motions[0].parts
-        inside = [number for number, part in enumerate(parts) if part.span[0] <= at <= part.span[1]]
-        sides = [self._on_part(number, at, index, moved) for number in inside]
-        if any(not np.allclose(side.slope, sides[0].slope, rtol=1e-6, atol=1e-9 * self.size) for side in sides[1:]):
-            self._note_sides("the time in 'at' is the time of a discontinuity")
-        found = sides[0]
-        if at in rows:  # as in runs
+        before, after = (self._part_at(replace(functional, reduction=name), at) for name in ("at", "after"))
+        number, is_after = (after, True) if functional.reduction == "after" else (before, False)
+        if number is None:
+            return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
+        found = self._on_part(number, at, index, moved)
+        if before is not None and after is not None and before != after:
+            self._compare_sides(before, after, at, index, moved)
+        if at in rows and not is_after:  # as in runs
             k = int(np.searchsorted(rows, at))
             row = operand[k : k + 1]
             moved = moved - self.run.end if at == rows[-1] else moved
-            found = self._moved(row, inside[0], at, index, moved)
+            found = self._moved(row, number, at, index, moved)
         self._functionals[functional.text] = found
         return found
+
+    def _part_at(self, functional: Functional, at: float) -> int | None:
+        """Return the number of the part of the motion that gives the value of a functional at a time."""
+        parts = enumerate(self.run.motions[0].parts)
+        inside = [number for number, part in parts if functional.is_given_by(at, *part.span)]
+        return inside[-1 if functional.reduction == "after" else 0] if inside else None
+
+    def _compare_sides(self, before: int, after: int, at: float, index: int, moved: np.ndarray) -> None:
+        """Add a doubt if the time `at` and a discontinuity there move apart, so that the value changes its side."""
+        is_fixed = self.run.motions[0].parts[after].corner is None
+        if np.allclose(moved, 0.0 if is_fixed else self._moved_corner(after), rtol=1e-6, atol=0.0):
+            return
+        one, other = (self._on_part(number, at, index, moved).slope for number in (before, after))
+        if not np.allclose(one, other, rtol=1e-6, atol=1e-9 * self.size):
+            self._note_sides("the time in 'at' or 'after' is the time of a discontinuity")
 
     def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> DerivedValue:
         """Return an operand at the time `at` in a part of the motion; `moved` (K,) has the derivatives of the time."""
@@ -414,7 +435,8 @@ class _MeasureEvaluation(DoubtedMeasure):
         """Return an operand with derivatives that include those of its time `at`, `moved` (K,)."""
         if not moved.any():
             return here
-        side = 1.0 if at == self.run.motions[0].parts[number].span[0] else -1.0
+        begin, end = self.run.motions[0].parts[number].span
+        side = 1.0 if at - begin < end - at else -1.0
         _, rate, _ = self._limit(number, Peak(np.nan, at), index, side)
         return DerivedValue(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunSpec
-from mbdkit.plugin.measures import MeasureExpression
-from mbdkit.plugin.runs import build, make_method, measured_in
-from mbdkit.plugin.specs import VariedSpecs
+from mbdkit.base.errors import MbdkitError
+from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.simulation import measured_in
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.law_corners import with_sides

@@ -18,9 +18,10 @@ from functools import cache
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import CompiledMechanism, elementary
-from mbdkit.plugin.methods import Seeds
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit_gradients.gradient_parameters import Parameter
 
 Arrays = Mapping[str, np.ndarray]

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import GuidePage, Item, Target, ViewItem, hookimpl
+from mbdkit.registry.feature_items import GuidePage, ViewItem
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.target import Target
 
 
 @hookimpl

@@ -15,11 +15,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError
-from mbdkit.plugin.equations import Starts, Workspace, with_ground
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import GivenStart, build, knots_of
-from mbdkit.plugin.specs import VariedSpecs
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.workspace import Workspace
+from mbdkit.runs.corners import knots_of
+from mbdkit.runs.given_start import GivenStart
+from mbdkit.runs.preparation import build
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import (

@@ -16,14 +16,21 @@ from typing import Any
 import numpy as np
 
 import mbdkit
-from mbdkit.kernels import DIRECTIONS
-from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, did_you_mean, listed, value_text
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.measures import MeasureExpression, RunExpression
-from mbdkit.plugin.methods import NO_SEEDS, Seeds, start_method
-from mbdkit.plugin.runs import build, guards, make_method, size_at_start, timetable
-from mbdkit.plugin.specs import RunSource, VariedSpecs, load_spec, names_in, variable_path
+from mbdkit.base.errors import MbdkitError, RunError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import Path, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.engine.native.arithmetic import DIRECTIONS
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
+from mbdkit.integrators.start import start_method
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.mechanism.parameters import names_in
+from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.spec.loading import RunSource, load_spec
+from mbdkit.spec.reading import variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
@@ -204,10 +211,8 @@ class PreparedSensitivities:
         for text in self.quantities:
             if not isinstance(text, str):
                 raise SpecError(f"a quantity is an expression, not {value_text(text)}", key="quantities")
-            try:
+            with SpecError.locate("quantities"):
                 found.append(RunExpression.parse(text, spec.mechanism(), spec.numbers, crosses=False))
-            except SpecError as error:
-                raise error.located(prefix="quantities") from None
         return found
 
     def _numbers(self, spec: RunSpec) -> Arrays:

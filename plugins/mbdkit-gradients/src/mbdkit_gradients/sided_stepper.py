@@ -16,11 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from mbdkit.kernels import MODIFIED, Observed
-from mbdkit.plugin import StepError
-from mbdkit.plugin.equations import StateObserver, Workspace
-from mbdkit.plugin.methods import CompiledMethod, Moment, Seeds, StepTaken, Stretch, Timetable
-from mbdkit.plugin.seams import LawCondition
+from mbdkit.base.errors import StepError
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.law_conditions import LawCondition
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
+from mbdkit.integrators.run.run_state import MODIFIED
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of

@@ -7,11 +7,15 @@ from typing import Literal
 
 import numpy as np
 
-from mbdkit.kernels import Observed, new_duals
-from mbdkit.plugin import RunError, StepError
-from mbdkit.plugin.equations import StateObserver, Workspace
-from mbdkit.plugin.methods import Moment, Stepper, Stretch, constants, joined, states_at_start
-from mbdkit.plugin.runs import StepEnds, over_single_steps
+from mbdkit.base.errors import RunError, StepError
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.number_arrays import new_duals
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.dual_run import constants
+from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
+from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.runs.step_interpolation import StepEnds, over_single_steps
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
 from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
@@ -55,6 +59,7 @@ class RunAtTimes:
         RunError
             If the run ends early.
         """
+        times = self.stepper.timetable.before(times)  # type: ignore[attr-defined]
         moments, sides = self._within(times) if self.way == "within" else self._rows(times)
         self.workspace.clamp_motions(-np.inf, np.inf)
         changes = [k for k in range(1, len(times)) if sides[k] is not sides[k - 1]]

@@ -86,7 +86,7 @@ def test_gradient_by_youngs_modulus_is_that_of_time(integrator: dict[str, Any]) 
     found = mbdkit.gradient(spec, [f"final({one})" for one in tip], "E", check=False, **sections)
     rates = mbdkit.run(spec, **sections)["strip.4"]
     expected = [*rates.velocity[-1], rates.angular_velocity[-1]]
-    np.testing.assert_allclose(found.jacobian[:, 0], np.array(expected) * 0.1 / (2 * 2e5), rtol=1e-6)
+    np.testing.assert_allclose(found.jacobian[:, 0], np.array(expected) * 0.1 / (2 * 2e5), rtol=2e-6)
 
 
 def test_more_parameters_than_one_pass_takes_give_the_same_gradient() -> None:
@@ -287,6 +287,7 @@ def test_gradient_converges_with_the_order_of_the_method(integrator: dict[str, A
         found = mbdkit.gradient(SLIDER_CRANK, "integral(energy.kinetic)", ["k", "c"], check=False, **sections)
         return float(np.max(np.abs(found.jacobian - [[0.333448106128, -0.363754033971]])))
 
+    # margin: order, from errors of mbdkit alone
     assert np.log2(error(0.1) / error(0.05)) == pytest.approx(order, abs=0.35)
 
 

@@ -21,6 +21,7 @@ from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_parameters import resolved
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
 from tests.engine.strategies import Drawn, mechanisms
+from tests.margins import assert_within
 
 METHODS = ({"name": "gauss", "stages": 2}, {"name": "rk4"}, {"name": "radau-iia", "stages": 2})
 
@@ -112,7 +113,7 @@ def compare(drawn: Drawn, index: int, most: int) -> None:
             continue
         largest = max(float(np.max(np.abs(wanted) * scales)), float(np.max(np.abs(value))), 1e-3)
         error = np.abs(found - wanted) * scales / largest
-        assert np.max(error) < 1e-8, (spec.integrator_item.name, used, error, found * scales, largest)
+        assert_within(error, 1e-8, (spec.integrator_item.name, used, error, found * scales, largest))
 
 
 def value_at(data: Any, path: Path) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import ATTRIBUTES
-from mbdkit.plugin.methods import NO_SEEDS
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit_gradients.differentiated_run import plain_run
 from mbdkit_gradients.differentiated_states import require_derivative

@@ -120,10 +120,8 @@ class Definition:
         return (0.0 if is_positive else -math.inf), math.inf
 
     def _parsed(self, text: str, key: str) -> RunExpression:
-        try:
+        with SpecError.locate(key):
             return RunExpression.parse(text, self._mechanism, self.spec.numbers, crosses=False)
-        except SpecError as error:
-            raise error.located(prefix=key) from None
 
     def _judged(self, name: str, given: str | Function | None) -> Function | int | None:
         """Return a function, or the index of an expression that is read."""
@@ -139,10 +137,8 @@ class Definition:
         if isinstance(value, int | float | str):
             self._fixed[name] = value
             return
-        try:
+        with SpecError.locate(f"randomize.{quoted(name)}"):
             self._drawn[name] = frozen(value)
-        except SpecError as error:
-            raise error.located(prefix=f"randomize.{quoted(name)}") from None
 
     @property
     def varied(self) -> set[str]:
@@ -169,7 +165,9 @@ class Definition:
         return np.clip(given, self.low, self.high)
 
     def judged(self, values: np.ndarray, actions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rewards (N,) and whether episodes have terminated (N,), from what was read (N, K)."""
+        """Return rewards (N,), and values (N,) that are positive where episodes have terminated, from what was read
+        (N, K).
+        """
         named: dict[str, np.ndarray] = {"t": time}
         if callable(self._reward) or callable(self._terminated):
             named |= dict(zip(self.observations, values.T, strict=False)) | dict(
@@ -182,7 +180,7 @@ class Definition:
             return np.broadcast_to(np.asarray(result, dtype=np.float64), (count,))
 
         ends = np.zeros(count) if self._terminated is None else judged(self._terminated)
-        return judged(self._reward), ends > 0.0  # type: ignore[arg-type]
+        return judged(self._reward), ends  # type: ignore[arg-type]
 
 
 def _time(name: str, given: object) -> float:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit import RunError
 from mbdkit_gym.definition import Definition, Values
 from mbdkit_gym.simulations import simulations_of
 
@@ -40,11 +41,25 @@ class Episodes:
         return self._observed()
 
     def _observed(self) -> np.ndarray:
-        """Read the present states, and return observations; where one is not finite, the one before stands for it."""
+        """Read the present states, and return observations; in those of a simulation that has ended, the ones before
+        stand for values that are not finite.
+        """
         self.values = self.simulations.read()
         seen = self.values[:, : self._count]
+        if not np.isfinite(seen).all():
+            for name, values in zip(self.definition.observations, seen.T, strict=True):
+                self._require_finite(f"the observation '{name}'", values)
         self._last = np.where(np.isfinite(seen), seen, self._last)
         return self._last.copy()
+
+    def _require_finite(self, name: str, values: np.ndarray, over: np.ndarray | bool = False) -> None:
+        """Raise RunError if values (N,) of simulations that go on, and whose episode is not `over`, are not finite."""
+        wrong = {*np.flatnonzero(~np.isfinite(values) & ~np.asarray(over)).tolist()} - self.simulations.ended.keys()
+        if wrong:
+            i = min(wrong)
+            where = f" in environment {i}" if self.number > 1 else ""
+            when = f"at t = {self.simulations.time[i]:.6g} s{where}"
+            raise RunError(f"{name} is {values[i]:g} {when}; give an expression that is defined in all states")
 
     def step(self, actions: np.ndarray, over: np.ndarray, random: Sequence[np.random.Generator]) -> Outcome:
         """Advance by one period; simulations whose episode is `over` (N,) start a new one instead."""
@@ -55,7 +70,10 @@ class Episodes:
         if again:
             simulations.start(again, [definition.start(random[i], None) for i in again])
         observations, time = self._observed(), simulations.time
-        rewards, terminated = definition.judged(self.values, actions, time)
+        rewards, ends = definition.judged(self.values, actions, time)
+        for name, values in (("the reward", rewards), ("`terminated`", ends)):
+            self._require_finite(name, values, over)
+        terminated = ends > 0.0
         terminated[[*simulations.ended]] = True
         truncated = time >= definition.duration - 0.5 * definition.period
         rewards = np.where(over | ~np.isfinite(rewards), 0.0, rewards)

@@ -22,6 +22,8 @@ with its first guess, and in the last search."""
 MOST_EVALUATIONS = 200
 MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
 """Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns."""
+LEAST_EFFECT = 0.01
+"""Smallest mean square of the influence of residuals, which is less for data without noise."""
 SETTLED = 1e-3
 """Relative change of the innovations at which the noise counts as settled."""
 
@@ -46,6 +48,8 @@ class Fit:
         (n,) whether each unknown is at its lower or upper bound.
     starts
         Costs of the searches from all starts.
+    loss
+        The loss of residuals.
     is_settled
         Whether the noise has settled.
     """
@@ -57,6 +61,7 @@ class Fit:
     at_low: np.ndarray
     at_high: np.ndarray
     starts: tuple[float, ...] = ()
+    loss: str = "linear"
     is_settled: bool = True
 
     @property
@@ -120,35 +125,49 @@ def fit_at(
     white = problem.residuals(x)
     low, high = problem.bounds
     close = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
-    gradient = jacobian.T @ (influence(loss, white)[0])
+    gradient = jacobian.T @ (losses(loss, white)[1] * white)
     at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
     x = np.where(at_low, low, np.where(at_high, high, x))
-    return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, is_settled)
+    return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, loss, is_settled)
 
 
-def influence(loss: str, white: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the influence (R,) of whitened residuals on the estimates with a loss, and its derivative (R,).
-
-    It is half the derivative of the loss; see `scipy.optimize.least_squares`.
+def losses(loss: str, white: np.ndarray) -> tuple[float, np.ndarray]:
+    """Return the sum of the losses of whitened residuals (R,), and the weights (R,) of the least squares with the same
+    slope; see `scipy.optimize.least_squares`.
     """
     z = white**2
     if loss == "soft_l1":
-        return white / np.sqrt(1.0 + z), (1.0 + z) ** -1.5
+        root = np.sqrt(1.0 + z)
+        return float(np.sum(2.0 * (root - 1.0))), 1.0 / root
     if loss == "huber":
-        return np.clip(white, -1.0, 1.0), (z < 1.0).astype(float)
+        root = np.sqrt(np.maximum(z, 1.0))
+        return float(np.sum(np.where(z < 1.0, z, 2.0 * root - 1.0))), 1.0 / root
     if loss == "cauchy":
-        return white / (1.0 + z), (1.0 - z) / (1.0 + z) ** 2
+        return float(np.sum(np.log1p(z))), 1.0 / (1.0 + z)
     if loss == "arctan":
-        return white / (1.0 + z**2), (1.0 - 3.0 * z**2) / (1.0 + z**2) ** 2
-    return white, np.ones_like(white)
+        return float(np.sum(np.arctan(z))), 1.0 / (1.0 + z**2)
+    return float(np.sum(z)), np.ones_like(z)
 
 
-def variance_factor(loss: str, white: np.ndarray) -> float:
-    """Return the factor of the covariance of least squares for estimates with another loss (P. J. Huber, Robust
-    Statistics (1981), 7.6).
+def factors(fit: Fit) -> tuple[float, float]:
+    """Return the factor of the covariance of least squares for estimates with another loss, and the factor of the
+    increase of the sum of losses in place of the sum of squares.
+
+    The first is that of P. J. Huber, Robust Statistics (1981), 7.6; the second follows from the expansion of the sum to
+    second order, see E. Ronchetti, Statistics & Probability Letters 1 (1982) 111-114. Both are 1 for least squares.
     """
-    effect, slope = influence(loss, white)
-    return float(np.mean(effect**2) / np.mean(slope) ** 2)
+    if fit.loss == "linear":
+        return 1.0, 1.0
+    weights, count = losses(fit.loss, fit.white)[1], len(fit.white)
+    effect, z = weights * fit.white, fit.white**2
+    slope = {
+        "soft_l1": weights**3, "huber": (z < 1.0).astype(float), "cauchy": (1.0 - z) * weights**2,
+        "arctan": (1.0 - 3.0 * z**2) * weights**2,
+    }[fit.loss]  # fmt: skip
+    mean, used = float(np.mean(slope)), int(np.sum(fit.free))
+    correction = 1.0 + used / count * float(np.var(slope)) / mean**2
+    squares = correction**2 * max(float(np.sum(effect**2)) / max(count - used, 1), LEAST_EFFECT)
+    return squares / mean**2, squares / mean
 
 
 def _without_outliers(problem: Problem, raw: np.ndarray) -> list[Noise]:

@@ -25,11 +25,15 @@ class Estimate:
     lower, upper
         Limits of the interval; infinite where the data give no limit within the bounds.
     deviation
-        Standard deviation, which includes the integration error; nan if the data do not determine the value.
+        Standard deviation, which includes the integration error; nan if the data do not determine the value, or if none
+        describes the estimate.
     identifiable
         Whether the data determine the value.
     at_bound
         "lower" or "upper" if the estimate is at this bound, so that its interval is one-sided; else "".
+    why
+        Why no standard deviation and no covariance describe the estimate, such as a bound in its interval; empty if
+        they do.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Estimate:
     deviation: float
     identifiable: bool
     at_bound: str = ""
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -53,9 +58,10 @@ class Profile:
     values
         (N,) fixed values, increasing.
     costs
-        (N,) increase of the sum of squares of the whitened residuals, minimized over all other unknowns.
+        (N,) increase of the sum of squares, or of another loss, of the whitened residuals, minimized over all other
+        unknowns.
     threshold
-        Increase at the limits of the interval.
+        Increase at the limits of the interval, which is smaller near a bound of the parameter.
     """
 
     name: str
@@ -160,7 +166,7 @@ class Identification(HtmlView):
     parameters
         Names of the K parameters.
     covariance
-        (K, K) covariance of the parameters; nan for parameters that the data do not determine.
+        (K, K) covariance of the parameters; nan for those that the data do not determine, or that it does not describe.
     combinations
         Sentences on the combinations of parameters that the data determine or do not.
     residuals

@@ -10,18 +10,18 @@ from typing import Any
 import numpy as np
 
 from mbdkit import prepare
-from mbdkit.plugin import MbdkitError, RunSpec, SpecError, copied, path_text
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit_gradients import PreparedSensitivities
-from mbdkit_identify.estimation import best_fit, failed, fit_at, fit_some, variance_factor
+from mbdkit_identify.estimation import best_fit, factors, failed, fit_at, fit_some
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
 from mbdkit_identify.identify_spec import IdentifySpec
-from mbdkit_identify.intervals import Goal, covariance_of, freedom_of, profile_of, quantile
+from mbdkit_identify.intervals import Goal, covariance_of, interval_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import ExperimentData, read_experiment
-from mbdkit_identify.misfit import doubts_of
+from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
 from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
@@ -68,6 +68,11 @@ def identify(
             found = _Identification(spec, notify).result()
         except SpecError as error:
             raise spec.placed(error) from None
+        except (np.linalg.LinAlgError, OverflowError) as error:
+            raise RunError(
+                f"the data cannot be fitted in floating-point numbers ({error}); check their units"
+            ) from None
+
     return replace(found, seconds=time.process_time() - begin)
 
 
@@ -80,6 +85,10 @@ class _Identification:
         unknowns, segments, names = segments_of(spec, self.data)
         self.problem = Problem(unknowns, names, segments)
         self.names = [one.name for one in unknowns if not one.is_initial]
+        priors = sum(one.prior is not None for one in unknowns)
+        if (count := len(self.problem.measured)) + priors <= len(unknowns):
+            message = f"{count} measured values cannot determine {len(unknowns)} unknowns and the noise"
+            raise SpecError(message, key="experiments")
         self.notes: list[str] = []
         self.doubts: list[Doubt] = []
 
@@ -91,10 +100,10 @@ class _Identification:
             self.doubts.append(Doubt("", "runs fail at the best fit, so that the estimates mean nothing"))
         if not self.fit.is_settled:
             self.notes.append("the noise of the signals has not settled; its correlation may be close to 1")
-        self.covariance = covariance_of(self.fit.jacobian, self.fit.free)
+        every = np.ones(len(self.fit.x), dtype=bool)
+        self.covariance = self.of_noise = factors(self.fit)[0] * covariance_of(self.fit.jacobian, every)
         if spec.loss != "linear":
-            self.covariance *= variance_factor(spec.loss, self.fit.white)
-            self.notes.append("intervals with a robust loss are linear, and the model is not tested")
+            self.notes.append("with a robust loss, effects that the model may lack are not tested")
         self.notify("identifiability")
         self.known = self._identifiability()
         self.level = quantile(spec.intervals.level, max(len(self.fit.white) - np.sum(self.fit.free), 1))
@@ -105,7 +114,7 @@ class _Identification:
         self._check(residuals)
         following = next_experiment(self) if spec.candidates else None
         count = len(self.names)
-        lost = ~self.known.identifiable[:count]
+        lost = np.array([not estimates[name].identifiable or bool(estimates[name].why) for name in self.names])
         covariance = self.covariance[:count, :count] + np.outer(self.bias, self.bias)[:count, :count]
         covariance = np.where(lost | lost[:, None], np.nan, covariance)
         is_bad = failed(self.fit)
@@ -150,17 +159,9 @@ class _Identification:
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
-    def _shift(self, change: np.ndarray, jacobian: np.ndarray | None = None) -> np.ndarray:
-        """Return how the estimates (n,) follow a change (R,) of the whitened predictions."""
-        fit = self.fit
-        j = (fit.jacobian if jacobian is None else jacobian)[: len(change)]
-        shift = np.zeros(len(fit.x))
-        shift[fit.free] = -self.covariance[np.ix_(fit.free, fit.free)] @ (j[:, fit.free].T @ change)
-        return shift
-
     def _integration_bias(self) -> np.ndarray:
         """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
-        problem, x = self.problem, self.fit.x
+        problem, x, jacobian = self.problem, self.fit.x, self.fit.jacobian
         finer = [replace(one, spec=_finer(one.spec)) for one in problem.segments]
         other = Problem(problem.unknowns, problem.names, finer)
         other.noises = problem.noises
@@ -168,7 +169,8 @@ class _Identification:
         if not np.all(np.isfinite(change)):
             self.notes.append("the integration error of the runs is not known, because runs with finer steps fail")
             return np.zeros(len(x))
-        bias = self._shift(problem.white(change))
+        white = problem.white(change)
+        bias = np.asarray(-covariance_of(jacobian, self.fit.free) @ (jacobian[: len(white)].T @ white))
         deviation = np.sqrt(np.diagonal(self.covariance))
         for place, name in enumerate(self.names):
             if abs(bias[place]) > max(deviation[place], 1e-12):
@@ -249,10 +251,8 @@ class _Identification:
 
         def value(x: np.ndarray) -> float:
             values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
-            try:
+            with SpecError.rekey(where):
                 return parameter_values({**values, "_": text})["_"]
-            except SpecError as error:
-                raise SpecError(error.message, key=where) from None
 
         def slope(x: np.ndarray) -> np.ndarray:
             found = np.zeros(len(x))
@@ -287,23 +287,25 @@ class _Identification:
             if not self.is_determined(slope):
                 estimates[goal.name] = Estimate(goal.name, unit, value, -np.inf, np.inf, np.nan, False)
                 continue
-            bias = abs(float(slope @ self.bias))
+            self.notify(f"interval of {goal.name}")
+            one = interval_of(
+                self.problem, self.fit, goal, self.of_noise, self.spec.intervals.level,
+                is_linear=self.spec.intervals.method == "linear",
+            )  # fmt: skip
+            if one.profile is not None:
+                profiles[goal.name] = one.profile
+            bias, half = abs(float(slope @ self.bias)), self.level * one.deviation
             deviation = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
+            more = bias + self.level * deviation - half
             at = ""
             if place is not None:
                 at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
-            if (self.spec.intervals.method == "linear" or self.spec.loss != "linear") and not at:
-                half = quantile(self.spec.intervals.level, freedom_of(self.problem, self.fit, slope)) * deviation
-                lower, upper = value - half, value + half
-            else:
-                self.notify(f"profile of {goal.name}")
-                covariance = covariance_of(self.fit.jacobian, self.fit.free | (slope != 0)) if at else self.covariance
-                lower, upper, profile = profile_of(self.problem, self.fit, goal, covariance, self.spec.intervals.level)
-                profiles[goal.name] = profile
-            lower = goal.low if at == "lower" else max(lower - bias, goal.low) if np.isfinite(lower) else lower
-            upper = goal.high if at == "upper" else min(upper + bias, goal.high) if np.isfinite(upper) else upper
-            total = float(np.hypot(deviation, bias)) if not at else np.nan
-            estimates[goal.name] = Estimate(goal.name, unit, value, lower, upper, total, True, at)
+            low, high = one.lower - more, one.upper + more
+            lower = goal.low if at == "lower" else max(low, goal.low) if np.isfinite(low) else low
+            upper = goal.high if at == "upper" else min(high, goal.high) if np.isfinite(high) else high
+
+            total = np.nan if one.why else float(np.hypot(deviation, bias))
+            estimates[goal.name] = Estimate(goal.name, unit, value, lower, upper, total, True, at, one.why)
         return estimates, profiles
 
     # ---- residuals -------------------------------------------------------------------------------------------------
@@ -370,6 +372,17 @@ class _Identification:
     def _check(self, residuals: Sequence[Residuals]) -> None:
         """Add the doubts about the model: effects that the residuals ask for, and residuals that are not noise."""
         problem, x = self.problem, self.fit.x
+        of_signal = {(s.experiment, one.quantity): one for s in problem.segments for one in s.signals}
+        measured = [of_signal[key.experiment, key.quantity] for key in problem.signals]
+        gains = [one.sensor.gain for one in measured]
+        values = [float(x[problem.names[gain]]) if isinstance(gain, str) else gain for gain in gains]
+        turns = [
+            2.0 * np.pi * abs(gain) if one.quantity.endswith(".angle") else np.nan
+            for gain, one in zip(values, measured, strict=True)
+        ]
+        fitted = [one for one in residuals if not one.is_hold_out]
+        self.doubts += useless(fitted, turns, is_robust=self.spec.loss != "linear")
+
         if self.spec.loss != "linear":
             return
         self.notify("tests of the model")

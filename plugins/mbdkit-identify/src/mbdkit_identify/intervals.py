@@ -1,9 +1,11 @@
 """Intervals of estimates: linear ones from the covariance, and profiles of the likelihood.
 
-A profile is the smallest sum of squares with a fixed value of one parameter, or of one expression of parameters. The
-limits of the interval are where it exceeds the minimum by the square of the quantile of Student's distribution; see
-A. Raue et al., Bioinformatics 25 (2009) 1923-1929, and D. M. Bates, D. G. Watts, Nonlinear Regression Analysis and Its
-Applications (1988), 6.1.
+A profile is the smallest sum of squares, or of another loss, within the bounds and with a fixed value of one parameter
+or of one expression of parameters. The limits of the interval are where it exceeds the minimum by the square of the
+quantile of Student's distribution; see A. Raue et al., Bioinformatics 25 (2009) 1923-1929, and D. M. Bates, D. G.
+Watts, Nonlinear Regression Analysis and Its Applications (1988), 6.1. For values near a bound of the parameter itself,
+the increase is smaller, such that the intervals contain the true value with the same probability (G. J. Feldman, R. D.
+Cousins, Physical Review D 57 (1998) 3873-3889).
 """
 
 from __future__ import annotations
@@ -12,9 +14,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import norm
 from scipy.stats import t as student
 
-from mbdkit_identify.estimation import Fit
+from mbdkit.plugin import listed
+from mbdkit_identify.estimation import Fit, factors, losses
 from mbdkit_identify.identification import Profile
 from mbdkit_identify.noise import CHANGE
 from mbdkit_identify.problem import FAILED, Problem
@@ -29,6 +34,12 @@ SMALL = 1e-2
 """
 FAR = 100.0
 """A side has no limit if it is not reached within this many standard deviations."""
+RELATED = 0.1
+"""Correlation above which a bound of one parameter affects the interval of another."""
+CONVEX = ("linear", "soft_l1", "huber")
+"""Losses that grow at least linearly."""
+STRAIGHT = 1.25
+"""Largest ratio between limits of an interval and linear ones, with which a covariance describes the estimate."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +63,76 @@ class Goal:
     high: float = np.inf
 
 
+@dataclass(frozen=True)
+class Interval:
+    """The interval of a goal: its limits, infinite where there is none; its profile, if it has one; the standard
+    deviation without bounds; and why no covariance describes the estimate, empty if one does.
+    """
+
+    lower: float
+    upper: float
+    profile: Profile | None
+    deviation: float
+    why: str = ""
+
+
+def interval_of(
+    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float, *, is_linear: bool
+) -> Interval:
+    """Return the interval of a goal.
+
+    It is a profile unless `is_linear`, and also where the linear interval of a related parameter reaches its bound, and
+    for losses that are not convex, with which linear intervals are too narrow.
+
+    Parameters
+    ----------
+    covariance
+        (n, n) covariance of the unknowns without bounds.
+    """
+    slope, value, sizes = goal.slope(fit.x), goal.value(fit.x), np.sqrt(np.diagonal(covariance))
+    deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+    reach = quantile(level, max(len(fit.white) - len(fit.x), 1)) * sizes
+    low, high = problem.bounds
+    near = fit.at_low | fit.at_high | (fit.x - reach < low) | (fit.x + reach > high)
+    near &= np.abs(covariance @ slope) >= RELATED * sizes * deviation
+    half = quantile(level, freedom_of(problem, fit, slope)) * deviation
+    if is_linear and not np.any(near) and fit.loss in CONVEX:
+        lower, upper, profile = value - half, value + half, None
+        along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
+        limit = max((half / max(deviation, 1e-300)) ** 2 * factors(fit)[1], 1e-300)
+        lowest = losses(fit.loss, fit.white)[0]
+        ends = [losses(fit.loss, problem.residuals(fit.x + side * along))[0] for side in (-1.0, 1.0)]
+        ratios = [float(np.sqrt(max(end - lowest, 0.0) / limit)) for end in ends]
+    else:
+        lower, upper, profile = profile_of(problem, fit, goal, covariance, level)
+        ratios = [abs(one - value) / max(half, 1e-300) for one in (lower, upper)]
+    why = ""
+    if np.any(near):
+        names = [one.name for one, is_near in zip(problem.unknowns, near, strict=True) if is_near]
+        why = f"the interval of {listed(names, 'and')} reaches a bound"
+    elif not all(1.0 / STRAIGHT < ratio < STRAIGHT for ratio in ratios):
+        why = "its effect on the data is too nonlinear"
+    return Interval(lower, upper, profile, deviation, why)
+
+
+def bounded_share(distance: float, level: float) -> float:
+    """Return the share of the increase of a profile at the limits that holds for a value at a distance from a bound.
+
+    Estimates are normal with deviation 1, but not beyond the bound. Values within the limits have a likelihood ratio to
+    the best estimate such that they are within them with the probability `level`; see Feldman and Cousins.
+    """
+    full, half = float(norm.ppf(0.5 * (1.0 + level))) ** 2, float(norm.ppf(level)) ** 2
+    if distance >= np.sqrt(full):
+        return 1.0
+
+    def lack(increase: float) -> float:
+        root = np.sqrt(increase)
+        first = -root if root < distance else -(increase + distance**2) / (2.0 * max(distance, 1e-9))
+        return float(norm.cdf(root) - norm.cdf(first)) - level
+
+    return float(brentq(lack, half, full)) / full if lack(half) < 0.0 else half / full
+
+
 def covariance_of(jacobian: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Return the covariance (n, n) of unknowns from derivatives (R, n) of whitened residuals; 0 for those at bounds."""
     found = np.zeros((len(free), len(free)))
@@ -71,7 +152,7 @@ def freedom_of(problem: Problem, fit: Fit, slope: np.ndarray) -> float:
     M. G. Kenward, J. H. Roger, Biometrics 53 (1997) 983-997). Without correlation, a single signal has those of its
     residuals.
     """
-    along = covariance_of(fit.jacobian, fit.free) @ slope
+    along = covariance_of(fit.jacobian, fit.free | (slope != 0.0)) @ slope
     change, variance, spread = problem.slopes(fit.x) @ along, float(along @ slope), 0.0
     for piece, noise in zip(problem.pieces, problem.noises, strict=True):
         low, own, high = (
@@ -91,12 +172,12 @@ def profile_of(
 ) -> tuple[float, float, Profile]:
     """Return the limits of the interval of a goal, infinite where there is none, and its profile."""
     slope, best = goal.slope(fit.x), goal.value(fit.x)
-    threshold = quantile(level, freedom_of(problem, fit, slope)) ** 2
+    threshold = quantile(level, freedom_of(problem, fit, slope)) ** 2 * factors(fit)[1]
     deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
     points: list[tuple[float, float]] = [(best, 0.0)]
     limits = []
     for side in (-1.0, 1.0):
-        limit, some = _limit(problem, fit, goal, covariance, deviation, side, threshold)
+        limit, some = _limit(problem, fit, goal, covariance, deviation, side, threshold, level)
         limits.append(limit)
         points += some
     values, costs = np.array(sorted(points)).T
@@ -104,7 +185,14 @@ def profile_of(
 
 
 def _limit(
-    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, deviation: float, side: float, threshold: float
+    problem: Problem,
+    fit: Fit,
+    goal: Goal,
+    covariance: np.ndarray,
+    deviation: float,
+    side: float,
+    threshold: float,
+    level: float,
 ) -> tuple[float, list[tuple[float, float]]]:
     """Return the limit of one side, and the points (value, increase) of the profile that were computed."""
     best, root = goal.value(fit.x), np.sqrt(threshold)
@@ -114,12 +202,17 @@ def _limit(
     points: list[tuple[float, float]] = []
     if best == bound:
         return side * np.inf, points
+
+    def share(value: float) -> float:
+        return bounded_share(min(value - goal.low, goal.high - value) / deviation, level)
+
+    lowest = losses(fit.loss, fit.white)[0]
     known = [(0.0, 0.0, fit.x)]  # distances, roots of the increase, unknowns
     outer = np.inf
     distance = root * deviation
     for _ in range(MOST_STEPS):
         distance = min(distance, abs(bound - best))
-        value = best + side * distance
+        value = best + side * distance if distance < abs(bound - best) else bound
         found = _constrained(problem, fit, goal, value, _between(known, distance), covariance, threshold)
         inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
         if found is None:  # the run fails there
@@ -128,15 +221,15 @@ def _limit(
                 return side * np.inf, points
             distance = 0.5 * (inner[0] + outer)
             continue
-        increase = max(found[0] - fit.cost, 0.0)
+        increase = max(found[0] - lowest, 0.0)
         points.append((value, increase))
-        at = distance, float(np.sqrt(increase)), found[1]
+        at = distance, float(np.sqrt(increase / share(value))), found[1]
         near = min(known, key=lambda one: abs(one[1] - root))
         known.append(at)
-        slope = (at[1] - near[1]) / (at[0] - near[0])
+        slope = (at[1] - near[1]) / (at[0] - near[0]) if at[0] != near[0] else 0.0
         if abs(at[1] - root) <= CLOSE * root and slope > 0.0:
             limit = best + side * (distance + (root - at[1]) / slope)
-            return limit, [*points, (limit, threshold)]
+            return limit, [*points, (limit, threshold * share(limit))]
         if at[1] < root:
             inner = max(inner, at, key=lambda one: one[0])
             if value == bound or distance > FAR * deviation:
@@ -146,8 +239,8 @@ def _limit(
         if np.isinf(outer):
             distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
         else:
-            share = (distance + (root - at[1]) / slope - inner[0]) / (outer - inner[0]) if slope > 0.0 else 0.5
-            distance = inner[0] + float(np.clip(share, 0.05, 0.95)) * (outer - inner[0])
+            part = (distance + (root - at[1]) / slope - inner[0]) / (outer - inner[0]) if slope > 0.0 else 0.5
+            distance = inner[0] + float(np.clip(part, 0.05, 0.95)) * (outer - inner[0])
     return best + side * distance, points
 
 
@@ -169,10 +262,10 @@ def _constrained(
     covariance: np.ndarray,
     threshold: float,
 ) -> tuple[float, np.ndarray] | None:
-    """Return the smallest sum of squares with a fixed value of the goal, and the unknowns; None if the run fails.
+    """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
 
-    Gauss-Newton steps are halved as long as they increase the sum of squares. The last one, which would reduce it by a
-    small share of the threshold, is not evaluated.
+    Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one, which
+    would reduce it by a small share of the threshold, is not evaluated.
     """
     low, high = problem.bounds
     best: tuple[float, np.ndarray] | None = None
@@ -181,7 +274,7 @@ def _constrained(
         x = np.clip(_on_goal(x, goal, value, covariance), low, high)
         jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
         white = problem.residuals(x)
-        cost = float(white @ white)
+        cost, weights = losses(fit.loss, white)
         is_failed = bool(np.any(np.abs(white) >= FAILED))
         if is_failed and best is None:
             return None
@@ -190,6 +283,7 @@ def _constrained(
             x = best[1] + step
             continue
         best = cost, x
+        jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
         slope, gradient = goal.slope(x), jacobian.T @ white
         free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
         step = np.zeros(len(x))

@@ -61,15 +61,13 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
             if key in document.data:
                 message = f"this is the spec of a {command}; that of an identification begins with `mbdkit_identify: 1`"
                 raise document.place(SpecError(message, key=key))
-    try:
+    with SpecError.place_by(document.place):
         for assignment in assignments:
             set_value(document, assignment)
         spec = IdentifySpec(**document.data)
         spec._document = document
         spec._base = _base(spec, folder)
         _check_names(spec)
-    except SpecError as error:
-        raise document.place(error) from None
     return spec
 
 
@@ -89,10 +87,8 @@ def _base(spec: IdentifySpec, folder: FilePath) -> RunSpec:
         if one.start is not None and is_of_run:
             given[path_text(("parameters", name, "start"))] = path, one.start
     for where, (path, value) in given.items():
-        try:
+        with SpecError.rekey(where):
             put(data, path, value)
-        except SpecError as error:
-            raise SpecError(error.message, key=where) from None
     for key in ("measures", "gradients", "check", "accept"):
         data.pop(key, None)
     try:
@@ -145,10 +141,8 @@ def _check_names(spec: IdentifySpec) -> None:
             )
     own = {name: 1.0 for name in spec.parameters if name.isidentifier()}
     for name, text in spec.intervals.of.items():
-        try:
+        with SpecError.rekey(path_text(("intervals", "of", name))):
             parameter_values({**base.numbers, **own, name: text})
-        except SpecError as error:
-            raise SpecError(error.message, key=path_text(("intervals", "of", name))) from None
     for name, candidate in spec.candidates.items():
         observed = {quantity for one in spec.experiments.values() if one.role == "fit" for quantity in one.observed}
         for quantity in candidate.observed or ():

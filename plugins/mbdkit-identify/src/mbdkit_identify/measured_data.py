@@ -14,6 +14,8 @@ from mbdkit_identify.identify_spec import Experiment, IdentifySpec, Sensor
 
 LEAST_SAMPLES = 3
 """Smallest number of values of a signal."""
+LARGEST = 1e50
+"""Largest measured value, and inverse of the smallest one."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,11 @@ def read_experiment(spec: IdentifySpec, name: str) -> ExperimentData:
         if has_gain and signal.unit is not None:
             raise SpecError("a sensor with a gain has counts, which need no unit", key=f"{where}.unit")
         found = factor * values[number]
+        size = np.max(np.abs(found), where=np.isfinite(found), initial=0.0)
+        if size > LARGEST or 0.0 < size < 1.0 / LARGEST:
+            message = f"the column '{signal.column}' has values up to {size:.3g}, which no unit makes plausible"
+            raise SpecError(message, key=where)
+
         if np.sum(np.isfinite(found)) < LEAST_SAMPLES:
             raise SpecError(f"the column '{signal.column}' has fewer than {LEAST_SAMPLES} values here", key=where)
         deviation = None if signal.deviation is None else abs(factor) * signal.deviation
@@ -147,10 +154,8 @@ def _factor(given: str | None, unit: str, where: str) -> float:
     """Return the factor from a unit to the SI unit of a quantity."""
     if given is None:
         return 1.0
-    try:
+    with SpecError.rekey(f"{where}.unit"):
         found = read_unit(given)
         if unit and not found.fits(read_unit(unit)):
             raise SpecError(f"the unit {given} does not fit the unit {unit} of the quantity")
-    except SpecError as error:
-        raise SpecError(error.message, key=f"{where}.unit") from None
     return found.factor

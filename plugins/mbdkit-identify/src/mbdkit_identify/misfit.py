@@ -39,6 +39,16 @@ FAR = 3.0
 """Root mean square of the errors of a prediction, relative to their deviation, that is far above 1."""
 ROUNDS = 6
 """Number of times that the noise is estimated with an effect."""
+SMALLEST = 1e-3
+"""Smallest deviation of noise in units of the one of the fit, which differs from 1 for data without noise."""
+WRAPPED = 0.2
+"""Relative difference between jumps of residuals and a whole turn, within which a column counts as wrapped."""
+LITTLE = 0.1
+"""Share of the deviation of the data below which the deviation of a fit is no motion."""
+OUTLYING = 5.0
+"""Root mean square of residuals, in deviations that follow from their median, above which few values determine it."""
+WITHOUT_NOISE = 1e-6
+"""Residuals below this share of the deviation of the data are not noise."""
 CORRELATIONS = (-0.95, 0.999)
 """Smallest and largest correlation of noise from sample to sample."""
 
@@ -105,9 +115,11 @@ class _Signal:
         deviation, correlation = present.deviation, present.correlation
         if not self.is_white and 1 in self.steps:
             _, _, cross, before = self.steps[1]
-            correlation = float(np.clip(weights @ cross @ weights / (2 * weights @ before @ weights), *CORRELATIONS))
+            size = max(float(weights @ before @ weights), SMALLEST**2)
+            correlation = float(np.clip(weights @ cross @ weights / (2 * size), *CORRELATIONS))
         if not self.is_stated:
-            deviation = float(np.sqrt(weights @ self.product(correlation) @ weights / self.count))
+            square = float(weights @ self.product(correlation) @ weights) / self.count
+            deviation = max(square, SMALLEST**2) ** 0.5
         return _Noise(deviation, correlation)
 
     def cost(self, weights: np.ndarray, noise: _Noise) -> float:
@@ -272,6 +284,8 @@ def whiteness(white: np.ndarray, estimated: int = 1) -> tuple[float, float]:
     if lags <= estimated:
         return 0.0, 1.0
     white = white - white.mean()
+    if np.sum(white**2) < SMALLEST**2 * count:
+        return 0.0, 1.0
     correlations = np.array([white[lag:] @ white[:-lag] for lag in range(1, lags + 1)]) / (white @ white)
     statistic = float(count * (count + 2) * np.sum(correlations**2 / (count - np.arange(1, lags + 1))))
     return statistic, float(stats.chi2.sf(statistic, lags - estimated))
@@ -357,6 +371,44 @@ def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
                 "explains them"
             )
             doubts.append(Doubt("", text, (statistic, limit)))
+    return doubts
+
+
+def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> list[Doubt]:
+    """Return the fitted signals of which the model explains nothing, and those that do not measure what they should.
+
+    Parameters
+    ----------
+    turns
+        Change of each signal in one turn of what it measures; nan if it does not measure an angle.
+    is_robust
+        Whether the loss reduces the influence of outliers.
+    """
+    doubts = []
+    for one, turn in zip(residuals, turns, strict=True):
+        rest, name = one.measured - one.fitted, _name(one)
+        jumps = np.flatnonzero(np.abs(np.abs(np.diff(rest)) / turn - 1.0) < WRAPPED)
+        sizes = np.abs(rest - np.median(rest))
+        usual = max(float(np.median(sizes)) / stats.norm.ppf(0.75), WITHOUT_NOISE * float(np.std(one.measured)))
+        rms, varied, last = one.rms, np.std(one.measured), one.time[int(np.argmax(sizes))]
+        if np.ptp(one.measured) == 0.0:
+            text = f"the column of {name} never changes: if its sensor is dead, leave it out"
+        elif len(jumps):
+            text = (
+                f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: unwrap"
+            )
+            text += " it, for example by numpy.unwrap, and estimate again"
+        elif np.std(one.fitted) > LITTLE * varied and rms > varied:
+            text = (
+                f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, standard"
+            )
+            text += f" deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
+        elif rms > OUTLYING * usual and not is_robust:
+            text = f"few values determine the noise of {name}, such as the one at {last:.6g} s: remove them, or use a"
+            text += " robust loss"
+        else:
+            continue
+        doubts.append(Doubt("", text))
     return doubts
 
 

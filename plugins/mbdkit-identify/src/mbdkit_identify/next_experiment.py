@@ -91,15 +91,11 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     own._document, base = spec._document, spec.run_spec
     settings = done.base_data(done.fit.x)
     for key, value in candidate.overrides.items():
-        try:
+        with SpecError.rekey(path_text(("candidates", name, "overrides", key))):
             put(settings, parse_key(key), value)
-        except SpecError as error:
-            raise SpecError(error.message, key=path_text(("candidates", name, "overrides", key))) from None
-    try:
+    with SpecError.rekey(f"{where}.overrides"):
         own._base = RunSpec(**settings)
         own._base.mechanism()
-    except SpecError as error:
-        raise SpecError(error.message, key=f"{where}.overrides") from None
     own._base._document = replace(base._document, data=settings)  # type: ignore[type-var]
     time = data.time
     if candidate.duration is not None:

@@ -91,7 +91,7 @@ class Problem:
     def measure(self, values: np.ndarray) -> None:
         """Take (R,) measured values in place of those of the windows, and a first guess of their noise."""
         self.measured = values
-        self.scales = [float(np.max(np.abs(values[one.places]), initial=1e-300)) for one in self.pieces]
+        self.scales = [float(np.max(np.abs(values[one.places]), initial=0.0)) or 1.0 for one in self.pieces]
         self.noises = [
             Noise(known or max(_roughness(values[one.places]), LEAST_DEVIATION * scale))
             for known, one, scale in zip(self.known, self.pieces, self.scales, strict=True)

@@ -98,12 +98,10 @@ class Segment:
         quantities = [signal.quantity for signal in self.signals]
         names = [*self.parameters, *own]
         key = self.spec.canonical_json(), *quantities, self.time.tobytes(), *names, *start
-        try:
+        with SpecError.locate(path_text(("experiments", self.experiment))):
             if key not in self.shared:
                 self.shared[key] = PreparedSensitivities(self.spec, quantities, self.time, names, initial=start)
             return self.shared[key]
-        except SpecError as error:
-            raise error.located(prefix=path_text(("experiments", self.experiment))) from None
 
     def given(self, x: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:
         """Return the parameters and the initial values of the run for unknowns x (n,)."""
@@ -232,7 +230,7 @@ def _segment(
     where = path_text(("experiments", data.name, "initial"))
     if choice is not None:
         label = data.name if number == 0 else f"{data.name}, window {number + 1}"
-        try:
+        with SpecError.rekey(where):
             given = GivenStart(run.mechanism(), run, Starts())
             numbers = {one.name: one.start for one in unknowns}
             values = _initial_values(given, choice, run, numbers, signals, time)
@@ -247,8 +245,6 @@ def _segment(
                 initial[name] = len(unknowns)
                 size = max(abs(value), 1.0 if "angle" in name or "angular" in name else given.length)
                 unknowns.append(Unknown(f"{label}: {name}", value, *bounds, size=size, is_initial=True))
-        except SpecError as error:
-            raise SpecError(error.message, key=where) from None
     return Segment(data.name, experiment.role == "hold-out", time, signals, run, parameters, initial)
 
 

@@ -51,11 +51,11 @@ def test_what_is_written_is_read(given: Identification, tmp_path: Path) -> None:
 def test_other_specs_take_the_estimates(tmp_path: Path) -> None:
     from mbdkit.archive.identified_parameters import read_identified
 
-    names, values, covariance, known = read_identified(write_identification(result(), tmp_path / "fit.h5"))
+    names, values, covariance, reasons = read_identified(write_identification(result(), tmp_path / "fit.h5"))
     assert names == ["stiffness", "damping", "mass"]
     assert values.tolist() == [12.0, 0.0, 2.0]
     np.testing.assert_array_equal(covariance, COVARIANCE)
-    assert known.tolist() == [True, True, False]
+    assert reasons == ["", "", "the data do not determine it"]
 
 
 def test_xarray_sees_axes_and_units(tmp_path: Path) -> None:
@@ -134,8 +134,20 @@ def test_missing_and_other_files_are_refused(tmp_path: Path) -> None:
     assert problems(tmp_path / "run.h5") is None
 
 
-def test_changed_data_are_noticed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("place", ["parameters/value", "verdict", "parameters/value@unit"])
+def test_a_changed_file_is_refused_by_all_that_read_it(tmp_path: Path, place: str) -> None:
+    from mbdkit.archive.identified_parameters import read_identified
+
     path = write_identification(result(), tmp_path / "fit.h5")
     with h5py.File(path, "a") as file:
-        file["parameters/value"][0] = 13.0
-    assert problems(path) == ["the data have changed since they were written: data_sha256 does not match"]
+        name, _, attribute = place.partition("@")
+        if attribute:
+            file[name].attrs["units"] = "kg"
+        elif name in file:
+            file[name][0] = 13.0
+        else:
+            file.attrs[name] = "good"
+    for read in (load_identification, read_identified):
+        with pytest.raises(ArchiveError, match="changed since"):
+            read(path)
+    assert "changed since" in problems(path)[0]

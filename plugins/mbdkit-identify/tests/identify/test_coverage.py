@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, norm
 
+from tests.margins import assert_within
+
 from .coverage import CORRELATIONS, LEVEL, REACH, Campaign, InterpolatedProblem, Repeats
 from .synthetic_cases import synthetic_cases
 
@@ -35,8 +37,8 @@ def test_polynomials_agree_with_the_model_where_estimates_are(crank: Repeats) ->
     for direction in np.random.default_rng(5).normal(size=(3, len(crank.truth))):
         x = crank.truth + fast.factor @ direction * (4.0 / REACH / np.linalg.norm(direction))
         slopes = exact.slopes(x) @ fast.factor
-        assert np.max(np.abs(fast.predicted(x) - exact.predicted(x))) < 1e-3 * deviation
-        assert np.max(np.abs(fast.slopes(x) @ fast.factor - slopes)) < 1e-2 * deviation
+        assert_within(fast.predicted(x) - exact.predicted(x), 1e-3 * deviation)
+        assert_within(fast.slopes(x) @ fast.factor - slopes, 1e-2 * deviation)
         assert np.max(np.abs(slopes)) > deviation
 
 

@@ -12,6 +12,7 @@ from tests.identify.models import IDENTIFIABLE, SIMULATED, UNIDENTIFIABLE, Case,
 import mbdkit
 from mbdkit.plugin import RunError
 from mbdkit_identify.identifiability import Identifiability, combinations
+from tests.margins import assert_within
 
 UNNAMED = {"motor, speed measured"}
 """Cases whose combinations have no form that is looked for."""
@@ -47,7 +48,7 @@ def check(case: Case, result: Identifiability) -> None:
         columns = [result.names.index(name) for name in group.names]
         relative = group.directions / [abs(case.values[name]) or 1.0 for name in group.names]
         assert np.max(np.abs(relative), axis=1) == pytest.approx(0.01)
-        assert np.max(np.abs(gradients(case, determined)[:, columns] @ relative.T)) < 1e-5
+        assert_within(gradients(case, determined)[:, columns] @ relative.T, 1e-5)
     if case.name not in UNNAMED:
         texts = [
             *(set(result.names) - undetermined),

@@ -18,6 +18,7 @@ import pytest
 
 import mbdkit
 from identify.swings import NOISE, TRUE, by_lmfit, by_mujoco, measured, spec
+from tests.margins import assert_within
 
 pytest.importorskip("lmfit", reason="lmfit is not installed: pip install lmfit")
 
@@ -53,7 +54,7 @@ def test_identification_of_a_double_pendulum_beside_lmfit_and_mujoco(
     others = by_lmfit(data), by_mujoco(data)
     for other, squares, _ in others:
         assert float(raw @ raw) == pytest.approx(squares, rel=1e-3)
-        assert np.all(np.abs(estimates - other) < 0.1 * deviations)
+        assert_within(estimates - other, 0.1 * deviations)
 
     fits = (
         lambda: mbdkit.identify(given), lambda: by_lmfit(data, at_once=False), lambda: by_mujoco(data),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mbdkit.plugin import StudyPlugin, Target
+from mbdkit.registry.items import StudyPlugin
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

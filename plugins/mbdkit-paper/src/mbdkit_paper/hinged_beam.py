@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from mbdkit import Mechanism
-from mbdkit.plugin import StrictModel
-from mbdkit.plugin.seams import model_builder
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import model_builder
 
 REFERENCES = (
     """@book{hairer1996solving,

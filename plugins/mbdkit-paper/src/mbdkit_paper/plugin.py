@@ -7,14 +7,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Example, GuidePage, Item, ModelPlugin, StudyPlugin, Target, hookimpl
+from mbdkit.registry.feature_items import Example, GuidePage
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import ModelPlugin
+from mbdkit.registry.target import Target
+from mbdkit_paper import STUDIES
 
 _HERE = Path(__file__).parent
 
 
 @hookimpl
-def mbdkit_models() -> list[ModelPlugin]:
-    """Return the beam of hinged links, a test problem of integrators."""
+def mbdkit_items() -> Iterable[Item]:
+    """Return a test problem of integrators, the packaged studies, the examples, which are problems of others with
+    published results, and the page on the source paper.
+    """
     return [
         ModelPlugin(
             "hinged-beam",
@@ -22,19 +29,8 @@ def mbdkit_models() -> list[ModelPlugin]:
             options=Target("mbdkit_paper.hinged_beam:HingedBeamOptions"),
             build=Target("mbdkit_paper.hinged_beam:build"),
             references=Target("mbdkit_paper.hinged_beam:REFERENCES"),
-        )
+        ),
+        *STUDIES,
+        *Example.folder(_HERE / "examples"),
+        *GuidePage.folder(_HERE / "guide"),
     ]
-
-
-@hookimpl
-def mbdkit_studies() -> list[StudyPlugin]:
-    """Return the packaged studies."""
-    from mbdkit_paper import STUDIES
-
-    return list(STUDIES)
-
-
-@hookimpl
-def mbdkit_items() -> Iterable[Item]:
-    """Return the examples, which are problems of others with published results, and the page on the source paper."""
-    return [*Example.folder(_HERE / "examples"), *GuidePage.folder(_HERE / "guide")]

@@ -12,7 +12,7 @@ import yaml
 
 from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Table, columns_of
 
-UNDECIDED = "Not decided: the required runs are missing or failed."
+UNDECIDED = "Not decided: required runs are missing or failed, or their results are too uncertain for an answer."
 
 
 class Words:

@@ -15,6 +15,7 @@ from mbdkit_paper.contact import verdict as of
 from mbdkit_paper.contact.verdict import CLOSED, FINEST, Touched
 from mbdkit_report import Answer
 from mbdkit_studies.spec.study_loading import load_study_spec
+from tests.margins import assert_within
 
 RIGID = [
     Touched(case, method, step, error * step if method == "time-stepping" else 1e-12, 0.0, 0.0, 100.0, 1.0, "")
@@ -62,4 +63,4 @@ def test_a_block_sticks_and_slips_by_time_stepping() -> None:
     setup = {"integrator": {"name": "moreau-jean"}, "contact": {"treatment": "time-stepping"}}
     found = mbdkit.run({"mbdkit": 1, "model": case["model"], "time": {"end": 10.0, "step": 0.05}} | setup)
     coordinate, closed = CLOSED["belt"]
-    assert np.max(np.abs(coordinate(found) - closed(found.time))) < 0.6 * 0.05
+    assert_within(coordinate(found) - closed(found.time), 0.6 * 0.05)

@@ -42,9 +42,10 @@ WITNESSES = [
 @pytest.mark.parametrize(("name", "solve", "arguments"), WITNESSES)
 def test_references_are_those_of_a_code_without_constraints(name: str, solve: Any, arguments: tuple[Any, ...]) -> None:
     # expected: quadrature, elliptic functions, or DOP853 with rtol 1e-13 in minimal coordinates; at the end of the
-    # slider-crank with a spring, the rate has 86 times the error of the angle at the start
+    # slider-crank with a spring, the rate has 86 times the error of the angle at the start: up to 1.1e-10 on
+    # four processors
     found = solve(*arguments)
-    close = 2e-10 if name == "spring-slider-crank" else 2e-11
+    close = 4e-10 if name == "spring-slider-crank" else 2e-11
     for key, quantity in PROBLEMS[name].quantities.items():
         if key in found:
             assert found[key] == pytest.approx(quantity.reference, rel=close, abs=close), key

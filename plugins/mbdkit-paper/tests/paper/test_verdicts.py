@@ -20,7 +20,7 @@ from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from mbdkit_paper.paper import substitution_timing
-from mbdkit_paper.paper.computation_time import SPEED_UP
+from mbdkit_paper.paper.computation_time import SPEED_UP, times
 from mbdkit_paper.paper.paper_predictions import joints, knee, steps_within
 from mbdkit_paper.paper.published_results import magnitudes, ranking
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
@@ -215,12 +215,45 @@ def test_added_methods_stand_beside_the_papers_and_leave_its_claims_alone(small:
     claims, same = ([one for one in each.claims if one.name not in TIMED] for each in (verdict, plain))
     assert claims == same
     assert [line.label for line in verdict.figure("trajectory-double").lines] == [*METHODS, *added]
-    assert [column.label for column in verdict.table("time-bodies").columns] == ["bodies", *METHODS, *added]
+    assert [column.label for column in verdict.table("time-bodies").columns[1::2]] == [*METHODS, *added]
     rows = verdict.table("added").rows
     assert [(row[0], row[5]) for row in rows if row[1] == "published, single"] == [
         ("rattle, index-3", "1 of 5"),  # it closes the joints
         ("scipy-dop853", "3 of 5"),  # its misalignment lies between those of Gauss 3 and Gauss 2
     ]
+
+
+def timed(fast: Callable[[int], float], slow: float = 1.02) -> Any:
+    """Return chains of 1 to 10 bodies with the shortest of their times [s] and a ratio of upper quartile to it."""
+    study = study_of(
+        "bodies", (({"model.n": n, "integrator": method}, 0.0) for n in range(1, 11) for method in METHODS)
+    )
+    for point in study.points:
+        seconds = fast(point.axes["model.n"])
+        point.values = {"wall_min_s": seconds, "wall_q3_s": slow * seconds}
+        point.values |= {"rhs_evaluations": 6000, "jacobian_evaluations": 0, "factorizations": 6000}
+    return study
+
+
+@pytest.mark.parametrize(
+    ("study", "answer", "growth"),
+    [
+        (timed(lambda n: 1e-3 * n), NO, "n^0.9 to n^1.1"),
+        (timed(lambda n: 1e-3 * n**3), YES, "n^2.9 to n^3.1"),
+        (
+            timed(lambda n: 1e-3 * n**2.4, slow=1.6),
+            OPEN,
+            "n^1.1 to n^3.7",
+        ),  # +- ln 1.6 / ln(10/7), the median ratio of n
+        (timed(lambda n: 1e-3 * n**2.4 * 2.0 ** (-1) ** n), OPEN, "n^"),  # every second run was slow
+    ],
+)
+def test_growth_of_time_is_undecided_where_the_spread_of_the_times_allows_both(study, answer, growth) -> None:
+    claim, table, _ = times(study)
+    assert claim.answer is answer
+    assert growth in claim.computed
+    assert claim.computed.endswith("; operations like n^0.0, n^0.0, n^0.0")
+    assert table.rows[4][2] == 12000
 
 
 def test_substitution_is_measured_once_for_a_folder(small: mbdkit.Study, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,10 +7,6 @@ motion, the constraints and the rates of the states, and the error of the quadra
 to first order by their integrals times the multipliers (dual-weighted residuals: R. Becker and R. Rannacher, Acta
 Numerica 10:1-102, 2001). The forces that remain are also compared with those that act, because multipliers may vanish
 where these remain.
-
-Where a force jumps at a certain state, as steep friction does, the motion may pass this state at the end of an
-interval. Nothing remains of the equations then, but the optimizer does not know how a change of the motion changes the
-time of the jump.
 """
 
 from __future__ import annotations
@@ -21,7 +17,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit.plugin.mechanisms import curve_of
+from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
@@ -33,9 +29,6 @@ PANEL = 5
 """Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided."""
 ARGUMENTS = "q", "v", "a", "lam", "z", "u"
 """First arguments of `Transcription.stage`."""
-BESIDE = 1e-3
-"""Distance from the ends of intervals at which forces are compared, as a share of the shortest interval."""
-
 BULK = 0.99
 """Share of what remains that the intervals have which are divided."""
 LEAST = 1e-6
@@ -50,9 +43,6 @@ class Residual(NamedTuple):
     impulse: np.ndarray
     """(N,) Largest impulse of the forces that remain, as a share of the largest impulse of the forces that act in the
     whole motion. Forces, moments and the rates of each state are compared apart."""
-    jump: np.ndarray
-    """(N,) Largest jump of forces and rates, as functions of the state, at the end of each interval, as a share of the
-    largest force or rate; zero at the ends of phases, where conditions may fix the state."""
 
     def is_large(self, change: float, impulse: float) -> np.ndarray:
         """Return the fewest intervals (N,) that make up `BULK` of each sum beyond its limit, none if both are within
@@ -78,7 +68,7 @@ def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODE
     x = {name: method.values_at(mesh, name, shares) for name in OF_POINTS}
     for name, table in method.spec.tables.items():
         x["u"][method.spec.chosen.control_states.index(f"measured.{name}")] = curve_of(table)(times)
-    at_nodes = np.array([weights(method.c, share) for share in shares]).T
+    at_nodes = weights(method.c, shares)
 
     def between(at_points: np.ndarray) -> np.ndarray:
         return np.asarray(at_points.reshape(len(at_points), count, len(b)) @ at_nodes)
@@ -94,14 +84,9 @@ def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODE
     acting = abs(np.concatenate([at_rest, own_rates]))
     acting[: len(forces)] *= 2.0  # those of inertia, and those that they balance
     impulse = abs(np.concatenate([forces, defects]) @ weight) * lengths
-    jump = _jumps(method, mesh, own_rates @ weights(method.c, 1.0))
     states = abs(values["z"]).max(axis=1, initial=0.0)
     is_angle = method.system.is_angle
-    return Residual(
-        change,
-        _largest_share(impulse, acting @ b @ lengths, states, is_angle),
-        _largest_share(jump, acting.max(axis=(1, 2)), states / lengths.sum(), is_angle),
-    )
+    return Residual(change, _largest_share(impulse, acting @ b @ lengths, states, is_angle))
 
 
 def _evaluated(
@@ -113,29 +98,6 @@ def _evaluated(
     results = method.stage.map(times.size)(*(x[name] for name in ARGUMENTS), p, times.reshape(1, -1), x["mu"])
     rows = (np.array(results[k]) for k in (0, 2, 3, 4))
     return tuple(row.reshape(len(row), count, times.size // count) for row in rows)
-
-
-def _jumps(method: Transcription, mesh: Mesh, rates: np.ndarray) -> np.ndarray:
-    """Return the jumps (rows, N) of forces and rates at the ends of intervals, with equal controls and times, given the
-    rates of the states (Z, N) before the ends.
-    """
-    x = {name: method.values_at(mesh, name, np.ones(1))[..., 0] for name in OF_POINTS}
-    x |= dict(zip("qvz", np.split(method.nodes(mesh)[:, 1:], np.cumsum([len(x["q"]), len(x["v"])])), strict=True))
-    slopes, still = {"q": x["v"], "v": x["a"], "z": rates}, {"a": 0.0 * x["a"]}
-    ends = mesh.values["duration"] @ mesh.grid.ends
-
-    def difference(distance: float) -> np.ndarray:
-        """Return the change from a time before the ends to a time after them."""
-        after, before = (
-            _evaluated(method, mesh, x | {name: x[name] + side * slopes[name] for name in slopes} | still, ends)
-            for side in (distance, -distance)
-        )
-        return np.concatenate([after[-1] - before[-1], after[1] - before[1]])[..., 0]
-
-    distance = BESIDE * float((mesh.values["duration"] @ mesh.grid.lengths).min())
-    jumps = abs(2.0 * difference(distance) - difference(2.0 * distance))  # zero where forces are smooth
-    jumps[:, mesh.grid.ends_of_phases()] = 0.0
-    return np.asarray(jumps)
 
 
 def _largest_share(values: np.ndarray, sizes: np.ndarray, states: np.ndarray, is_angle: np.ndarray) -> np.ndarray:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
-from mbdkit.plugin.measures import state_program
-from mbdkit.plugin.mechanisms import corners_of, switching_times
+from mbdkit.events.state_program import state_program
+from mbdkit.mechanism.motion_corners import corners_of
+from mbdkit.mechanism.switching_times import switching_times
 from mbdkit_predict.predict_spec import PredictSpec
 
 MOST = 100

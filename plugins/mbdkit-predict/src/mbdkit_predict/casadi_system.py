@@ -10,13 +10,22 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.kernels import LAW_ROW, SPRING, LawRow, Observed, Reactions, Topology
-from mbdkit.plugin import SpecError, States, listed
-from mbdkit.plugin.archives import KINDS, Quantity, archive_names
-from mbdkit.plugin.equations import Workspace, elementary
-from mbdkit.plugin.measures import RunExpression, value_of
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.frames import Reactions
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING, LawRow
+from mbdkit.engine.workspace import Workspace
+from mbdkit.events.event_expression import RunExpression
+from mbdkit.expressions.program import value_of
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.quantities.table import KINDS
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import ElementEquilibrium, symbolic_elements
 from mbdkit_predict.interpreted import Interpreter
@@ -68,6 +77,8 @@ class CasadiSystem:
         Controls and parameters, (U, 1) and (P, 1).
     t : SX
         Time [s].
+    places : (n,) array of int
+        Index of each coordinate among x, y and angle of all bodies.
     constraint_names, state_names, control_names, parameter_names, compiled_states : tuple of str
         Names of the rows ``joint.row``, states, controls and parameters, and of states with the controls among them.
     q0, v0, z0, u0, p0 : arrays
@@ -97,14 +108,15 @@ class CasadiSystem:
         self.state_names = tuple(name for name in names if name not in self._controls)
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
         work = Workspace(self._compiled, 0.0, *np.zeros((2, self._compiled.size)))
-        self._joints = None
+        self._joints: JointCoordinates | None = None
         if is_joint and not len(self._compiled.topology.frictions):
-            self._joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
+            joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
+            self._joints = joints if joints.places.size else None
         whole, solved = 3 * len(self._compiled.bodies), self._compiled.solved_rows
         in_tree = self._joints.tree_rows if self._joints else set()
         self._cut = [k for k in range(len(solved)) if k not in in_tree]
-        self._places = self._joints.places if self._joints else np.arange(whole)
-        self.is_angle, n = self._places % 3 == 2, len(self._places)
+        self.places = self._joints.places if self._joints else np.arange(whole)
+        self.is_angle, n = self.places % 3 == 2, len(self.places)
         self.constraint_names = tuple(solved[k].label for k in self._cut)
         sizes = (n, n, n, len(self._cut), sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}

@@ -18,12 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.kernels import Topology
-from mbdkit.plugin import Mechanism, SpecError, copied, did_you_mean, parse_path, path_text, plain
-from mbdkit.plugin.equations import compile_mechanism
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.mechanisms import element_kinds
-from mbdkit.plugin.seams import run_check
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, copied, parse_path, path_text, plain
+from mbdkit.base.text import did_you_mean
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit_predict.exported_elements import chosen_equilibria
 
 STEP = 0.25

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from mbdkit.plugin import show
-from mbdkit.plugin.seams import spec_check
-from mbdkit.plugin.terminal import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem, tell
+from mbdkit.base.terminal import show
+from mbdkit.cli.common_options import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem
+from mbdkit.cli.outcome import tell
+from mbdkit.spec.spec_kinds import spec_check
 
 
 @spec_check

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import MbdkitError, Mechanism
-from mbdkit.plugin.seams import mechanism_attribute
+from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import mechanism_attribute
 
 if TYPE_CHECKING:
     from mbdkit_predict.casadi_system import CasadiSystem

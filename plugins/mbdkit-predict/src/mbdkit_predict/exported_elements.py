@@ -16,15 +16,17 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
-from mbdkit.plugin import Mechanism, SpecError, listed, quoted
-from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 class ElementEquilibrium(Protocol):
     """Equilibrium of an element that determines the rate of one of its states; both are unknowns of the optimum."""
 
     state: str
-    """Name of the state."""
     unknowns: tuple[str, str]
     """Names of the unknowns: the rate of the state, and the force of the element, both as shares of `sizes`."""
     recorded: tuple[str, str]

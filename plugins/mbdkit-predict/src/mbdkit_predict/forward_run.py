@@ -9,7 +9,8 @@ from itertools import count, pairwise
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from mbdkit.plugin import EquationsOfMotion, StepError
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit_predict.transcription import Mesh, Transcription
 
 Rates = Callable[[float, np.ndarray], np.ndarray]

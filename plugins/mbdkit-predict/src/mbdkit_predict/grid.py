@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -83,6 +84,9 @@ class IntervalGrid:
         return [int(end) - 1 for end in np.cumsum(self.counts)]
 
 
-def weights(points: np.ndarray, at: float) -> np.ndarray:
-    """Return the weights of values at `points` in the value of the polynomial through them at another point."""
-    return np.array([np.prod([(at - c) / (own - c) for c in points if c != own]) for own in points])
+def weights(points: np.ndarray, at: Any) -> np.ndarray:
+    """Return the weights (s,) of values at `points` in the value of the polynomial through them at another point, or
+    (s, K) at K points.
+    """
+    ones = np.ones_like(at, dtype=np.float64)
+    return np.array([np.prod([ones, *((at - c) / (own - c) for c in points if c != own)], axis=0) for own in points])

@@ -8,8 +8,12 @@ from contextlib import suppress
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, Run, SpecError, listed, load, parse_path, read_data, shown
-from mbdkit.plugin.files import check_readable
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files_read import check_readable, read_data
+from mbdkit.base.plain_data import parse_path
+from mbdkit.base.text import listed, shown
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 

@@ -17,11 +17,15 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels import angles, equations, law_programs, motions
+from mbdkit.engine.kernels.law_programs import OPCODES
+from mbdkit.engine.native import arithmetic, calls
+from mbdkit.engine.native.functions import DECLARED
+from mbdkit.engine.native.kernel import Entry, Kernel, LawFunction
 from mbdkit.expressions import operations
-from mbdkit.kernels import DECLARED, OPCODES, Entry, Kernel, LawFunction, arithmetic, calls
-from mbdkit.plugin import FunctionLaw, SpecError
-from mbdkit.plugin.equations import CompiledLaw
+from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit_predict.exported_elements import SymbolicElements, SymbolTools
 from mbdkit_predict.merged_branches import Numbers, merged, select
 from mbdkit_predict.symbols import BranchError, Symbol, apply, best, every_branch, where

@@ -18,18 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import (
-    BODY,
-    PAIR,
-    PLACE,
-    TURN,
-    Topology,
-    accelerate_bodies,
-    accelerate_coordinates,
-    coordinates_of,
-    place_bodies,
-)
-from mbdkit.plugin.equations import spanning_tree
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.table_rows import PAIR
+from mbdkit.engine.kernels.tree import BODY, PLACE, TURN, accelerate_coordinates, coordinates_of, place_bodies
+from mbdkit.engine.kernels.tree_displacements import accelerate_bodies
+from mbdkit.engine.spanning_tree import spanning_tree
 
 
 class Motion(NamedTuple):

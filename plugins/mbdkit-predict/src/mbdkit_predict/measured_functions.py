@@ -7,10 +7,10 @@ from typing import ClassVar
 
 from pydantic import model_validator
 
-from mbdkit.mechanism.values import Columns, Ends, Interpolation
-from mbdkit.plugin import SpecError, Table, read_unit
-from mbdkit.plugin.mechanisms import number_or_table
-from mbdkit.plugin.specs import Section
+from mbdkit.base.errors import SpecError
+from mbdkit.base.units import read_unit
+from mbdkit.mechanism.values import Columns, Ends, Interpolation, Table, number_or_table
+from mbdkit.spec.sections import Section
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 

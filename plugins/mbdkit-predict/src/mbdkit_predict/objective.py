@@ -9,8 +9,11 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from mbdkit.plugin import SpecError, Unit
-from mbdkit.plugin.measures import OPERATIONS, REDUCE, MeasureCompiler, execute
+from mbdkit.base.errors import SpecError
+from mbdkit.base.units import Unit
+from mbdkit.expressions.operations import OPERATIONS, REDUCE
+from mbdkit.expressions.program import execute
+from mbdkit.measures.measure_compiler import MeasureCompiler
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from mbdkit_predict.between_points import FEW, NODES, Residual, residual_between_points
+from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.processes import Stop, results_of
@@ -62,7 +63,7 @@ class Optimum:
     reason
         Code and sentence saying why the optimum was not found, or not accurately; empty if it was.
     jumps
-        Times of ends of intervals at which forces jump as functions of the state.
+        Where forces, rates, integrands or conditions jump as functions of the state.
     starts
         Objective on the first mesh from each first guess; nan where no optimum was found.
     """
@@ -72,7 +73,7 @@ class Optimum:
     meshes: Sequence[Mesh]
     error: float
     reason: str
-    jumps: Sequence[float]
+    jumps: Sequence[Jump]
     starts: Sequence[float]
 
     @property
@@ -146,7 +147,7 @@ class _MeshSearch:
 
     def run(self) -> _Search:
         """Yield problems to solve, take their solutions, and return the best motion."""
-        mesh, error, reason, jumps = (yield from self._first()), math.nan, "", list[float]()
+        mesh, error, reason = (yield from self._first()), math.nan, ""
         divisions, is_resolved = 0, False
         while _solution(mesh).is_optimum:
             opens, joints = self.transcription.openings(mesh)
@@ -174,8 +175,6 @@ class _MeshSearch:
                     if is_last and (error > limit or not is_resolved):
                         reason = _mesh_limit(error, limit, residual, count)
                     if is_last or is_resolved:
-                        has_jump = residual.jump > math.sqrt(self.spec.tolerance)
-                        jumps = (mesh.values["duration"] @ mesh.grid.ends)[has_jump].tolist()
                         break
                 # all intervals are halved unless few of them have almost all that remains
                 if is_accurate or 0 < large.sum() <= MOST_UNEVEN * count < MOST_UNEVEN * MOST_INTERVALS / 2:
@@ -185,6 +184,7 @@ class _MeshSearch:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
+        jumps = jumps_along(self.transcription, best) if self.meshes and not self.stop.now else []
         return Optimum(self.transcription, best, self.meshes, error, reason, jumps, self.starts)
 
     def _first(self) -> Generator[list[Problem], list[Mesh], Mesh]:

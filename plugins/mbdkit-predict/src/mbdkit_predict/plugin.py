@@ -5,18 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import (
-    Accessor,
-    Command,
-    Example,
-    GuidePage,
-    Item,
-    ReportSection,
-    SpecKind,
-    SummaryLine,
-    Target,
-    hookimpl,
-)
+from mbdkit.registry.feature_items import Accessor, Example, GuidePage, ReportSection, SpecKind, SummaryLine
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command
+from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 

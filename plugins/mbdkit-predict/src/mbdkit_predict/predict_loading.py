@@ -7,9 +7,15 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
-from mbdkit.plugin import SpecError, copied, did_you_mean, listed, loaded, parse_path, path_text, value_text
-from mbdkit.plugin.seams import spec_loader, spec_schema
-from mbdkit.plugin.specs import DRAFT, Document, Registry, described, model_schema, put, read_source, registry
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import registry
+from mbdkit.spec.loading import loaded, read_source
+from mbdkit.spec.reading import Document, put
+from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit.spec.spec_kinds import spec_loader, spec_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies import base_document
 
@@ -33,10 +39,8 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
     """
     if not isinstance(source, PredictSpec):
         document = read_source(source)
-        try:
+        with SpecError.place_by(document.place):
             document.data = _with_base(document.data | sections, document)
-        except SpecError as error:
-            raise document.place(error) from None
         source, sections = document, {}
     return loaded("predict", PredictSpec, source, overrides, sections)
 

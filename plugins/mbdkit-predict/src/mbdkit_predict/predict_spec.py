@@ -11,35 +11,21 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
 
-from mbdkit.plugin import (
-    FormatVersion,
-    Mechanism,
-    Number,
-    Positive,
-    SpecError,
-    Table,
-    copied,
-    did_you_mean,
-    listed,
-    loaded,
-    path_text,
-    quoted,
-)
-from mbdkit.plugin.mechanisms import curve_of
-from mbdkit.plugin.specs import (
-    Choice,
-    Count,
-    DefinedMeasure,
-    Document,
-    ModelSpec,
-    Registered,
-    Registry,
-    Section,
-    check_name,
-    check_tables,
-    description,
-    parameters_in_use,
-)
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import copied, path_text, quoted
+from mbdkit.base.strict_model import FormatVersion, description
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.checks import check_name, check_tables
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.mechanism.values import Number, Positive, Table, curve_of
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.spec.choices import Choice
+from mbdkit.spec.loading import loaded
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import Document
+from mbdkit.spec.sections import Count, Section
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
 from mbdkit_predict.measured_functions import MeasuredFunction
@@ -332,10 +318,8 @@ class PredictSpec(ModelSpec):
         with self.recording_files():
             for name, given in self.measured.items():
                 key = f"measured.{quoted(name)}"
-                try:
+                with SpecError.locate(key):
                     self._tables[name] = given.read(self.folder)
-                except SpecError as error:
-                    raise error.located(prefix=key) from None
                 check_tables([(key, self._tables[name])], 0.0, sum(lengths))
 
     def _with_named(self, values: Mapping[str, float]) -> Mechanism:

@@ -11,12 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, Judgement, Run, RunError, SpecError, States
-from mbdkit.plugin.archives import Ending, check_target, finish_states
-from mbdkit.plugin.equations import StateObserver, one_thread_of_linear_algebra, workspace_at_start
-from mbdkit.plugin.mechanisms import curve_of
-from mbdkit.plugin.runs import model_provenance
-from mbdkit.plugin.terminal import interrupts_noted
+from mbdkit.archive.part_file import check_target
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Ending
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.interrupts import interrupts_noted
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.engine.consistent_start import workspace_at_start
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanism.values import curve_of
+from mbdkit.quantities.states import States
+from mbdkit.runs.finish import finish_states
+from mbdkit.runs.provenance import model_provenance
+from mbdkit.trust.criteria import Judgement
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.forward_run import Difference, forward_difference
 from mbdkit_predict.grid import weights
@@ -64,22 +72,18 @@ def transcribed(spec: PredictSpec) -> Transcription:
     SpecError
         If an expression is wrong, or the mechanism cannot be exported.
     """
-    try:
+    with SpecError.place_by(spec.placed):
         system = CasadiSystem(spec.chosen, 0.0, is_joint=spec.coordinates == "joint")
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
         return Transcription(spec, system, objective, _simpler(spec))
-    except SpecError as error:
-        raise spec.placed(error) from None
 
 
 def _simpler(spec: PredictSpec) -> Transcription | None:
     """Return the simpler problem whose optimum is the first guess; None without one."""
-    try:
+    with SpecError.locate("guess"):
         simpler = simpler_spec(spec)
         return None if simpler is None else transcribed(simpler)
-    except SpecError as error:
-        raise error.located(prefix="guess") from None
 
 
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -176,15 +180,15 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
     doubts = list[str]()
+    for jump in result.jumps[:1]:
+        doubts.append(
+            f"{jump.name} jumps, or almost jumps, at t = {jump.time:.4g} s, and the optimizer does not know how this "
+            "time changes with the motion: make it smooth, or begin one of the `phases` at this state."
+        )
     if result.reason:
         doubts.append(UNKNOWN if np.isnan(result.error) else INACCURATE)
     elif result.spec.tolerance * abs(result.objective) < result.error < abs(result.objective):
         doubts.append(SMALL)
-    if result.jumps:
-        doubts.append(
-            f"A force jumps at a state that the motion passes at t = {result.jumps[0]:.6g} s, the end of an interval, "
-            "so that the optimizer does not know how this time changes; make it smooth, or begin a phase at this state."
-        )
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
     if forward is None:
@@ -199,6 +203,6 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
             f"The motion is unstable: in a forward run, differences of {forward.of_intervals:.2g} of its range in the "
             f"sum of all intervals grow to {forward.largest:.2g}; without feedback, the controls do not reproduce it."
         )
-    if result.spec.compare and (rival is None or rival.reason):
+    if result.spec.compare and (rival is None or rival.reason or rival.jumps):
         doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
     return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", (ESTIMATED,))

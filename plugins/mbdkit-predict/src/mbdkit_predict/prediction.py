@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mbdkit.plugin import Run
-from mbdkit.plugin.seams import computed_run, repeated_run
-from mbdkit.plugin.specs import Document
+from mbdkit.archive.run import Run
+from mbdkit.runs.run_seams import computed_run, repeated_run
+from mbdkit.spec.reading import Document
 from mbdkit_predict.export import require_casadi
 from mbdkit_predict.predict_loading import PredictSource, load_predict_spec
 from mbdkit_predict.predict_spec import PredictSpec

@@ -20,7 +20,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from mbdkit.plugin import RunError
+from mbdkit.base.errors import RunError
 
 GRACE = 0.25
 """Time after which a process that should stop is ended [s]."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from mbdkit.plugin import Mechanism, Run
+from mbdkit.archive.run import Run
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_predict.run_results import lines, mesh, sensitivities
 from mbdkit_report import Section, Table, columns_of
 from mbdkit_report.seams import report_sections

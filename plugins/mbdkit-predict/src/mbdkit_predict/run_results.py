@@ -9,8 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunError, parse_path
-from mbdkit.plugin.seams import run_attribute, summary_lines
+from mbdkit.archive.result_seams import run_attribute, summary_lines
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import RunError
+from mbdkit.base.plain_data import parse_path
 
 SAME = 1e-4
 """Optima on the first mesh whose relative difference is below this count as one."""

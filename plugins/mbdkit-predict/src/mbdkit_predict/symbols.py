@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
 
 MOST_BRANCHES = 1000
 """Largest number of outcomes of the conditions of one function."""

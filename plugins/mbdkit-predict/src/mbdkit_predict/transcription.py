@@ -26,9 +26,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.mechanisms import curve_of
 from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.grid import IntervalGrid, weights
@@ -113,6 +113,12 @@ class Transcription:
         self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
     ):
         self.spec, self.system, self.objective = spec, system, objective
+        is_fixed = len(system.q0) <= len(system.constraint_names) and not system.state_names
+        if is_fixed and not any(joint.is_driver for joint in spec.mechanism().joints.values()):
+            reason = (
+                "has no degree of freedom, and neither drivers nor first-order states: there is no motion to predict"
+            )
+            raise SpecError(f"the mechanism {reason}", key="model.joints")
         self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
@@ -268,6 +274,11 @@ class Transcription:
         """Whether the simpler problem, if there is one, has an optimum."""
         return self._simple is None or (self._simple.solution is not None and self._simple.solution.is_optimum)
 
+    @property
+    def path_names(self) -> list[str]:
+        """Names of the conditions along the path, the last results of `stage`."""
+        return [f"The condition `{path.name}`" for path in self._path]
+
     def refined(self, mesh: Mesh, chosen: np.ndarray | None = None) -> Mesh:
         """Return a guess on a finer grid, from the polynomials of the solution.
 
@@ -298,13 +309,16 @@ class Transcription:
         most = np.partition(jumps, -int(MOST_UNEVEN * count) - 1)[-int(MOST_UNEVEN * count) - 1]
         return np.where(jumps > max(UNEVEN * np.median(jumps), most, 1e-3), CUTS[1], CUTS[0])
 
-    def values_at(self, mesh: Mesh, name: str, shares: np.ndarray) -> np.ndarray:
-        """Return the polynomials of an unknown of `OF_POINTS` at K shares of each interval, (rows, N, K)."""
+    def values_at(self, mesh: Mesh, name: str, shares: np.ndarray, intervals: np.ndarray | None = None) -> np.ndarray:
+        """Return the polynomials of an unknown of `OF_POINTS` at K shares of each interval, (rows, N, K); or at one
+        share of each of K `intervals`, (rows, K).
+        """
         parts, points = mesh.values[name].reshape(-1, len(mesh.grid.phase), len(self.c)), self.c
         if name in self._rows:  # polynomials of states pass through the start of the interval
             begins = self.nodes(mesh)[self._rows[name], :-1]
             parts, points = np.concatenate([begins[:, :, None], parts], axis=2), np.array([0.0, *self.c])
-        return np.asarray(parts @ np.array([weights(points, share) for share in shares]).T)
+        at = weights(points, shares)
+        return np.asarray(parts @ at if intervals is None else np.einsum("rks,sk->rk", parts[:, intervals], at))
 
     def openings(self, mesh: Mesh) -> tuple[np.ndarray, list[str]]:
         """Return how far cut joints open between the points of each interval (N,), at most, as a share of the largest
@@ -747,6 +761,19 @@ class Transcription:
         unknown = {name: ca.SX.zeros(*system.symbols[name].shape) for name in OF_STATE}
         plain = ca.substitute([*expressions], [system.symbols[name] for name in unknown], list(unknown.values()))
         return ca.Function("node", [state, system.p, system.t, *further], plain)
+
+    def slopes_of_conditions(self, state: np.ndarray, p: np.ndarray, time: float, node: int | None) -> np.ndarray:
+        """Return the derivatives (K, 2 n + Z + 1), by the state and the time, of what is fixed in a state (2 n + Z,):
+        the joints and, at the start or the end of a phase, a `node` from 0 on, the values that the spec gives.
+        """
+        system = self.system
+        asked = (
+            [] if node is None else [x for x, low, high in (self._initial, *self._ends)[node].values() if low == high]
+        )
+        known = system.z[np.flatnonzero(~self._is_free).tolist()] if node == 0 else ca.SX(0, 1)
+        rows = ca.vertcat(*system.constraints(*system.symbols.values())[:2], *asked, known)
+        slopes = ca.jacobian(rows, ca.vertcat(system.q, system.v, system.z, system.t))
+        return np.array(self._at_node(slopes)(state, p, time))
 
     def _nearest(self, q: np.ndarray, conditions: Mapping[str, tuple[ca.SX, float, float]], t: float) -> np.ndarray:
         """Return the positions nearest to `q` that satisfy the constraints, and conditions of positions only."""

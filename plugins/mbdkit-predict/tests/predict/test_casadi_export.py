@@ -28,6 +28,7 @@ from mbdkit_predict.exported_elements import chosen_equilibria, symbolic_element
 from mbdkit_predict.symbols import BranchError, Symbol, column, every_branch
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
+from tests.margins import assert_within
 from tests.runs.rotor_with_inputs import rotor
 from tests.runs.rubbing_joints import pendulum, slide
 from tests.witness.eccentric_wheel import wheel
@@ -217,7 +218,7 @@ def test_unknowns_of_fibers_are_in_equilibrium_at_the_values_of_the_machine_code
     values = np.array(wanted.function("both", {"both": ca.vertcat(*both)})(*state, [], [], 0.3)).ravel()
     muscle = m.muscles["long"]
     u = values / np.tile([muscle.max_velocity * muscle.optimal_length, muscle.max_force], 3)
-    assert np.abs(np.array(system.equilibrium(*state, u, [], 0.3))).max() < 1e-12
+    assert_within(np.array(system.equilibrium(*state, u, [], 0.3)), 1e-12)
     assert np.abs(np.array(system.equilibrium(*state, 1.1 * u, [], 0.3))).min() > 1e-4
     for found, expected in ((system.residual, wanted.residual), (system.rates, wanted.rates)):
         assert_same(found(*state, u, [], 0.3), expected(*state, [], [], 0.3), "with unknowns")
@@ -258,7 +259,7 @@ def test_quantities_have_the_names_and_values_of_runs(name: str) -> None:
     _, *columns = evaluator.columns(np.array([t]), q, v, z[None])
     for text, value, column_of_run in zip(system.quantity_names, found, columns, strict=True):
         size = max(abs(column_of_run[0]), *(abs(x[0]) for x in columns if text.split(".")[1] in text))
-        assert abs(value - column_of_run[0]) <= 1e-11 * size, text
+        assert_within(value - column_of_run[0], 1e-11 * size, text)
     assert all("cannot be exported: " in sentence for sentence in system.refused.values())
 
 

@@ -20,6 +20,7 @@ from mbdkit_predict.chosen_numbers import ChosenNumbers
 from predict.exact_optima import swing_up
 from tests.engine import random_mechanisms
 from tests.engine.strategies import Drawn, mechanisms
+from tests.margins import assert_within
 
 CLOSE = 1e-9
 """Largest difference, relative to the largest number of a result."""
@@ -109,13 +110,13 @@ def test_examples_are_those_of_the_machine_code(name: str) -> None:
 def test_both_coordinates_have_the_optimum_of_another_transcription(coordinates: str) -> None:
     run = mbdkit.predict("cart-pole", coordinates=coordinates)
     assert run.verdict == "good"
-    assert abs(run.objective - swing_up(5, 80)) <= run.objective_error
+    assert_within(run.objective - swing_up(5, 80), run.objective_error)
 
 
 @pytest.mark.slow
 def test_reactions_of_both_coordinates_are_equal() -> None:
     runs = [mbdkit.predict("assisted-squat", coordinates=x, compare={}) for x in ("joint", "absolute")]
-    assert abs(runs[0].objective - runs[1].objective) <= sum(run.objective_error for run in runs)
+    assert_within(runs[0].objective - runs[1].objective, sum(run.objective_error for run in runs))
     at = np.linspace(0.0, 1.2, 50)
     forces = [np.interp(at, run.time, run.joints["knee"].reaction_force[:, 0]) for run in runs]
     np.testing.assert_allclose(forces[0], forces[1], atol=0.01 * np.abs(forces[1]).max())

@@ -14,6 +14,7 @@ import mbdkit
 import mbdkit_biomech
 from mbdkit import SpecError
 from predict.exact_optima import block
+from tests.margins import assert_within
 
 TIMES = np.linspace(0.0, 1.0, 21)
 SWING = 0.3 * np.sin(4.0 * TIMES) + 0.05 * np.cos(9.0 * TIMES)
@@ -59,7 +60,7 @@ def test_measured_functions_have_their_value_at_the_end_and_forces_are_refused_t
     spec = block(final={"block.vx": 0}, measured={"place": {"table": [[0, 1], [5, 1]], "interpolation": "linear"}})
     effort = " + integral(forces.push.value**2)"
     run = mbdkit.predict(spec | {"minimize": "1000*final((block.x - measured.place)**2)" + effort})
-    assert abs(run.objective - 12000 / 1012) <= run.objective_error
+    assert_within(run.objective - 12000 / 1012, run.objective_error)
     with pytest.raises(SpecError, match="`final` depends on accelerations, reactions or controls") as caught:
         mbdkit.predict(spec | {"minimize": "final((forces.push.value - 5)**2)" + effort})
     assert caught.value.key == "minimize"
@@ -112,7 +113,7 @@ def test_measured_functions_in_conditions_have_the_value_at_their_time(tmp_path:
     goal = {"file": str(tmp_path / "goal.csv"), "x": "t", "y": "x"}
     at_goal = {"block.x - measured.goal": 0, "block.vx": 0}
     run = mbdkit.predict(block(measured={"goal": goal}, initial=at_goal, final=at_goal))
-    assert abs(run.objective - 12.0) <= run.objective_error
+    assert_within(run.objective - 12.0, run.objective_error)
     assert [file.name for file in run.files or ()] == ["goal.csv"]
     below = {"below": {"value": 'block.x - measured["the limit"]', "max": 0}}
     run = mbdkit.predict(
@@ -121,7 +122,8 @@ def test_measured_functions_in_conditions_have_the_value_at_their_time(tmp_path:
             final={"block.x": 0, "block.vx": -1}, subject_to=below, minimize="0.5*integral(forces.push.value**2)",
         )
     )  # fmt: skip
-    assert abs(run.objective - 4.0) <= run.objective_error < 1e-5
+    assert_within(run.objective - 4.0, run.objective_error)
+    assert run.objective_error < 1e-5
 
 
 @pytest.mark.parametrize(

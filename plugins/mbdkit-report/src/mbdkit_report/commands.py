@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbdkit.plugin import show
-from mbdkit.plugin.terminal import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to, say
+from mbdkit.base.terminal import say, show
+from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to
 from mbdkit_report.plot.plot_kinds import plot_kinds
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in plot_kinds().items()) + "."
 
@@ -90,8 +90,8 @@ def plot(
 
     The legend of several runs shows how they differ: method, step, other keys, or file.
     """
-    from mbdkit.archive.changed_contents import opened
-    from mbdkit.plugin.files import check_not_input, check_output
+    from mbdkit.archive.archive_check import opened
+    from mbdkit.base.files import check_not_input, check_output
     from mbdkit_report.plot.save_plot import plot as draw
     from mbdkit_report.plot.save_plot import size_in_mm
 
@@ -118,7 +118,8 @@ def _say_what_is_not_drawn(*runs: Run) -> None:
 
 
 def _check_options(kind: str, options: Mapping[str, object]) -> None:
-    from mbdkit.plugin import SpecError, listed
+    from mbdkit.base.errors import SpecError
+    from mbdkit.base.text import listed
     from mbdkit_report.plot.comparison import options_of
 
     for name in options:
@@ -135,8 +136,8 @@ def animate(
     debug: Debug = False,
 ) -> None:
     """Animate a run."""
-    from mbdkit.archive.changed_contents import opened
-    from mbdkit.plugin.files import check_output
+    from mbdkit.archive.archive_check import opened
+    from mbdkit.base.files import check_output
     from mbdkit_report.pages.animate import animate as draw
 
     with opened(archive) as loaded:
@@ -181,8 +182,8 @@ def report(
     The page works offline. It has a verdict, interactive figures, an animation
     that magnifies the gaps in the joints, tables, methods and the spec.
     """
-    from mbdkit.plugin.archives import blaming_damage
-    from mbdkit.plugin.files import only_known
+    from mbdkit.archive.archive_check import blaming_damage
+    from mbdkit.base.files_read import only_known
     from mbdkit_report.pages.report import report as write
 
     archives = sorted((path / "runs").glob("*.h5")) if path.is_dir() else [path]

@@ -7,8 +7,8 @@ from typing import Annotated, cast
 
 import typer
 
-from mbdkit.plugin import show
-from mbdkit.plugin.terminal import Debug, Overwrite, Quiet, output_to
+from mbdkit.base.terminal import show
+from mbdkit.cli.common_options import Debug, Overwrite, Quiet, output_to
 
 
 def archive_export(
@@ -38,10 +38,10 @@ def archive_export(
     one row for each run: its values, status, verdict with reasons, measures and cost.
     Prints the names of the files.
     """
-    from mbdkit.archive.changed_contents import opened
-    from mbdkit.plugin import FileFormat
-    from mbdkit.plugin.seams import exported_files
-    from mbdkit.plugin.specs import registry
+    from mbdkit.archive.archive_check import opened
+    from mbdkit.archive.result_seams import exported_files
+    from mbdkit.registry.feature_items import FileFormat
+    from mbdkit.registry.manager import registry
     from mbdkit_report.export import export
 
     folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")

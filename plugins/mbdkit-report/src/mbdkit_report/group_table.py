@@ -13,13 +13,17 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from mbdkit.plugin import Array, MbdkitError, UnknownNameError
-from mbdkit.plugin.archives import TEXT, NotRecordedError, groups, is_text, kind_of_group, reading
+from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.named_columns import NotRecordedError
+from mbdkit.base.errors import MbdkitError, UnknownNameError
+from mbdkit.quantities.array import TEXT, Array
+from mbdkit.quantities.registered_kinds import groups, kind_of_group
 
 if TYPE_CHECKING:
     import pandas
 
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _COMPONENT_DIMS = ("coordinate", "axis")
 BLOCK_VALUES = 2_000_000  # values of a block; a block of text takes about ten times as much memory

@@ -7,8 +7,9 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import Mechanism, Run
-from mbdkit.plugin.seams import Seam
+from mbdkit.archive.run import Run
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.seam import Seam
 from mbdkit_report.figures.page_model import Figure, Section
 
 if TYPE_CHECKING:

@@ -7,10 +7,14 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from mbdkit.mechanism.parameters import ParameterValues
-from mbdkit.plugin import Element, MbdkitError, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import ModelSpec, described_units, description, names_in, parameter_values, parse_key
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.strict_model import description
+from mbdkit.base.units import described_units
+from mbdkit.mechanism.bodies import Element
+from mbdkit.mechanism.parameters import ParameterValues, names_in, parameter_values
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import parse_key
 from mbdkit_report.unit_of_use import unit_of_use
 
 _WORDS = {

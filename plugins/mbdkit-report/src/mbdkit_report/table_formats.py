@@ -13,11 +13,11 @@ from typing import Protocol
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, shown
-from mbdkit.plugin.archives import TEXT
-from mbdkit.plugin.files import json_text
-from mbdkit.plugin.seams import Seam
-from mbdkit.plugin.terminal import csv_cell
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import csv_cell, shown
+from mbdkit.quantities.array import TEXT
+from mbdkit.registry.seam import Seam
 from mbdkit_report.group_table import TableColumn
 
 MATLAB_LENGTH = 63

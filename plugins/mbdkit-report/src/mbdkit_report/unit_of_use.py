@@ -6,8 +6,9 @@ import ast
 from collections.abc import Iterable, Mapping
 from fractions import Fraction
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.units import Unit, read_unit
 from mbdkit.mechanism.parameter_units import is_turn, unit_of_parts
-from mbdkit.plugin import SpecError, Unit, read_unit
 
 _RADIAN, _SECOND = read_unit("rad"), read_unit("s")
 _SAME = frozenset({"abs", "min", "max"})

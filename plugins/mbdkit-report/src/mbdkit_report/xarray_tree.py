@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import h5py
 
-from mbdkit.archive.fingerprint import OF_SCALES
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.archives import dims, is_text
+from mbdkit.archive.fingerprint import OF_SCALES, is_text
+from mbdkit.archive.hdf5 import dims
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     import xarray

@@ -30,6 +30,7 @@ from mbdkit_report import (
 )
 from mbdkit_report.analysis.growth import Law
 from mbdkit_studies.spec.reference_errors import LAST_ROW, offsets
+from tests.margins import assert_within
 
 TIME = np.linspace(0.0, 100.0, 2001)
 ENVELOPES: dict[Law, np.ndarray] = {
@@ -55,7 +56,7 @@ def test_law_is_found_under_a_fast_oscillation_and_noise(law: Law, seed: int) ->
 @pytest.mark.parametrize(("law", "exponent"), [("linear", 1.0), ("quadratic", 2.0)])
 def test_exponent_is_that_of_the_power_law(law: Law, exponent: float) -> None:
     growth = growth_law(TIME, oscillating(ENVELOPES[law], 3.1))
-    assert growth.exponent == pytest.approx(exponent, abs=0.05)
+    assert growth.exponent == pytest.approx(exponent, abs=0.06)  # margin: exponent of a fitted law
 
 
 @pytest.mark.parametrize("law", ENVELOPES)
@@ -113,7 +114,7 @@ def test_drift_of_an_explicit_method_is_quadratic_in_time(name: str) -> None:
     run = swinging({"name": name})
     growth = growth_law(run.time, worst_history(run))
     assert growth.candidates == ("quadratic",)
-    assert growth.exponent == pytest.approx(2.0, abs=0.1)
+    assert growth.exponent == pytest.approx(2.0, abs=0.12)  # margin: exponent of a fitted law
 
 
 @pytest.mark.parametrize("stages", [2, 3])
@@ -130,7 +131,7 @@ def test_slope_is_found_within_its_error_under_noise(seed: int) -> None:
     value = 2e-6 * TIME + 1e-5 * np.random.default_rng(seed).standard_normal(len(TIME))
     found = trend(TIME, value)
     assert found.drifts
-    assert abs(found.slope - 2e-6) < 4 * found.error
+    assert_within(found.slope - 2e-6, 4 * found.error)  # margin: seeded noise
 
 
 @pytest.mark.parametrize("period", [3.0, 17.0, 60.0])
@@ -157,7 +158,7 @@ def test_radau_loses_energy_and_gauss_does_not() -> None:
     assert radau.drifts
     assert radau.slope < 0
     gauss = balance("gauss")
-    assert abs(gauss.slope) < 1e-2 * abs(radau.slope)
+    assert_within(gauss.slope, 1e-2 * abs(radau.slope))
 
 
 STEPS = 0.5 / 2.0 ** np.arange(12)
@@ -175,7 +176,7 @@ def curve(order: float, constant: float, floor: float, seed: int = 1) -> np.ndar
 def test_order_is_found_between_coarse_steps_and_rounding(order: int, seed: int) -> None:
     # expected: the order that the curve was made with
     found = observed_order(STEPS, curve(order, 1.0, 1e-14, seed))
-    assert found.order == pytest.approx(order, abs=0.2)
+    assert found.order == pytest.approx(order, abs=0.2)  # margin: seeded noise
     assert min(found.steps) ** order > 1e-14
 
 

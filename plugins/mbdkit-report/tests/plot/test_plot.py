@@ -315,3 +315,9 @@ def test_times_proportions_and_counts_read_well():
     assert [duration(value) for value in (75.0, 0.00921, 1.15e-5)] == ["75 s", "9.21 ms", "11.5 \u00b5s"]
     assert [proportion(value) for value in (0.173, 0.0012, 3e-7)] == ["17 %", "0.12 %", "3e-07"]
     assert [count(1, "body", "bodies"), count(12_000, "step")] == ["1 body", "12,000 steps"]
+
+
+def test_latex_that_is_not_installed_is_named(lost: mbdkit.Run, tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with mpl.rc_context({"text.usetex": True}), pytest.raises(mbdkit.MbdkitError, match="cannot draw text with LaTeX"):
+        plot(lost, "energy", tmp_path / "energy.png")

@@ -13,6 +13,7 @@ import pytest
 
 import mbdkit
 from mbdkit import Mechanism
+from mbdkit.archive.fingerprint import seal
 from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.beams import parts_of
@@ -255,6 +256,7 @@ def test_an_archive_that_lacks_the_mechanism_of_a_plugin_is_drawn_as_points_and_
     with h5py.File(tmp_path / "a.h5", "r+") as file:
         del file.attrs["mechanism"]
         file.attrs["spec"] = json.dumps(spec | {"model": {"name": "acme:crane", "file": str(tmp_path / "secret")}})
+        seal(file)
     with mbdkit.load(tmp_path / "a.h5") as run:
         assert "the model 'acme:crane' is of a plugin, which may read files" in run.not_drawn
         assert draw_run(run).pins == ()

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.plugin.mechanisms import Beam
+from mbdkit.mechanism.beams import Beam
 from mbdkit.runs.coarse_beams import VARIATION, advice_for, needed_elements
 
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from mbdkit.plugin import listed, show, show_json
-from mbdkit.plugin.files import check_output, check_suffix, replacing
-from mbdkit.plugin.terminal import AsJson, Debug, Overwrite, Set, SpecName, output_to
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.terminal import show, show_json
+from mbdkit.base.text import listed
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, output_to
 
 if TYPE_CHECKING:
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
@@ -48,7 +49,7 @@ def equilibrium(
     result = equilibrium_of(prepared)
     notes = []
     if write is not None:
-        from mbdkit.plugin.specs import write_yaml
+        from mbdkit.spec.yaml_reader import write_yaml
 
         written = spec_at(prepared, result)
         with replacing(write, overwrite=overwrite, source=spec) as temporary:
@@ -144,7 +145,7 @@ def _show(text: str, prepared: PreparedMechanism, result: Sequence[str] = (), no
 
 
 def _warnings(prepared: PreparedMechanism) -> list[str]:
-    from mbdkit.plugin import findings
+    from mbdkit.runs.findings import findings
 
     return [str(finding) for finding in findings("spec", prepared.spec, (), kind="mechanism")]
 

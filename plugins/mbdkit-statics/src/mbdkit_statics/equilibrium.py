@@ -10,13 +10,21 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from mbdkit.kernels import PAIR, constraints_at
-from mbdkit.plugin import Mechanism, States, plain
-from mbdkit.plugin.doubts import CoarseBeams
-from mbdkit.plugin.equations import StateObserver, elementary, with_ground
-from mbdkit.plugin.mechanisms import named_body, places_with_ends, with_ends
-from mbdkit.plugin.specs import RunSource, Sections, parameters_in_use
-from mbdkit.plugin.terminal import HtmlView, warn_on_stderr
+from mbdkit.base import elementary
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.logs import warn_on_stderr
+from mbdkit.base.plain_data import plain
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.kernels.observe import constraints_at
+from mbdkit.engine.kernels.table_rows import PAIR
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
+from mbdkit.mechanism.beams import named_body
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.quantities.states import States
+from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium_search import Rest, rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, in_statics
@@ -25,6 +33,11 @@ from mbdkit_statics.stability import stability_of
 UNDAMPED = (
     "nothing damps the small motions of this equilibrium although its loads can supply energy, as follower loads do: a "
     "little damping may make it unstable"
+)
+
+CORNER = (
+    "a force has a corner in this position, as a rope that is just taut or a stop that just touches: the stiffness "
+    "depends on the direction, and the lowest of all sides is given"
 )
 
 
@@ -60,10 +73,11 @@ class Equilibrium(HtmlView):
         With more than 500 bodies and several negative eigenvalues, it is the negative eigenvalue closest to zero.
     stability
         ``stable``, ``neutral`` (a motion without restoring force exists), ``unstable``, ``fixed`` (no degrees of
-        freedom), or ``unknown`` (more than 500 bodies, or beams with first-order states, whose forces can supply
-        energy: the motions that were examined do not grow). Small motions decide, to first order: the minimum of the
-        potential energy if forces have a potential and damping takes energy away, otherwise the eigenvalues of the
-        linearised motion, with its velocities and first-order states.
+        freedom), ``corner`` (a force has a corner there, and neither all sides are stable nor a motion is found that
+        leads to where it is driven on), or ``unknown`` (more than 500 bodies, or beams with first-order states, whose
+        forces can supply energy: the motions that were examined do not grow). Small motions decide, to first order: the
+        minimum of the potential energy if forces have a potential and damping takes energy away, otherwise the
+        eigenvalues of the linearised motion, with its velocities and first-order states.
     growth
         Eigenvalue of the small motion that grows fastest [1/s], if it is unstable: a real number for divergence, a
         complex one for flutter. 0 if no motion grows exponentially.
@@ -202,7 +216,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped),
+        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped, *[CORNER] * stability.is_corner),
     )
 
 

@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from scipy.sparse import block_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.plugin import StepError
-from mbdkit.plugin.mechanisms import named_body
-from mbdkit.plugin.specs import RunSource, Sections
+from mbdkit.base.errors import StepError
+from mbdkit.mechanism.beams import named_body
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.equilibrium import joint_reactions
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
@@ -33,7 +33,6 @@ STRAIGHT = 0.98
 """A step is halved if the cosine of the angle between the tangents at its beginning and its end is below this."""
 
 MOST_POINTS = 5000
-"""Largest number of points of a path."""
 
 MOST_CORRECTIONS, EASY = 8, 4
 """Largest number of Newton corrections of a point, and number of corrections up to which the next step is made longer.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from mbdkit.plugin import Mechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report import Axis, Caption, Line, draw_chart, draw_mechanism, draw_pose, dress, new_figure, view_box
 from mbdkit_report import Figure as Chart
 from mbdkit_statics.equilibrium import Equilibrium

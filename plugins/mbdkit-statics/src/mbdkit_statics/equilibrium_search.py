@@ -8,8 +8,9 @@ import numpy as np
 from scipy.sparse import block_array, diags_array
 from scipy.sparse.linalg import splu
 
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.nearest_state import converged
-from mbdkit.plugin import EquationsOfMotion, StepError
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, at_rest, softest_motion, stiffness_scale
 from mbdkit_statics.states_at_rest import StaticEquations

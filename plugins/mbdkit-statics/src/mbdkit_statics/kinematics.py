@@ -9,10 +9,10 @@ from typing import Unpack
 
 import numpy as np
 
-from mbdkit.plugin import RunError, StepError, counted, listed
-from mbdkit.plugin.mechanisms import named_body
-from mbdkit.plugin.specs import RunSource, Sections
-from mbdkit.plugin.terminal import csv_cell
+from mbdkit.base.errors import RunError, StepError
+from mbdkit.base.text import counted, csv_cell, listed
+from mbdkit.mechanism.beams import named_body
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, reduce
 

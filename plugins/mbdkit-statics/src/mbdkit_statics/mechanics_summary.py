@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import counted, listed, table
-from mbdkit.plugin.mechanisms import beam_of, gravity_text
+from mbdkit.base.text import counted, listed, table
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.kinematics import Kinematics
 from mbdkit_statics.modes import Modes
@@ -22,6 +23,7 @@ STABILITY = {
     "stable": "stable",
     "neutral": "neutral: a motion without restoring force exists",
     "fixed": "fixed: joints and drivers leave no degree of freedom",
+    "corner": "undecided: a force has a corner here, and some of its sides are soft",
     "unknown": "unknown: the lowest motions do not grow, but higher ones were not examined",
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from mbdkit.plugin import Mechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report import Caption, draw_mechanism, draw_pose, dress, new_figure, view_box
 from mbdkit_statics.modes import Modes
 

@@ -8,9 +8,10 @@ from typing import Literal, Unpack
 import numpy as np
 from scipy.linalg import eig, null_space
 
-from mbdkit.plugin import Mechanism
-from mbdkit.plugin.specs import RunSource, Sections
-from mbdkit.plugin.terminal import HtmlView, warn_on_stderr
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.logs import warn_on_stderr
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.coarse_modes import coarse_modes
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism

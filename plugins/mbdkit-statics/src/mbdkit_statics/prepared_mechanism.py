@@ -8,12 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, Mechanism, RunError, RunSpec, StepError
-from mbdkit.plugin.doubts import LawRanges
-from mbdkit.plugin.equations import NONE
-from mbdkit.plugin.methods import Nodes
-from mbdkit.plugin.runs import AssembledMechanism, build
-from mbdkit.plugin.specs import load_spec
+from mbdkit.base.errors import RunError, StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.stabilization import NONE
+from mbdkit.integrators.interface import Nodes
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.law_ranges import LawRanges
+from mbdkit.runs.preparation import build
+from mbdkit.spec.loading import load_spec
+from mbdkit.spec.run_spec import RunSpec
 
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
 """Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""

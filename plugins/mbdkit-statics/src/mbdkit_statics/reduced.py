@@ -15,7 +15,9 @@ from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
-from mbdkit.plugin import GROUND, SpecError, quoted
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.mechanism.bodies import GROUND
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 

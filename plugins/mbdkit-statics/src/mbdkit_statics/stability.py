@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import eig, matrix_balance
 
+from mbdkit_statics.one_sided import sides_of
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import (
     DENSE,
@@ -61,19 +62,22 @@ class Stability:
     Attributes
     ----------
     verdict
-        ``stable``, ``neutral``, ``unstable``, ``unknown`` or ``fixed``; see `mbdkit.Equilibrium.stability`.
+        ``stable``, ``neutral``, ``unstable``, ``corner``, ``unknown`` or ``fixed``; see `mbdkit.Equilibrium.stability`.
     stiffness
         Lowest stiffness along the degrees of freedom, for unit mass [1/s^2]; nan without degrees of freedom.
     growth
         Eigenvalue of the motion that grows fastest [1/s]; 0 if none grows exponentially.
     is_undamped
         Whether it is stable only as far as no motion is damped, although the loads can supply energy.
+    is_corner
+        Whether a force has a corner there, so that the stiffness depends on the direction.
     """
 
     verdict: str
     stiffness: float = float("nan")
     growth: complex = 0.0
     is_undamped: bool = False
+    is_corner: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,6 +111,14 @@ def stability_of(dynamic: PreparedMechanism, statics: PreparedMechanism, at: Sta
     """
     if statics.freedoms == 0:
         return Stability("fixed")
+    if (sides := sides_of(statics, at)) is not None:
+        is_decided = not len(z) and (sides.verdict != "stable" or is_conservative(dynamic, at))
+        return Stability(
+            sides.verdict if is_decided else "corner",
+            float(np.min(sides.least)),
+            complex(np.sqrt(-sides.along)) if is_decided and sides.verdict == "unstable" else 0.0,
+            is_corner=sides.differ,
+        )
     stiffness = least_stiffness(statics, at)
     if not len(z) and is_conservative(dynamic, at):
         if abs(stiffness) <= NEUTRAL * softest_scale(statics, at):

@@ -17,8 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from mbdkit.plugin import EquationsOfMotion, SpecError, StepError, Tangents
-from mbdkit.plugin.equations import Workspace
+from mbdkit.base.errors import SpecError, StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.tangents import Tangents
+from mbdkit.engine.workspace import Workspace
 
 MOST_ITERATIONS = 50
 """Largest number of Newton steps for the states at rest."""
@@ -105,7 +107,7 @@ class StatesAtRest:
                 break
             z[free] += change
             size = np.maximum(np.abs(z[free]), LEAST * np.max(np.abs(z)))
-            shares = np.divide(np.abs(change), size, out=np.zeros_like(change), where=change != 0.0)
+            shares = np.divide(np.abs(change), size, out=np.where(change == 0.0, 0.0, np.inf), where=size > 0.0)
             now = float(np.max(shares, initial=0.0))
             if now <= SMALL or (now >= STALLED * before and now <= NEGLIGIBLE):
                 self.z = z

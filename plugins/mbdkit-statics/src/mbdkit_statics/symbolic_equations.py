@@ -17,30 +17,25 @@ import numpy as np
 import sympy as sp
 from sympy.core.function import UndefinedFunction
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
 from mbdkit.expressions.parser import Expression
-from mbdkit.plugin import GROUND, ExpressionLaw, Mechanism, Pathway, PoseFunction, Segment, SpecError, Table, quoted
-from mbdkit.plugin.mechanisms import (
-    LENGTH,
-    RATE,
-    AppliedLoad,
-    Beam,
-    Center,
-    Constraint,
-    Force,
-    Law,
-    PointForce,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    curve_of,
-    expression_of,
-    force_of_reaction,
-    is_of_state,
-    law_expressions,
-    symbolic_function,
-)
-from mbdkit.plugin.mechanisms import T as LAW_TIME
-from mbdkit.plugin.specs import law_parameters
+from mbdkit.mechanism.angle_function import Center, expression_of
+from mbdkit.mechanism.beams import Beam
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joint_base import Constraint, PoseFunction
+from mbdkit.mechanism.joints import force_of_reaction
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.law_parameters import law_parameters
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.pathways import Pathway, Segment
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.mechanism.values import Table, curve_of
+from mbdkit.symbolic.symbolic_function import symbolic_function
+from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
+from mbdkit.symbolic.symbolic_law import T as LAW_TIME
 from mbdkit_statics import element_definitions as d
 from mbdkit_statics.symbolic_system import SymbolicSystem
 
@@ -220,12 +215,10 @@ class _SystemBuilder:
             for letter, value in function.parameters
         }
         x, y, angle, first = sp.symbols("x y angle first", real=True)
-        try:
+        with SpecError.locate(f"model.joints.{quoted(joint)}"):
             values = symbolic_function(
                 function, joint, (x, y, angle, first, TIME), given, _angle, partial(self.table, joint, {})
             )
-        except SpecError as error:
-            raise error.located(prefix=f"model.joints.{quoted(joint)}") from None
         pose = {
             x: (d.in_x - d.PARAMETERS[0]).xreplace(here),
             y: (d.in_y - d.PARAMETERS[1]).xreplace(here),

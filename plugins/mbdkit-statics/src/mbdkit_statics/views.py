@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin import Mechanism
-from mbdkit.plugin.mechanisms import beam_of
+from mbdkit.mechanism.beams import beam_of
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report import Cell, Illustration, NamedPose, Picture, Table, View, columns_of, drawing
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_statics.equilibrium import Equilibrium

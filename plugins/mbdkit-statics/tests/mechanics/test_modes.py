@@ -12,6 +12,7 @@ from scipy.linalg import eigh
 import mbdkit
 from mbdkit.spec import load_spec
 from mbdkit_statics.modes import oscillations
+from tests.margins import assert_within
 
 from .chains import G, chain_stiffness_and_mass, hung_between, spec, weight_on_a_spring
 
@@ -221,10 +222,12 @@ def test_a_damped_strip_has_the_frequencies_and_damping_ratios_of_kelvin_and_voi
     below = ratios < 1
     expected = omega[below] * (-ratios[below] + 1j * np.sqrt(1 - ratios[below] ** 2))
     np.testing.assert_allclose(swinging[: len(expected)], expected, rtol=1e-3)  # of 16 elements
-    np.testing.assert_allclose(-2 * swinging.real / np.abs(swinging) ** 2, tau, rtol=1e-5)
+    np.testing.assert_allclose(
+        -2 * swinging.real / np.abs(swinging) ** 2, tau, rtol=3e-5
+    )  # up to 7e-6 on four processors
     for one in omega[~below]:
         slow = -one * (one * tau / 2 - math.sqrt((one * tau / 2) ** 2 - 1))
-        assert np.min(np.abs(values - slow)) < 1e-3 * abs(slow)
+        assert_within(np.min(np.abs(values - slow)), 1e-3 * abs(slow))
 
 
 def test_eigenvalues_of_all_sizes_are_accurate_whatever_the_damping_couples() -> None:
@@ -236,9 +239,9 @@ def test_eigenvalues_of_all_sizes_are_accurate_whatever_the_damping_couples() ->
     exact = np.array([complex(root) for root in sympy.Poly(polynomial, symbol).nroots(n=60, maxsteps=500)])
     found, shapes = oscillations(np.diag(np.array(squares, dtype=float)), np.array(damping, dtype=float))
     for value, shape in zip(found, shapes.T, strict=True):
-        assert np.min(np.abs(exact - value)) <= 1e-9 * abs(value)
+        assert_within(np.min(np.abs(exact - value)), 1e-9 * abs(value))
         terms = value**2 * shape, np.array(damping, dtype=float) @ (value * shape), np.array(squares) * shape
-        assert np.linalg.norm(sum(terms)) < 1e-8 * sum(np.linalg.norm(one) for one in terms)
+        assert_within(np.linalg.norm(sum(terms)), 1e-8 * sum(np.linalg.norm(one) for one in terms))
     assert np.sum(found.imag > 0) + len(found) == 6
 
 

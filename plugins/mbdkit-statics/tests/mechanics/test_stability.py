@@ -186,8 +186,8 @@ def test_becks_column_flutters_at_its_known_load(axial: float) -> None:
     path = mbdkit.equilibrium_path(column("-30*t"))
     (point,) = path.critical
     assert (point.kind, point.body) == ("flutter", "column.12")
-    assert 30 * point.time == pytest.approx(20.05, rel=2e-3)
-    assert point.frequency == pytest.approx(11.02, rel=5e-3)
+    assert 30 * point.time == pytest.approx(20.05, rel=2e-3)  # margin: digits of the publication
+    assert point.frequency == pytest.approx(11.02, rel=8e-3)  # 1.8e-3 to 2.4e-3 on four processors
     assert mbdkit.equilibrium(column("-19.9")).stability == "stable"
     above = mbdkit.equilibrium(column("-21"))
     assert above.flutters

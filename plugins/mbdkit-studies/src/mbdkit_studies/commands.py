@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperCommand
 
-from mbdkit.cli.common_options import PLAIN, Call
-from mbdkit.plugin import show, show_json
-from mbdkit.plugin.seams import spec_check
-from mbdkit.plugin.terminal import STOPPED_EARLY, Printing, count_bar, grouped, output_to, say, silence, stem
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
+from mbdkit.cli.common_options import PLAIN, Call, Printing, grouped, output_to, stem
+from mbdkit.spec.spec_kinds import spec_check
 from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.specs import Document
+    from mbdkit.spec.reading import Document
 
 
 class StudyCommand(TyperCommand):

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.plugin import Command, FileFormat, GuidePage, Item, SpecKind, Target, ViewItem, hookimpl
+from mbdkit.registry.feature_items import FileFormat, GuidePage, SpecKind, ViewItem
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command
+from mbdkit.registry.target import Target
 
 
 @hookimpl

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, SpecError
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.html_view import HtmlView
 from mbdkit_report import data_frame
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
@@ -282,14 +282,15 @@ class Study(StudyRuns, HtmlView):
             Labels on the axes by dotted key, and the name of the family under the key ``family``; only runs with these
             labels are used. Required if the sample is repeated for several labels or families.
         times
-            (K,) times [s], at which recorded rows are interpolated linearly. By default, at most 501 of the recorded
-            times if they are the same in all runs, otherwise 201 equally spaced times.
+            (K,) times [s], at which recorded rows are interpolated by cubic polynomials. By default, at most 501 of the
+            recorded times if they are the same in all runs, otherwise 201 equally spaced times.
 
         Returns
         -------
         QuantileBands
             Quantiles over the runs that reach each time; a failed run counts up to its end. Runs that are rated bad
-            are left out.
+            are left out. Its `error` estimates what interpolation does: runs of adaptive methods have rows of their own
+            unless `output.interval` is given.
 
         Raises
         ------

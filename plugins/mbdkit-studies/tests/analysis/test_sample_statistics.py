@@ -22,6 +22,7 @@ from mbdkit_studies.statistics.sample_statistics import (
     standard_deviation,
 )
 from mbdkit_studies.statistics.sobol_indices import SobolIndices, sobol_indices
+from tests.margins import assert_within
 
 ASKED: tuple[Callable[[np.ndarray], Estimate], ...] = (
     mean, standard_deviation, lambda values: quantile(values, 0.05), lambda values: quantile(values, 0.95),
@@ -130,7 +131,7 @@ def test_the_indices_are_those_of_scipy() -> None:
 def test_the_indices_of_the_ishigami_function_converge_to_the_analytic_ones() -> None:
     errors = [_error(sobol_indices(values(n), resamples=1)) for n in (64, 512, 4096, 32768)]
     assert errors[0] > errors[1] > errors[2] > errors[3]
-    assert errors[3] < 1e-3
+    assert_within(errors[3], 1e-3)
 
 
 @pytest.mark.parametrize("method", ["halton", "latin-hypercube", "random"])
@@ -146,6 +147,16 @@ def test_intervals_contain_the_analytic_indices_as_often_as_they_say() -> None:
         hits[1] += (found.total_low <= TOTAL) & (found.total_high >= TOTAL)
     assert np.all(hits / count > 0.8)  # 0.9, with a standard deviation of 0.025 and a bias of quantile intervals
     assert np.all(hits / count < 0.99)
+
+
+def test_intervals_of_halton_samples_almost_always_contain_the_analytic_indices() -> None:
+    """Of the intervals of `sobol` with 512 members for the first-order index of the third variable, 17 % do not."""
+    hits, count = np.zeros((2, 3)), 60
+    for seed in range(count):
+        found = sobol_indices(values(512, "halton", seed), resamples=100, seed=seed)
+        hits[0] += (found.first_low <= FIRST) & (found.first_high >= FIRST)
+        hits[1] += (found.total_low <= TOTAL) & (found.total_high >= TOTAL)
+    assert np.all(hits / count > 0.95)
 
 
 def test_intervals_contain_small_total_indices_of_skewed_effects_more_often_than_quantiles_of_the_bootstrap() -> None:

@@ -19,8 +19,10 @@ from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.spec import load_spec
 from mbdkit_studies.compute import pool, worker
 from mbdkit_studies.compute.batch import refusal
+from mbdkit_studies.compute.run_files import RunFiles
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.store import study_index
+from tests.margins import assert_within
 from tests.runs.resuming.killed_runs import killed
 
 #: Two rods that can meet a point of the ground at a distance of 1.5 m, but not at 3 m.
@@ -173,7 +175,7 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
     assert done.reference(done.points[2]) is None
     assert len(done.failures) == 4
     errors = [point.values["end_error"] for point in done.points]
-    assert errors[0] < 1e-6
+    assert_within(errors[0], 1e-6)
     assert np.isnan(errors[1:]).all()
     again = mbdkit.study(study, out=tmp_path / "out")
     assert again.computed == 0
@@ -287,7 +289,22 @@ def test_progress_counts_runs_and_timings(small, tmp_path):
     told = []
     study = small | {"axes": [{"integrator": [{"name": "rk4"}]}], "repeats": 2}
     mbdkit.study(study, out=tmp_path / "out", progress=lambda *counts: told.append(counts))
-    assert told == [(1, 3, 0), (2, 3, 0), (3, 3, 0)]
+    assert told == [(1, 4, 0), (2, 4, 0), (3, 4, 0), (4, 4, 0)]
+
+
+def test_all_runs_are_timed_once_before_one_is_timed_again(tmp_path, monkeypatch):
+    # a busy stretch of the machine then spreads the times of each run, and not those of some runs alone
+    timed = []
+    note = RunFiles.note
+    monkeypatch.setattr(
+        RunFiles, "note", lambda self, task, out: (timed.append((task.key, task.content)), note(self, task, out))
+    )
+    study = {
+        "mbdkit_study": 1, "base": "pendulum", "overrides": {"time": {"end": 0.1, "step": 0.01}},
+        "axes": [{"integrator": [{"name": "rk4"}, {"name": "rk-gill"}]}], "repeats": 3,
+    }  # fmt: skip
+    points = mbdkit.study(study, out=tmp_path / "out").points
+    assert [key for key, content in timed if "timing" in content] == 3 * [point.run_id for point in points]
 
 
 def test_reasons_of_runs_with_several_wrong_values_are_on_one_line() -> None:

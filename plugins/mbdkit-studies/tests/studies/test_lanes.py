@@ -14,8 +14,8 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
+from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.integrators.start import start_method
-from mbdkit.kernels import suits_lanes, topology_of
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.methods import dop853, dopri5, gauss, radau_iia, rk4, rk_gill
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Tolerances

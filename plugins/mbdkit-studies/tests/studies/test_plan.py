@@ -14,7 +14,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit.plugin.specs import registry
+from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
 from mbdkit.spec.schema import HOME, run_schema
 from mbdkit_studies.compute.study_plan import plan_study

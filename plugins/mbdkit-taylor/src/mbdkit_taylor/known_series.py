@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base.errors import UnsupportedMechanismError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.applied_forces import PATHWAYS
 from mbdkit.engine.kernels.motions import OPCODES
-from mbdkit.kernels import PATHWAYS, SPRING
-from mbdkit.plugin import UnsupportedMechanismError
-from mbdkit.plugin.equations import CompiledMechanism, is_tree_of_pins, spanning_tree
+from mbdkit.engine.kernels.table_rows import SPRING
+from mbdkit.engine.spanning_tree import is_tree_of_pins, spanning_tree
 from mbdkit_taylor.kernels.power_series import EXPANDED
 
 _PATHWAYS = [PATHWAYS[name] for name in ("two_points", "relative_angle")]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.target import Target
 
 
 @hookimpl

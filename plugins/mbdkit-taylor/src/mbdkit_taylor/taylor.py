@@ -14,14 +14,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from pydantic import Field
 
-from mbdkit.plugin import Claims, Method, Target, Tolerances, Traits
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.methods import ControlledOptions, LocalError
-from mbdkit.plugin.seams import integrator_claims, integrator_method
+from mbdkit.base import elementary
+from mbdkit.methods.kinds import LocalError, Method, Tolerances, Traits, integrator_method
+from mbdkit.methods.method_options import ControlledOptions
+from mbdkit.registry.items import Claims, integrator_claims
+from mbdkit.registry.target import Target
 from mbdkit_taylor.known_series import require_series
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 JORBA_ZOU = """@article{jorba2005,
   author = {Jorba, {\\`A}ngel and Zou, Maorong},

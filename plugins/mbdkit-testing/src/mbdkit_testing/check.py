@@ -14,8 +14,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
-from mbdkit.plugin import MbdkitError, UnsupportedMechanismError, with_place
-from mbdkit.plugin.equations import Counters
+from mbdkit.base.errors import MbdkitError, UnsupportedMechanismError, with_place
+from mbdkit.engine.counters import Counters
 from mbdkit_testing.check_result import Result, failed, skipped
 
 UnderTest = TypeVar("UnderTest")

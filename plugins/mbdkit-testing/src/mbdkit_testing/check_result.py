@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass, field, replace
 from textwrap import fill
 from typing import Any, Literal
 
-from mbdkit.plugin import counted, listed, shown, table
-from mbdkit.plugin.files import json_text
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import counted, listed, shown, table
 from mbdkit.registry.catalogue import Kind
 
 Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]

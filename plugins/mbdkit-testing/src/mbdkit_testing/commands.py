@@ -9,8 +9,10 @@ from typing import Annotated
 import typer
 
 from mbdkit.base import terminal
-from mbdkit.plugin import listed, show, show_json
-from mbdkit.plugin.terminal import AsJson, Debug, Overwrite, Quiet, count_bar, output_to, say, silence
+from mbdkit.base.progress_bars import count_bar
+from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.base.text import listed
+from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
 from mbdkit_testing import describe
 from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
 

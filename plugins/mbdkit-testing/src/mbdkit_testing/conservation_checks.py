@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mbdkit.plugin import Run
+from mbdkit.archive.run import Run
 from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, unclaimed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_state, require_complete

@@ -9,18 +9,11 @@ from typing import Any, cast
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.plugin import (
-    EquationsOfMotion,
-    Method,
-    PluginError,
-    SpecError,
-    Step,
-    StepMethod,
-    StepState,
-    Why,
-    counted,
-    listed,
-)
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state

@@ -9,9 +9,14 @@ from typing import Any
 import numpy as np
 import scipy.integrate
 
+from mbdkit.base.text import listed
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.formulation import FORMULATIONS
+from mbdkit.engine.iteration_matrix import IterationMatrix
+from mbdkit.engine.state_derivatives import Rates
 from mbdkit.integrators.host.step_host import StepHost
-from mbdkit.plugin import EquationsOfMotion, IterationMatrix, Rates, SciPySolver, StepMethod, listed
-from mbdkit.plugin.equations import FORMULATIONS
+from mbdkit.methods.scipy_solver import SciPySolver
+from mbdkit.methods.step_methods import StepMethod
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, require_complete

@@ -10,9 +10,12 @@ from typing import Any, cast
 from pydantic import BaseModel
 
 from mbdkit.base.distributions import MBDKIT
-from mbdkit.plugin import PluginError, SpecError, did_you_mean, listed, table
-from mbdkit.plugin.specs import Plugin, Registered, Registry, Report, named_options, registry
-from mbdkit.registry.catalogue import KINDS, Kind
+from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.text import did_you_mean, listed, table
+from mbdkit.registry.catalogue import KINDS, Kind, Registered, Registry, Report
+from mbdkit.registry.item import Plugin
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import API
 
 Schema = dict[str, Any]

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, Run
-from mbdkit.plugin.equations import FORMULATIONS
+from mbdkit.archive.run import Run
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit_report import growth_law, observed_order, worst_history
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, at_most, failed, passed

@@ -10,24 +10,20 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.plugin import (
-    GROUND,
-    Element,
-    ElementKind,
-    Kind,
-    MbdkitError,
-    Mechanism,
-    Recorded,
-    RunSpec,
-    SpecError,
-    listed,
-    parse_path,
-    read_unit,
-)
-from mbdkit.plugin.archives import kind_of_group
-from mbdkit.plugin.equations import StateObserver
-from mbdkit.plugin.mechanisms import lines_of
-from mbdkit.plugin.specs import described_units, description, put
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import parse_path
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.base.units import described_units, read_unit
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.mechanism.bodies import GROUND, Element
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import lines_of
+from mbdkit.quantities.array import Kind, Recorded
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.registry.element_items import ElementKind
+from mbdkit.spec.reading import put
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.gradient import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
@@ -51,11 +47,6 @@ class ElementUnderTest(ExampleUnderTest):
     def key(self) -> str:
         """Key of the elements in the model."""
         return self.kind.key_in_model
-
-    @property
-    def example(self) -> str:
-        """Name of the example; empty if there is none."""
-        return self.kind.example
 
     @property
     def what(self) -> str:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit import resume
-from mbdkit.plugin import EquationsOfMotion, simulate
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.runs.resuming import resume
+from mbdkit.runs.simulation import simulate
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed

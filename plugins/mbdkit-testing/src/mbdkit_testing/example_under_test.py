@@ -10,10 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunSpec, SpecError, simulate
-from mbdkit.plugin.equations import Workspace
-from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import load_spec
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.workspace import Workspace
+from mbdkit.registry.element_items import ElementKind, JointKind
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import Skip
 from mbdkit_testing.item_checks import ItemUnderTest
 
@@ -26,8 +30,8 @@ class ExampleUnderTest(ItemUnderTest):
 
     @property
     @abstractmethod
-    def example(self) -> str:
-        """Name of the example; empty if there is none."""
+    def kind(self) -> ElementKind | JointKind:
+        """The item."""
 
     @property
     @abstractmethod
@@ -41,11 +45,11 @@ class ExampleUnderTest(ItemUnderTest):
     @cached_property
     def spec(self) -> RunSpec:
         """The spec of the example."""
-        if not self.example:
+        if not (example := self.kind.example):
             raise Skip(f"it has no `example`, the name of a packaged run with {self.what}")
-        spec = load_spec(self.example)
+        spec = load_spec(example)
         if not self.members(spec):
-            raise SpecError(f"its example '{self.example}' has no {self.what}")
+            raise SpecError(f"its example '{example}' has no {self.what}")
         return spec
 
     @cached_property

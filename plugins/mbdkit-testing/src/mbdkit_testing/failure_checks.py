@@ -9,7 +9,10 @@ from dataclasses import replace
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.plugin import EquationsOfMotion, MbdkitError, PluginError, Run, SpecError, StepError, StepMethod, StepState
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError, PluginError, SpecError, StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.methods.step_methods import StepMethod, StepState
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

@@ -11,12 +11,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.kernels import LAW
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.force_laws import bind_law
+from mbdkit.engine.native.calls import LAW
+from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw
 from mbdkit.mechanism.law_parameters import law_range
-from mbdkit.plugin import ExpressionLaw, ForceLawPlugin, FunctionLaw, RunSpec, SpecError, TracedLaw, listed, simulate
-from mbdkit.plugin.equations import bind_law
+from mbdkit.registry.items import ForceLawPlugin
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import spec_type
+from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, warned
 from mbdkit_testing.item_checks import ItemUnderTest

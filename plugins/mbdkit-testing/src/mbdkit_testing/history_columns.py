@@ -8,10 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from mbdkit.archive import history
-from mbdkit.archive.named_columns import VIEWS
+from mbdkit.archive.named_columns import VIEWS, columns_of, view_of
+from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.base.parts import GROUPS_OF_PARTS
-from mbdkit.plugin import Kind
-from mbdkit.plugin.archives import RecordedData, added_kinds, columns_of, kind_of_group, view_of
+from mbdkit.quantities.array import Kind
+from mbdkit.quantities.registered_kinds import added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 

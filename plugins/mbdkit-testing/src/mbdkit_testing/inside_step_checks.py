@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, ExplicitRungeKutta, ExternalMethod, StepMethod
-from mbdkit.plugin.methods import Moment
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.interface import Moment
+from mbdkit.methods.kinds import ExplicitRungeKutta
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 from mbdkit_report import observed_order
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, warned

@@ -9,13 +9,20 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from mbdkit.plugin import ButcherTableau, Claims, IntegratorPlugin, Method, PluginError, Run, RunSpec, simulate
-from mbdkit.plugin.equations import Workspace
-from mbdkit.plugin.methods import Stepper, Timetable, start_method
-from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import Registered, Registry, choice_of
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import PluginError
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stepper, Timetable
+from mbdkit.integrators.start import start_method
+from mbdkit.methods.kinds import Method
+from mbdkit.methods.tableau import ButcherTableau
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.runs.preparation import build
 from mbdkit.runs.run_seams import Progress
-from mbdkit.spec.run_spec import spec_type
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.formulation_choice import choice_of
+from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip
 from mbdkit_testing.options_under_test import validated
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit.plugin.equations import Workspace
+from mbdkit.engine.workspace import Workspace
 from mbdkit_report import Trend, trend
 from mbdkit_testing.check import Check, check
 from mbdkit_testing.check_result import Figure, Result, at_most, failed, passed, skipped, unclaimed, warned

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from mbdkit.plugin.specs import Registered, Registry
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, passed
 

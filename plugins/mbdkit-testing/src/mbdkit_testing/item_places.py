@@ -12,10 +12,16 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
+from mbdkit.base.errors import SpecError
+from mbdkit.base.terminal import show, show_json
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.cli.common_options import AsJson, Debug
 from mbdkit.guide.pages import search
-from mbdkit.plugin import Command, SpecError, Target, did_you_mean, listed, show, show_json
-from mbdkit.plugin.specs import Plugin, Registered, Registry, registry
-from mbdkit.plugin.terminal import AsJson, Debug
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.item import Plugin
+from mbdkit.registry.items import Command
+from mbdkit.registry.manager import registry
+from mbdkit.registry.target import Target
 
 PAGES = 3
 """Largest number of pages of the guide that are named for an item."""

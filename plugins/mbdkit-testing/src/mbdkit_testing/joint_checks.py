@@ -11,8 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, FunctionJoint, MbdkitError, Mechanism, SpecError, listed, load, simulate
-from mbdkit.plugin.specs import described_units, description
+from mbdkit.archive.reader import load
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.base.units import described_units
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joint_base import FunctionJoint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.simulation import simulate
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_checks import balance, checkpoint, tangents, without_plugin
@@ -48,7 +55,7 @@ def own_class(kind: JointUnderTest) -> Result:
         return failed(
             f"the `type` of its class is {default!r} by default, not the name of the kind, '{kind.kind.name}'"
         )
-    for joint in kind.joints.values() if kind.example or "spec" in vars(kind) else ():
+    for joint in kind.joints.values() if kind.kind.example or "spec" in vars(kind) else ():
         if cause := _wrong_rows(joint.rows, joint.units):
             return failed(cause)
     return passed()
@@ -67,7 +74,10 @@ def _wrong_rows(rows: Sequence[str], units: Sequence[str]) -> str:
 
 @check("joint.functions")
 def functions(kind: JointUnderTest) -> Result:
-    """There is one function for each row; it can be differentiated, has no memory, and equal ones are one object."""
+    """There is one function for each row; it can be differentiated, has no memory, and equal ones are one object.
+
+    A function of a place does not depend on where the pair lies.
+    """
     number, mechanism = 0, kind.spec.mechanism()
     for name, joint in kind.joints.items():
         start = mechanism.relative_pose(joint)
@@ -83,6 +93,12 @@ def functions(kind: JointUnderTest) -> Result:
                 return failed(
                     f"the function of row '{row}' is another one when it is called again; it may depend on `pose` and "
                     "`p` only, not on counters, clocks, random numbers or variables that change"
+                )
+            if terms.of("first") and (terms.of("x") or terms.of("y")):
+                return failed(
+                    f"row '{row}' of '{name}' is a function of a place and of `pose.first`, so that its curve lies in "
+                    "the global frame, and its reaction has a torque on the pair that no body exerts; `x` and `y` are "
+                    "those of a's frame already, and `first` is for couplings of angles alone"
                 )
         try:
             are_equal = [(one.function, hash(one.function)) for one in first] == [

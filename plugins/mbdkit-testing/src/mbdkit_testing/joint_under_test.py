@@ -11,20 +11,16 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.plugin import (
-    GROUND,
-    EquationsOfMotion,
-    FunctionJoint,
-    JointKind,
-    Mechanism,
-    PluginError,
-    Pose,
-    PoseFunction,
-    RunSpec,
-    StepError,
-)
-from mbdkit.plugin.mechanisms import Recorder
-from mbdkit.plugin.specs import described_units, description
+from mbdkit.base.errors import PluginError, StepError
+from mbdkit.base.strict_model import description
+from mbdkit.base.units import described_units
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.expressions.recorded import Recorder
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joint_base import FunctionJoint, Pose, PoseFunction
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.element_items import JointKind
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.example_under_test import ExampleUnderTest
 
 NEAR = 0.01
@@ -43,11 +39,6 @@ class JointUnderTest(ExampleUnderTest):
     def kind(self) -> JointKind:
         """The kind of joints."""
         return cast(JointKind, self.item.plugin)
-
-    @property
-    def example(self) -> str:
-        """Name of the example; empty if there is none."""
-        return self.kind.example
 
     @property
     def what(self) -> str:

@@ -6,10 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import to_stderr
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Plugin, Registered, Registry, registry
-from mbdkit.registry.catalogue import Kind
+from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.item import Plugin
+from mbdkit.registry.manager import registry
 from mbdkit_testing import (
     conservation_checks,
     contract_checks,
@@ -97,6 +98,31 @@ def plugin_under_test(kind: Kind, name: str, options: Mapping[str, object], inst
         "joint-kind": JointUnderTest,
     }
     return types.get(kind, item_checks.ItemUnderTest)(item, chosen, installed)
+
+
+def check_element(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of elements; see `verify`."""
+    return verify("element-kind", name, quick=quick)
+
+
+def check_integrator(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of an integrator; see `verify`."""
+    return verify("integrator", name, options, quick=quick)
+
+
+def check_joint(name: str, *, quick: bool = False) -> Report:
+    """Run all checks of a kind of joints; see `verify`."""
+    return verify("joint-kind", name, quick=quick)
+
+
+def check_model(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of a model; see `verify`."""
+    return verify("model", name, options, quick=quick)
+
+
+def check_force_law(name: str, options: Mapping[str, object] | None = None, *, quick: bool = False) -> Report:
+    """Run all checks of a force law; see `verify`."""
+    return verify("force-law", name, options, quick=quick)
 
 
 def verify(

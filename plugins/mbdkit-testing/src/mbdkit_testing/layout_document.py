@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from mbdkit.base.parts import GROUPS_OF_PARTS
-from mbdkit.plugin.archives import kinds
+from mbdkit.quantities.registered_kinds import kinds
 
 BEGIN = "<!-- layout: begin (python -m mbdkit_testing.layout_document schemas/archive.md) -->"
 END = "<!-- layout: end -->"

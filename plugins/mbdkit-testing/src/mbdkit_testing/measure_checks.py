@@ -7,8 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, MeasurePlugin, Run, simulate
-from mbdkit.plugin.specs import load_spec, named_options
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import MeasurePlugin
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.item_checks import ItemUnderTest

@@ -7,11 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.kernels import motions_at
-from mbdkit.plugin import Driver, EquationsOfMotion, Mechanism, RunSpec, SpecError, simulate
-from mbdkit.plugin.measures import MAX_DEPTH
-from mbdkit.plugin.runs import build
-from mbdkit.spec.run_spec import spec_type
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.motions import motions_at
+from mbdkit.expressions.program import MAX_DEPTH
+from mbdkit.mechanism.joints import Driver
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.item_checks import ItemUnderTest

@@ -7,8 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import ExpressionLaw, SpecError, listed
-from mbdkit.plugin.specs import Registered
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.registry.catalogue import Registered
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.force_law_checks import RANDOM_OF_VARIANTS, ForceLawUnderTest

@@ -9,8 +9,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from mbdkit.plugin import SpecError, listed
-from mbdkit.plugin.specs import STRICT, Registered, spec_error
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import STRICT
+from mbdkit.base.text import listed
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.registry.catalogue import Registered
 from mbdkit_testing.check_result import Result, failed, passed, warned
 
 MOST_CHOICES = 4

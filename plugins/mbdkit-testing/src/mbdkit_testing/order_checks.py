@@ -14,8 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Run, StepError, StepMethod
-from mbdkit.plugin.specs import choice_of, load_spec
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import StepError
+from mbdkit.methods.step_methods import StepMethod
+from mbdkit.spec.formulation_choice import choice_of
+from mbdkit.spec.loading import load_spec
 from mbdkit_report import ObservedOrder, observed_order
 from mbdkit_testing.check import Check, Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, skipped, unclaimed, warned
@@ -88,7 +91,7 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
     estimated by the difference between the states with 60 and 75 steps per second.
     """
-    from mbdkit.plugin import simulate  # it does not print warnings, which would concern the test problem
+    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
 
     found, end = [], ENDS[problem]
     gauss = {"name": "mbdkit:gauss", "stages": 6}
@@ -483,7 +486,7 @@ def states(integrator: IntegratorUnderTest) -> Result:
 @cache
 def _states_at_end() -> np.ndarray:
     """Return the first-order states of the test problem after 1 s, by Gauss collocation of order 12."""
-    from mbdkit.plugin import simulate
+    from mbdkit.runs.simulation import simulate
 
     gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": 1.0, "step": 1 / 60}
     with simulate(

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mbdkit.plugin import Command, Item, Target, hookimpl
+from mbdkit.registry.hookspecs import hookimpl
+from mbdkit.registry.item import Item
+from mbdkit.registry.items import Command
+from mbdkit.registry.target import Target
 
 
 @hookimpl

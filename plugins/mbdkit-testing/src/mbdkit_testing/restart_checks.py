@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.checkpoint import Checkpoint
+from mbdkit.base.errors import StepError
+from mbdkit.base.text import counted
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.host.step_host import StepHost
-from mbdkit.plugin import EquationsOfMotion, ExternalMethod, StepError, StepMethod, StepState, Why, counted
-from mbdkit.plugin.methods import Stretch, joined
+from mbdkit.integrators.interface import Stepper, Stretch, joined
+from mbdkit.methods.step_methods import ExternalMethod, StepMethod, StepState, Why
 from mbdkit.runs.stored_python_steps import MemoryNotStoredError, restore_stepper, stored_stepper
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit_testing.single_steps import equations_for, model_for, step_method, step_of
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, LAGGING_PENDULUM
-
-if TYPE_CHECKING:
-    from mbdkit.plugin.methods import Stepper
 
 STEPS, END = 60, 0.6
 STORED_AFTER = (1, 7, 25)

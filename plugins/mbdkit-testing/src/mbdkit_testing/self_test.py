@@ -15,8 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import MbdkitError, listed, run
-from mbdkit.plugin.specs import load_spec
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import listed
+from mbdkit.runs.simulation import run
+from mbdkit.spec.loading import load_spec
 
 EQUAL, OTHER_BITS = "equal", "other bits"
 _DIGEST = re.compile("[0-9a-f]{64}")

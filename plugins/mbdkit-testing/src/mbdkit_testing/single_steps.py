@@ -9,11 +9,14 @@ from functools import cache
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from mbdkit.plugin import EquationsOfMotion, Step, StepError, StepMethod, StepState
-from mbdkit.plugin.equations import Workspace
-from mbdkit.plugin.methods import Moment, Timetable, start_method
-from mbdkit.plugin.runs import build, make_method
-from mbdkit.plugin.specs import load_spec
+from mbdkit.base.errors import StepError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Moment, Timetable
+from mbdkit.integrators.start import start_method
+from mbdkit.methods.step_methods import Step, StepMethod, StepState
+from mbdkit.runs.preparation import build, make_method
+from mbdkit.spec.loading import load_spec
 from mbdkit_testing.check import Skip
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import FORCED_PENDULUM, LAGGING_PENDULUM, Model

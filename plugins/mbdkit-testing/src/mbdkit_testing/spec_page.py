@@ -11,28 +11,22 @@ from typing import Any, cast, get_args
 
 from pydantic import BaseModel
 
-from mbdkit.mechanism.pathways import Coordinate, RelativeAngle
-from mbdkit.plugin import Body, ElementKind, Joint, JointKind, ModelKey, SpecKind, Table
-from mbdkit.plugin.mechanisms import (
-    AngleTable,
-    Assembly,
-    Beam,
-    Controller,
-    FirstOrderState,
-    Input,
-    JointAngles,
-    Marker,
-    MechanismData,
-    NamedCoordinate,
-    PointForce,
-    SpringDamper,
-    Torque,
-    TorsionSpring,
-    TwoPoints,
-)
-from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import Registered, Registry, registry, run_schema
+from mbdkit.mechanism.angle_function import AngleTable
+from mbdkit.mechanism.beams import Beam
+from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
+from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
+from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
+from mbdkit.mechanism.values import Table
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.element_items import ElementKind, JointKind, ModelKey
+from mbdkit.registry.feature_items import SpecKind
+from mbdkit.registry.manager import registry
+from mbdkit.spec.schema import run_schema
 from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
+from mbdkit.spec.spec_kinds import spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_contact.contact import Compliance, Contact, Friction, Shape

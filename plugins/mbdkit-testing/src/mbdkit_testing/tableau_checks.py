@@ -5,7 +5,7 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 
-from mbdkit.plugin import ButcherTableau, TableauError
+from mbdkit.methods.tableau import ButcherTableau, TableauError
 from mbdkit_testing.check import check
 from mbdkit_testing.check_result import Result, failed, passed, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest

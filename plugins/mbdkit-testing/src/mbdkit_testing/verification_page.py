@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import mbdkit
-from mbdkit.plugin.files import check_output, check_suffix, replacing
-from mbdkit.plugin.specs import write_yaml
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_report import render
 from mbdkit_testing.check_result import Report, figures_text
 

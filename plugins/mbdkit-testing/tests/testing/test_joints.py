@@ -56,6 +56,11 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
         "equal joints have different functions",
         {"PoseFunction(slip,": "PoseFunction(lambda pose, p: slip(pose, p),"},
     ),
+    "global": (
+        "joint.functions",
+        "so that its curve lies in the global frame",
+        {LEFT: f"{LEFT} + 1e-3 * (pose.x * np.sin(pose.first) + pose.y * (np.cos(pose.first) - 1))"},
+    ),
     "abs": (
         "joint.functions",
         "'abs' has no derivative where its operand is 0",

@@ -114,13 +114,18 @@ class Gear(FunctionJoint):
         first, second = self.pitch_radii
         return first / second if self.internal else -first / second
 
+    @property
+    def wanted(self) -> float:
+        """Distance of the centres [m]; negative if the ring is on a."""
+        first, second = self.pitch_radii
+        return second - first if self.internal else second + first
+
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         first, second = self.pitch_radii
-        sign = -1.0 if self.internal else 1.0
         text = f"pitch radii of {first:.6g} m and {second:.6g} m{' of a ring and a gear' if self.internal else ''}"
-        _check_distance(start, second + sign * first, "radii" if self.teeth is None else "teeth", text)
-        return [_rolling(start, sign * first, second)]
+        _check_distance(start, self.wanted, "radii" if self.teeth is None else "teeth", text)
+        return [_rolling(start, -first if self.internal else first, second)]
 
     def side_force(self) -> SideForce | None:
         """Return the radial part of the force on the teeth, which pushes the centres apart, or together in a ring."""
@@ -157,7 +162,7 @@ class Belt(FunctionJoint):
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         first, second = self.radii
-        apart, least = math.hypot(start.x, start.y), first + second if self.crossed else abs(first - second)
+        apart, least = math.hypot(start.x, start.y), first + second
         if apart <= least:
             kind = "a crossed" if self.crossed else "an open"
             raise SpecError(

@@ -66,6 +66,15 @@ def mbdkit_items() -> Iterable[Item]:
             example="knee-slot",
         ),
         CriterionItem(
+            name="locked-joints",
+            summary="Gears, couplings and other joints of this part that cannot move.",
+            order=175,
+            stage="rows",
+            find=Target("mbdkit_transmissions.trains:watch_still_joints"),
+            elements="joints",
+            types=frozenset({"gear", "rack", "rolling", "belt", "cam", "slot", "coupling"}),
+        ),
+        CriterionItem(
             name="pulled-joints",
             summary="Cams and rolling wheels whose reaction pulls, so that they would lift off.",
             order=180,
@@ -75,6 +84,15 @@ def mbdkit_items() -> Iterable[Item]:
             criteria=("lift-off", "rolling-friction"),
             elements="joints",
             types=frozenset({"cam", "rolling"}),
+        ),
+        CriterionItem(
+            name="meshing",
+            summary="Gears, racks and belts whose axes do not keep their distance, and pins that leave their slot.",
+            order=185,
+            stage="rows",
+            find=Target("mbdkit_transmissions.meshing:watch_meshing"),
+            elements="joints",
+            types=frozenset({"gear", "rack", "belt", "slot"}),
         ),
         SummaryLine(
             name="rolling",

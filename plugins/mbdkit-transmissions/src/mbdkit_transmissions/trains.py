@@ -1,13 +1,26 @@
-"""Closed trains of gears and belts, whose ratios must agree: otherwise nothing in them can turn."""
+"""Joints that transmit no motion: closed trains whose ratios contradict each other, and bodies that are held still."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
 
-from mbdkit.plugin import GROUND, Joint, Revolute, SpecError, listed, quoted
-from mbdkit.plugin.seams import ElementsByName, element_check
+import numpy as np
+
+from mbdkit import EquationsOfMotion, StepError
+from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
+from mbdkit.plugin.equations import fill
+from mbdkit.plugin.seams import ElementsByName, element_check, rows_criterion
 from mbdkit_transmissions.gears import Belt, Gear
 
+if TYPE_CHECKING:
+    from mbdkit.plugin import RunSpec, States
+    from mbdkit.plugin.doubts import EnergyRecord
+    from mbdkit.plugin.equations import CompiledMechanism
+
+MOVE, STILL = 0.05, 1e-9
+"""Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
+and radians."""
 AGREEMENT = 1e-9
 """Relative difference up to which two ratios agree, and distance [m] up to which two points do."""
 
@@ -59,3 +72,85 @@ def _way(turned: Ratios, a: str, b: str) -> tuple[float, list[str]] | None:
                 ways[other] = ways[body][0] * ratio, [*ways[body][1], name]
                 bodies.append(other)
     return ways.get(b)
+
+
+class StillJoints:
+    """Joints of this part whose bodies have not moved relative to each other, and what holds them."""
+
+    def __init__(self, spec: RunSpec, size: float):
+        self._spec, self._size = spec, size
+        self._joints, self._bodies = spec.mechanism().joints, [*spec.mechanism().bodies, GROUND]
+        self._names = [name for name, joint in self._joints.items() if isinstance(joint, FunctionJoint)]
+        self._first, self._moved = np.full((len(self._names), 3), np.nan), np.zeros(len(self._names))
+
+    def _poses(self, name: str, q: np.ndarray) -> np.ndarray:
+        """Return the poses (T, 3) of a joint's second body in the frame of the first, for positions (T, n).
+
+        Lengths are in sizes of the mechanism, angles in radians.
+        """
+        a, b = (q[:, 3 * i : 3 * i + 3].T for i in map(self._bodies.index, self._joints[name].bodies))
+        (dx, dy, turn), c, s = b - a, np.cos(a[2]), np.sin(a[2])
+        return np.column_stack([(c * dx + s * dy) / self._size, (c * dy - s * dx) / self._size, turn])
+
+    def add(self, states: States) -> None:
+        """Take note of states."""
+        if not len(states.time):
+            return
+        for k in np.flatnonzero(self._moved < STILL):
+            poses = self._poses(self._names[k], states.q)
+            self._first[k] = np.where(np.isnan(self._first[k]), poses[0], self._first[k])
+            self._moved[k] = max(self._moved[k], float(np.max(np.abs(poses - self._first[k]))))
+
+    def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> Iterator[str]:
+        """Yield a sentence if other joints hold the bodies of joints that have not moved.
+
+        An arbitrary small displacement that satisfies all constraints moves every joint that can move.
+        """
+        if np.all(self._moved >= STILL):
+            return
+        begin, random = self._spec.time.start, np.random.default_rng(0)
+        equations = EquationsOfMotion.of(self._spec.mechanism(), begin)
+        unit = np.tile([self._size, self._size, 1.0], equations.n // 3)
+        try:
+            v = equations.project_velocities(begin, equations.q0, unit * random.normal(size=equations.n))
+            moved = MOVE * v / max(1.0, float(np.max(np.abs(v / unit))))
+            q = np.array([equations.q0, equations.project_positions(begin, equations.q0 + moved)])
+        except StepError:
+            return
+        q = np.hstack([q, np.zeros((2, 3))])
+        held = {
+            name: joint for name, joint in self._joints.items() if np.ptp(self._poses(name, q), axis=0).max() < STILL
+        }
+        while free := [name for name, joint in held.items() if any(_count(body, held) == 1 for body in joint.bodies)]:
+            del held[free[0]]
+        locked = [name for name, moved in zip(self._names, self._moved, strict=True) if moved < STILL and name in held]
+        if locked and not any(joint.is_driver for joint in held.values()):
+            yield (
+                f"{_named(list(held))} hold their bodies still, so that {_named(locked)} can transmit no motion; "
+                "correct a ratio or an equation, or remove a joint; if it is intended, write `accept: [locked-joints]`"
+            )
+
+    def stored(self) -> dict[str, object]:
+        """Return the state as plain values, for a checkpoint."""
+        return {"first": self._first, "moved": self._moved}
+
+    def restore(self, state: dict[str, object]) -> None:
+        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
+        for name, values in state.items():
+            fill(getattr(self, f"_{name}"), values)
+
+
+@rows_criterion
+def watch_still_joints(spec: RunSpec, _compiled: CompiledMechanism, size: float) -> StillJoints:
+    """Return what watches whether the joints of this part move."""
+    return StillJoints(spec, size)
+
+
+def _count(body: str, joints: Mapping[str, Joint]) -> int:
+    """Return how many joints a body has; 0 for the ground."""
+    return 0 if body == GROUND else sum(body in joint.bodies for joint in joints.values())
+
+
+def _named(names: list[str]) -> str:
+    shown = [f"'{name}'" for name in names[:6]] + ["..."] * (len(names) > 6)
+    return f"joint{'s' * (len(names) > 1)} {listed(shown, 'and')}"

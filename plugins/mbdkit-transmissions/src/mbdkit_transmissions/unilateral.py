@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding
+from mbdkit.plugin import GROUND, Finding
 from mbdkit.plugin.equations import fill
 from mbdkit.plugin.seams import rows_criterion
 from mbdkit_transmissions.gears import Rolling
@@ -18,25 +18,29 @@ if TYPE_CHECKING:
     from mbdkit.plugin.equations import CompiledMechanism
 
 ROUND_OFF = 1e-9
-"""Pulling forces up to this share of the largest pushing force are rounding errors."""
+"""Forces up to this share of the largest reaction at the bodies of a joint are rounding errors."""
 
 
 class _Touching(NamedTuple):
-    """A joint that can only push: its name, its first row, the sign of pushing multipliers, and its friction."""
+    """A joint that can only push: its name, its first row, the sign of pushing multipliers, and its friction.
+
+    `around` are the rows of all joints of its bodies.
+    """
 
     name: str
     row: int
+    around: list[int]
     sign: float
     friction: float | None
     rolls: bool
 
 
 class Reactions:
-    """Largest pushing and pulling forces of such joints, and the friction that rolling wheels need."""
+    """Largest pulling forces of such joints, reactions around them, and the friction that rolling wheels need."""
 
     def __init__(self, joints: list[_Touching]):
         self._joints = joints
-        self._push, self._pull, self._pull_time, self._need, self._need_time = np.zeros((5, len(joints)))
+        self._size, self._pull, self._pull_time, self._need, self._need_time = np.zeros((5, len(joints)))
 
     def add(self, states: States) -> None:
         """Take note of states."""
@@ -44,13 +48,13 @@ class Reactions:
             return
         for k, joint in enumerate(self._joints):
             normal = -joint.sign * states.multiplier[:, joint.row]
-            self._push[k] = max(self._push[k], float(np.max(normal)))
+            self._size[k] = max(self._size[k], float(np.max(np.abs(states.multiplier[:, joint.around]))))
             worst = int(np.argmin(normal))
             if -normal[worst] > self._pull[k]:
                 self._pull[k], self._pull_time[k] = -normal[worst], states.time[worst]
             if joint.rolls:
                 across = np.abs(states.multiplier[:, joint.row + 1])
-                ratio = np.divide(across, normal, out=np.zeros_like(normal), where=normal > 0.0)
+                ratio = np.divide(across, normal, out=np.zeros_like(normal), where=normal > ROUND_OFF * self._size[k])
                 worst = int(np.argmax(ratio))
                 if ratio[worst] > self._need[k]:
                     self._need[k], self._need_time[k] = ratio[worst], states.time[worst]
@@ -58,7 +62,7 @@ class Reactions:
     def findings(self, _energies: EnergyRecord, _integrals: Mapping[str, object]) -> Iterator[Finding]:
         """Yield a sentence for each joint that pulls or slips."""
         for k, joint in enumerate(self._joints):
-            if self._pull[k] > ROUND_OFF * self._push[k]:
+            if self._pull[k] > ROUND_OFF * self._size[k]:
                 yield Finding(
                     "lift-off",
                     "doubtful",
@@ -75,7 +79,7 @@ class Reactions:
 
     def stored(self) -> dict[str, object]:
         """Return the state as plain values, for a checkpoint."""
-        names = ("push", "pull", "pull_time", "need", "need_time")
+        names = ("size", "pull", "pull_time", "need", "need_time")
         return {name: getattr(self, f"_{name}") for name in names}
 
     def restore(self, state: dict[str, object]) -> None:
@@ -88,12 +92,18 @@ class Reactions:
 def watch_reactions(spec: RunSpec, compiled: CompiledMechanism, _size: float) -> Reactions | None:
     """Return what watches the cams and rolling wheels of a mechanism; None if there are none."""
     mechanism = spec.mechanism()
-    labels = [row.label for row in compiled.rows]
-    joints = []
+    labels, joints = [row.label for row in compiled.rows], []
     for name, joint in mechanism.joints.items():
+        bodies = set(joint.bodies) - {GROUND}
+        beside = [
+            pairs
+            for others, pairs in zip(compiled.joint_bodies, compiled.joint_pairs, strict=True)
+            if bodies & {*others}
+        ]
+        around = [i for i, row in enumerate(compiled.rows) if any(row.pair in pairs for pairs in beside)]
         if joint.type == "cam":
-            joints.append(_Touching(name, labels.index(f"{name}.normal"), 1.0, None, False))
+            joints.append(_Touching(name, labels.index(f"{name}.normal"), around, 1.0, None, False))
         elif isinstance(joint, Rolling):
             sign = joint.push(mechanism.relative_pose(joint))
-            joints.append(_Touching(name, labels.index(f"{name}.normal"), sign, joint.available_friction, True))
+            joints.append(_Touching(name, labels.index(f"{name}.normal"), around, sign, joint.available_friction, True))
     return Reactions(joints) if joints else None

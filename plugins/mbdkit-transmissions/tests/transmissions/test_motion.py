@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import Mechanism
+from mbdkit import EquationsOfMotion, Mechanism
+from tests.margins import assert_within
 
 from .drawn_transmissions import drawn
 from .geared_arm import coupled, crossed, exact, geared, links
@@ -69,7 +70,7 @@ def test_radial_forces_that_do_work_are_the_same_in_all_formulations() -> None:
         run(m, end=0.3, formulation=formulation, integrator=integrator)
         for formulation, integrator in (("index-1", GAUSS), ("index-2", RADAU), ("index-3", RADAU), ("ggl", RADAU))
     ]
-    assert np.max(np.abs(found[0].joints["G"].misalignment)) < 1e-12
+    assert_within(found[0].joints["G"].misalignment, 1e-12)
     for other in found[1:]:
         np.testing.assert_allclose(angles(other), angles(found[0]), rtol=0, atol=1e-11)
 
@@ -78,7 +79,7 @@ def test_radial_forces_that_do_work_are_the_same_in_all_formulations() -> None:
 def test_stabilization_keeps_gears_in_mesh(stabilization: str) -> None:
     found = run(geared(), integrator={"name": "rk4"}, stabilization=stabilization)
     np.testing.assert_allclose(angles(found), exact(END)[0], rtol=0, atol=1e-7)
-    assert np.max(np.abs(found.joints["G"].misalignment)) < 1e-7
+    assert_within(found.joints["G"].misalignment, 1e-7)
 
 
 @pytest.mark.parametrize(
@@ -142,6 +143,36 @@ def test_followers_of_an_eccentric_circle(follower: Any, height: Callable[[Any],
     np.testing.assert_allclose(found.bodies["b"].position[:, 1], height(10 * found.time), rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize(
+    ("lobes", "share"), [(2, 0.75), (3, 0.85), (5, 0.95), (8, 0.95), (4, 0.99), (2, None), (3, None), (7, None)]
+)
+def test_followers_that_hardly_fit_into_hollows_touch_the_profile(lobes: int, share: float | None) -> None:
+    """Rollers, of a share of the radius of a hollow, are on the curve at the distance of their radius from the profile.
+
+    Flat faces, without a share, are on tangents of a profile that is almost straight between its lobes.
+    """
+    depth = 0.95 / (lobes**2 + 1) if share is None else 0.3
+    s = np.linspace(-np.pi, np.pi, 2001)
+    r, slope = 0.1 * (1 + depth * np.cos(lobes * s)), -0.1 * depth * lobes * np.sin(lobes * s)
+    bend = -0.1 * depth * lobes**2 * np.cos(lobes * s)
+    curvature = (r * r + 2 * slope * slope - r * bend) / (r * r + slope * slope) ** 1.5
+    normal = (r + 1j * -slope) * np.exp(1j * s) / np.hypot(r, slope)
+    roller = 0.0 if share is None else share / -curvature.min()
+    follower = {"flat": [1, 0]} if share is None else {"roller": roller}
+    centre = r * np.exp(1j * s) + roller * normal
+    m = Mechanism()
+    m.body("cam", mass=1, inertia=1)
+    place = float(centre[0].real), float(centre[0].imag)
+    m.body("follower", mass=1, inertia=1, position=place, angle=float(np.angle(normal[0])))
+    m.cam("C", "cam", "follower", profile=f"0.1*(1 + {depth}*cos({lobes}*angle))", follower=follower)
+    equations = EquationsOfMotion.of(m)
+    for offset in (0.0, 1e-3):
+        places = centre + offset * normal
+        states = [[0, 0, 0, z.real, z.imag, np.angle(n)] for z, n in zip(places, normal, strict=True)]
+        distances = [equations.constraints(0.0, np.array(q))[0] for q in states[::7]]
+        np.testing.assert_allclose(distances, offset, rtol=0, atol=1e-12 if offset == 0.0 else 3e-4)
+
+
 @pytest.mark.parametrize("seed", [*range(4), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(4, 60))])
 def test_drawn_mechanisms_move_alike_in_all_formulations(seed: int) -> None:
     m = drawn(np.random.default_rng(seed))
@@ -155,4 +186,31 @@ def test_drawn_mechanisms_move_alike_in_all_formulations(seed: int) -> None:
     assert [one.time[-1] for one in found] == [0.2] * len(found)
     for other, accuracy in zip(last[1:], (1e-9, 1e-10, 1e-10), strict=True):
         np.testing.assert_allclose(other, last[0], rtol=0, atol=accuracy)
-    assert max(np.max(np.abs(joint.misalignment)) for joint in found[0].joints.values()) < 1e-9
+    assert_within(max(np.max(np.abs(joint.misalignment)) for joint in found[0].joints.values()), 1e-9)
+
+
+def pinned_pair(torque: float) -> Mechanism:
+    """Two gears on pins, 0.3 m apart, of which a torque turns the first."""
+    m = Mechanism(gravity=(0, 0))
+    a = m.body("a", mass=1, inertia=0.01)
+    b = m.body("b", mass=1, inertia=0.01, position=(0.3, 0))
+    m.revolute("A", m.ground, a, at=(0, 0))
+    m.revolute("B", m.ground, b, at=(0.3, 0))
+    m.gear("G", a, b, radii=(0.1, 0.2))
+    m.torque("T", a, value=torque)
+    return m
+
+
+@pytest.mark.parametrize(("torque", "ship"), [(1.0, None), (0.01, 1e7), (1e-8, None), (1e-8, 1e7)])
+def test_the_radial_force_of_teeth_does_not_depend_on_its_size_or_on_other_bodies(
+    torque: float, ship: float | None
+) -> None:
+    m = pinned_pair(torque)
+    if ship is not None:
+        m.body("ship", mass=ship, inertia=ship, position=(5, 0))
+    found = run(m, 0.05)
+    # the gear turns 0.01 and 0.01 / 4 kg m^2, so that the teeth carry what accelerates the second one
+    tangential = torque * 0.5 * 0.01 / (0.01 * 1.25) / 0.2
+    np.testing.assert_allclose(found.joints["G"].reaction_force[-1], [0.0, tangential], rtol=0, atol=1e-9 * tangential)
+    radial = tangential * math.tan(math.radians(20.0))
+    np.testing.assert_allclose(found.joints["B"].reaction_force[-1], [-radial, -tangential], rtol=1e-9)

@@ -17,6 +17,7 @@ from mbdkit import Run
 from mbdkit.plugin import FunctionJoint
 from mbdkit.spec import load_spec
 from mbdkit_report import draw_mechanism
+from tests.margins import assert_within
 
 NAMES = ("cam-follower", "geared-five-bar", "geared-knee-orthosis", "knee-slot", "planetary-gear", "rack-railway")
 
@@ -31,8 +32,8 @@ def checked(name: str) -> Run:
 def test_an_example_has_a_good_verdict_and_keeps_its_joints(name: str) -> None:
     run = checked(name)
     assert (run.verdict, run.verdict_reasons, run.warnings) == ("good", [], [])
-    assert np.abs(run.energy.balance).max() < 1e-6 * np.max(run.energy.kinetic)
-    assert max(np.max(joint.misalignment) for joint in run.joints.values()) < 1e-5
+    assert_within(run.energy.balance, 1e-6 * np.max(run.energy.kinetic))
+    assert_within(max(np.max(joint.misalignment) for joint in run.joints.values()), 1e-5)
 
 
 def one_coordinate(rate: Callable[[float, float, float], float], start: float, time: np.ndarray) -> np.ndarray:
@@ -160,7 +161,7 @@ def knee_path() -> tuple[np.polynomial.Polynomial, BSpline]:
 def test_the_path_of_the_knee_is_the_published_one() -> None:
     travel, across = knee_path()
     for angle, y in KNEE_Y.items():
-        assert travel(angle) == pytest.approx(-y, abs=4.1e-5)
+        assert travel(angle) == pytest.approx(-y, abs=5.5e-5)  # margin: how far the source is from this model
     for angle, x in KNEE_X.items():  # travel and spline deviate by up to 0.04 and 0.05 mm; the slope is at most 2.2
         assert across(travel(angle)) == pytest.approx(x, abs=1.4e-4)
 
@@ -183,7 +184,7 @@ def test_the_knee_moves_as_in_its_minimal_coordinate() -> None:
     assert -2.0944 < angle.min() < -1.7
     tibia = run["shank"].position.T - 0.1867 * np.stack([np.cos(angle), np.sin(angle)])
     drift = max(np.max(run.joints[name].misalignment) for name in ("path", "roll"))  # 4e-8 m, without stabilization
-    assert drift < 1e-7
+    assert_within(drift, 1e-7)
     assert tibia == pytest.approx(np.stack([travel(angle), across(travel(angle))]), abs=3 * drift)
 
 

@@ -11,6 +11,7 @@ then closed by the least change in the metric of its masses.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -82,6 +83,9 @@ class Device(StrictModel):
     its global frame [rad], both in this frame in the neutral posture."""
     worn: bool = True
     """Whether measured loads, such as those of force plates, include the weight and inertia of the device."""
+    joins_limbs: bool = False
+    """Whether the device joins limbs on purpose, as a band between both feet does; otherwise, cuffs on two legs are
+    refused."""
 
     @model_validator(mode="after")
     def _has_mechanism(self) -> Device:
@@ -160,6 +164,34 @@ class _Worn:
         if own.beams:
             raise SpecError("has beams, which devices cannot have yet", key=f"{key}.mechanism")
         self.rests = {link: self._rest(link, one) for link, one in device.attach.items()}
+        if not device.joins_limbs and (apart := self._apart()) is not None:
+            first, second = (f"that of '{link}' is on '{device.attach[link].limb}'" for link in apart)
+            raise SpecError(
+                f"has cuffs on two limbs: {first}, and {second}; attach both to the same limb, describe the device as "
+                "two devices, or set `joins_limbs: true` if it is meant to join these limbs",
+                key=f"{key}.attach.{quoted(apart[1])}.limb",
+            )
+
+    def _apart(self) -> tuple[str, str] | None:
+        """Return two links whose limbs only the trunk joins, which the device is not attached to; None without such.
+
+        A trunk is a body that joins at least two limbs of two or more bodies, which do not contain the heaviest body.
+        """
+        near: dict[str, set[str]] = {name: set() for name in self.person.bodies}
+        for joint in self.person.joints.values():
+            for one, other in itertools.permutations({body for _, body, _ in joint.attachments()} & near.keys(), 2):
+                near[one].add(other)
+        heaviest = max(near, key=lambda name: self.person.bodies[name].mass)
+        worn = {one.limb: link for link, one in self.device.attach.items() if near.get(one.limb)}
+        for trunk in ("", *near):  # first, limbs that nothing joins, as those of legs on a fixed hip
+            parts = _components({name: others - {trunk} for name, others in near.items() if name != trunk})
+            limbs = [part for part in parts if not trunk or heaviest not in part]
+            links = [[link for limb, link in worn.items() if limb in part] for part in limbs]
+            on_limbs = [of_part[0] for of_part in links if of_part]
+            is_trunk = not trunk or sum(len(part) > 1 for part in limbs) > 1
+            if is_trunk and len(on_limbs) > 1 and sum(map(len, links)) == len(worn):
+                return on_limbs[0], on_limbs[1]
+        return None
 
     def prefixed(self, name: str) -> str:
         """Return the name of an element or body of the device in the mechanism of the person."""
@@ -278,6 +310,19 @@ class _Worn:
             tissue = one.cuff.model_dump(mode="json", exclude_defaults=True)
             pair = (one.limb, self.prefixed(link))
             person.add("cuffs", self.prefixed(link), bodies=pair, at=at, on=one.on, angle=angle, **tissue)
+
+
+def _components(near: Mapping[str, set[str]]) -> list[set[str]]:
+    """Return the connected sets of bodies, given the neighbours of each body."""
+    found: list[set[str]] = []
+    for name in near:
+        if not any(name in part for part in found):
+            part, queue = {name}, [name]
+            for one in queue:
+                queue += sorted(near[one] - part)
+                part |= near[one]
+            found.append(part)
+    return found
 
 
 def _pins(mechanism: Mechanism) -> list[tuple[str, tuple[float, float]]]:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from tests.margins import assert_within
 
 STIFFNESS = {"normal": 900.0, "tangential": 400.0, "rotation": 3.0}
 
@@ -50,9 +51,9 @@ def test_momentum_and_energy_are_kept_with_displaced_points() -> None:
         for name in mass
     )
     assert np.ptp(run.cuffs["cuff"].displacement[:, 0]) > 0.05
-    assert np.abs(p - p[0]).max() < 1e-12
-    assert np.abs(turn - turn[0]).max() < 1e-12
-    assert np.abs(run.energy.balance).max() < 1e-9 * run.energy.total.max()
+    assert_within(p - p[0], 1e-12)
+    assert_within(turn - turn[0], 1e-12)
+    assert_within(run.energy.balance, 1e-9 * run.energy.total.max())
 
 
 def test_forces_follow_from_displacements_and_do_their_virtual_work() -> None:
@@ -69,7 +70,7 @@ def test_forces_follow_from_displacements_and_do_their_virtual_work() -> None:
     rest = np.array([0.12, 0.02])
     expected = [((point - limb.position) * e).sum(axis=1) - rest @ f for e, f in
                 ((normal, axis), (tangent, np.array([-axis[1], axis[0]])))]  # fmt: skip
-    assert np.abs(cuff.displacement.T - np.array(expected)).max() < 1e-13
+    assert_within(cuff.displacement.T - np.array(expected), 1e-13)
     assert cuff.rotation == pytest.approx(link.angle - limb.angle - 0.1, abs=1e-13)
     force = cuff.normal_force[:, None] * normal + cuff.shear_force[:, None] * tangent  # on the limb
     at_link = link.velocity + link.angular_velocity[:, None] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
@@ -192,4 +193,4 @@ def test_exported_equations_are_those_of_the_run(keys: dict[str, object]) -> Non
     z = [run.states["cuff.tangential.skin"].value[-1]] if "slip" in keys else []
     residual = np.array(m.to_casadi().residual(q, v, a, [], z, [], [], run.time[-1]))
     assert np.abs(a).max() > 50.0
-    assert np.abs(residual).max() < 1e-12
+    assert_within(residual, 1e-12)

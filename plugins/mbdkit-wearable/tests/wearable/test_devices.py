@@ -10,6 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.plugin.specs import load_spec
+from tests.margins import assert_within
 
 H = 1.75
 ARM, KNEE, TOP = 0.09 * H, -0.245 * H, 0.433 * 0.246 * H
@@ -89,12 +90,12 @@ def test_assistance_passes_without_loss_where_the_device_fits() -> None:
         own = {"name": "self-aligning-orthosis", "height": H, "motor": 12.0}
         force, torque = forces_at_rest({"d": device(own, cuff)})
         assert torque == pytest.approx(-12.0, abs=1e-9)
-        assert np.linalg.norm(force) < 1e-9
+        assert_within(np.linalg.norm(force), 1e-9)
     losses = []
     for motor in (1e-2, 1e-3):
         own = {"name": "hinge-orthosis", "height": H, "motor": motor}
         losses.append(1.0 + forces_at_rest({"d": device(own)})[1] / motor)
-    assert abs(losses[1]) < 1e-4
+    assert_within(losses[1], 1e-4)
     assert losses[1] == pytest.approx(losses[0] / 10.0, rel=0.01)
 
 
@@ -133,11 +134,11 @@ def test_a_misplaced_device_loads_the_knee_as_welded_if_cuffs_are_stiff_and_not_
 def test_a_device_that_fits_is_at_rest_with_the_straight_leg_and_closes_with_the_bent_one(name: str) -> None:
     straight = load_spec(spec({"d": device({"name": name, "height": H}, offset=[0.01, -0.02, 0.1])}, 0.0)).mechanism()
     rest = mbdkit.equilibrium(straight)
-    assert np.abs(rest.reaction_force).max() < 1e-8
+    assert_within(rest.reaction_force, 1e-8)
     bent = mbdkit.run(spec({"d": device({"name": name, "height": H})}, 1.2))
-    assert max(joint.misalignment[0] for joint in bent.joints.values()) < 1e-12
+    assert_within(max(joint.misalignment[0] for joint in bent.joints.values()), 1e-12)
     gap = np.concatenate([cuff.displacement[0] for cuff in bent.cuffs.values()])
-    assert np.abs(gap).max() < 0.04
+    assert_within(gap, 0.04)
     if name == "geared-orthosis":  # sectors of equal size: the plate halves the angle
         angles = [bent[f"d.{body}"].angle[0] for body in ("upper", "plate", "lower")]
         assert angles[1] == pytest.approx((angles[0] + angles[2]) / 2.0, abs=1e-12)
@@ -240,3 +241,46 @@ def test_an_exoskeleton_of_hip_and_knee_carries_torques_to_both_joints() -> None
     torques = dict(zip(rest.joints, rest.reaction_torque.tolist(), strict=True))
     assert torques["knee_motor"] == pytest.approx(-0.01, rel=2e-3)
     assert torques["hip_motor"] == pytest.approx(-0.02, rel=2e-3)
+
+
+def legs(trunk: str | None) -> mbdkit.Mechanism:
+    """Return two legs on a trunk, on a pelvis below a heavier trunk with an arm, or on hips that the ground fixes."""
+    m = mbdkit.Mechanism()
+    hip = trunk or m.ground
+    if trunk is not None:
+        m.body("trunk", mass=40.0, inertia=3.0)
+    if trunk == "pelvis":
+        m.body("pelvis", mass=10.0, inertia=0.1)
+        m.revolute("lumbar", "trunk", "pelvis", at=(0.0, 0.0))
+        for name, above in {"arm": "trunk", "forearm": "arm"}.items():
+            m.body(name, mass=2.0, inertia=0.02)
+            m.revolute(name, above, name, at=(0.0, 0.0))
+    for side in ("right", "left"):
+        for name, above in {"thigh": hip, "shank": f"thigh_{side}", "foot": f"shank_{side}"}.items():
+            m.body(f"{name}_{side}", mass=3.0, inertia=0.05)
+            m.revolute(f"{name}_{side}", above, f"{name}_{side}", at=(0.0, 0.0))
+    return m
+
+
+@pytest.mark.parametrize("trunk", ["trunk", "pelvis", None])
+def test_a_device_on_two_legs_is_refused_unless_it_is_on_the_trunk_or_meant_to_join_them(trunk: str | None) -> None:
+    def wear(*limbs: str, **keys: object) -> None:
+        device = mbdkit.Mechanism()
+        attach = {}
+        for number, limb in enumerate(limbs):
+            device.body(f"link{number}", mass=0.5, inertia=0.01)
+            attach[f"link{number}"] = {"limb": limb, "at": (0.0, 0.0), "cuff": CUFF}
+        legs(trunk).wear("brace", device, attach=attach, **keys)
+
+    for pair in (("thigh_right", "shank_left"), ("foot_left", "foot_right")):
+        with pytest.raises(mbdkit.SpecError, match="two limbs") as caught:
+            wear(*pair)
+        assert all(f"is on '{limb}'" in caught.value.message for limb in pair)
+        assert "`joins_limbs: true`" in caught.value.message
+        assert caught.value.key.startswith("devices.brace.attach.")
+        wear(*pair, joins_limbs=True)
+    for several in (("thigh_right", "shank_right"), ("thigh_left", "foot_left"), ("shank_left",)):
+        wear(*several)
+    if trunk is not None:
+        wear(trunk, "thigh_right", "thigh_left")
+        wear("trunk", "thigh_left", "shank_left")

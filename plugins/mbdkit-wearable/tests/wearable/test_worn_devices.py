@@ -10,6 +10,7 @@ import mbdkit
 from mbdkit.plugin.runs import AddedForces
 from mbdkit_wearable.device import Device, add_devices
 from mbdkit_wearable.worn.worn_device import WornDevice, worn_device
+from tests.margins import assert_within
 
 G = 9.81
 
@@ -36,8 +37,8 @@ def test_a_device_moves_as_in_a_run_in_which_drivers_move_the_limbs() -> None:
         cuff = run.cuffs[name]
         size = np.hypot(cuff.normal_force, cuff.shear_force)
         difference = np.hypot(*own[name].T[:2]) - size
-        assert np.max(np.abs(difference[settled])) < 2e-3 * np.max(size)
-        assert np.max(np.abs(own[name][:, 2] - cuff.moment)[settled]) < 5e-3 * np.max(np.abs(cuff.moment))
+        assert_within(difference[settled], 2e-3 * np.max(size))
+        assert_within((own[name][:, 2] - cuff.moment)[settled], 5e-3 * np.max(np.abs(cuff.moment)))
 
 
 def test_motions_nearby_are_the_same_as_those_computed_step_by_step() -> None:
@@ -69,11 +70,11 @@ def test_plates_without_the_device_leave_no_residuals_of_its_weight() -> None:
     worn, without = (mbdkit.inverse(squat_spec(worn=True)), mbdkit.inverse(squat_spec(None) | {"model": bare()}))
     apart = mbdkit.inverse(squat_spec(worn=False))
     for residual in ("hip_x", "hip_y", "trunk_tilt"):
-        assert np.max(np.abs(apart.actuators[residual].value - without.actuators[residual].value)) < 1e-9
+        assert_within(apart.actuators[residual].value - without.actuators[residual].value, 1e-9)
     # residuals carry the device of 1 kg, whose links move about as the centres of the limbs, if the plates contain it
     extra = worn.actuators["hip_y"].value - without.actuators["hip_y"].value
     rise = (without["thigh"].acceleration[:, 1] + without["shank"].acceleration[:, 1]) / 2
-    np.testing.assert_allclose(extra, G + rise, atol=0.3)
+    np.testing.assert_allclose(extra, G + rise, atol=0.4)  # margin: links move only about as the centres of the limbs
     assert any("same with and without 'brace'" in warning for warning in apart.warnings)
     np.testing.assert_allclose(
         apart.array("followers/reaction_force_without"), without.array("joints/reaction_force"), atol=1e-9

@@ -9,13 +9,19 @@ from functools import partial
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import counted, listed
+from mbdkit.engine.joint_sums import JointSums
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.observed_states import GivenForces, StateObserver
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.kernels import Observed
-from mbdkit.plugin import QuantityNames, RunError, SpecError, States, counted, listed
-from mbdkit.plugin.doubts import LawRanges
-from mbdkit.plugin.equations import GivenForces, JointSums, StateObserver, elementary
-from mbdkit.plugin.methods import Nodes
-from mbdkit.plugin.runs import AssembledMechanism, Follower
+from mbdkit.integrators.interface import Nodes
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.quantities.states import States
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.followers import Follower
+from mbdkit.runs.law_ranges import LawRanges
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import (
     Balance,
     Dynamics,

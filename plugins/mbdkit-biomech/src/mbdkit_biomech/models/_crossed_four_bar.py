@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
 
 _SCAN = math.radians(1.0)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mbdkit.plugin import Body
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.mechanism.bodies import Body
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, LinkagePose
 from mbdkit_biomech.models._segments import RigidSegment
 

@@ -7,8 +7,15 @@ from collections.abc import Callable, Mapping, Set
 from functools import partial
 from typing import Any, NamedTuple
 
-from mbdkit.plugin import Body, Joint, Number, Revolute, SpecError, StrictModel, quoted
-from mbdkit.plugin.mechanisms import CoordinateTable, Marker, NamedCoordinate, PinFriction
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.bodies import Body, Marker
+from mbdkit.mechanism.coordinate_function import CoordinateTable
+from mbdkit.mechanism.joint_friction import PinFriction
+from mbdkit.mechanism.joints import Joint, Revolute
+from mbdkit.mechanism.mechanism_data import NamedCoordinate
+from mbdkit.mechanism.values import Number
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
 from mbdkit_biomech.models._segments import BodySegments

@@ -44,9 +44,12 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from mbdkit.plugin import Mechanism, NotNegative, Number, Point, Positive, SpecError, StrictModel
-from mbdkit.plugin.mechanisms import PinFriction, Points
-from mbdkit.plugin.seams import model_builder
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.joint_friction import PinFriction
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import model_builder
+from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
 from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, BodySegments

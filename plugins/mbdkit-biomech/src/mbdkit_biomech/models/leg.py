@@ -50,22 +50,19 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
-from mbdkit.plugin import (
-    GROUND,
-    Body,
-    Joint,
-    Mechanism,
-    Number,
-    Point,
-    Positive,
-    SpecError,
-    did_you_mean,
-    listed,
-    quoted,
-)
-from mbdkit.plugin.mechanisms import Force, Input, Marker, MechanismData, NamedCoordinate, PinFriction
-from mbdkit.plugin.seams import model_builder
-from mbdkit.plugin.specs import read_source
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.bodies import GROUND, Body, Marker
+from mbdkit.mechanism.forces import Force
+from mbdkit.mechanism.joint_friction import PinFriction
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
+from mbdkit.mechanism.mechanism_seams import model_builder
+from mbdkit.mechanism.state_values import Input
+from mbdkit.mechanism.values import Number, Point, Positive
+from mbdkit.spec.loading import read_source
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
 from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments

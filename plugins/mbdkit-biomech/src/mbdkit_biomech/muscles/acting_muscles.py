@@ -9,23 +9,27 @@ from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 
-from mbdkit.base import higher_layers
+from mbdkit.base import elementary, higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.engine.compile_forces import expression_lowering, lowering
+from mbdkit.engine.consistent_start import start_values
+from mbdkit.engine.kernels.observe import tangents_at
+from mbdkit.engine.kernels.table_rows import SPRING
 from mbdkit.expressions.parser import Expression
-from mbdkit.kernels import SPRING, tangents_at
-from mbdkit.plugin import Finding, Joint, Mechanism, QuantityNames, Segment, SpecError, Table, TracedLaw, quoted
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import Program
-from mbdkit.plugin.mechanisms import curve_of, is_of_state
-from mbdkit.plugin.seams import (
-    element_forces,
-    expression_lowering,
-    lowering,
-    obstacle_clause,
-    run_check,
-    spec_criterion,
-    start_values,
-    stiffness_clause,
-)
+from mbdkit.expressions.program import Program
+from mbdkit.integrators.loop.failed_steps import obstacle_clause, stiffness_clause
+from mbdkit.mechanism.element_kinds import element_forces
+from mbdkit.mechanism.force_law import TracedLaw
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import run_check
+from mbdkit.mechanism.pathways import Segment
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.mechanism.values import Table, curve_of
+from mbdkit.runs.run_seams import spec_criterion
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.hill_laws import (
     LAW_ID,
@@ -40,8 +44,10 @@ from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import ActingForce, Lowering, RunSpec
-    from mbdkit.plugin.equations import Workspace
+    from mbdkit.engine.compile_forces import Lowering
+    from mbdkit.engine.compiled_mechanism import ActingForce
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.spec.run_spec import RunSpec
 
 SHORTEST = 0.2
 """Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""

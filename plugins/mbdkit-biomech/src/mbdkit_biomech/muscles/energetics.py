@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle import Muscle
 

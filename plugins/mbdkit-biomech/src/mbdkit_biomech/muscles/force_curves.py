@@ -12,7 +12,7 @@ from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
 from mbdkit_biomech.muscles.bezier_curve import BezierCurve, CurvePoint
 
 Curve = tuple[np.ndarray, np.ndarray]

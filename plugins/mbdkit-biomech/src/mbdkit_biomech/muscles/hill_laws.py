@@ -33,9 +33,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import LawState, TracedLaw
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.measures import Program, value_of
+from mbdkit.base import elementary
+from mbdkit.expressions.program import Program, value_of
+from mbdkit.mechanism.force_law import LawState, TracedLaw
 from mbdkit_biomech.muscles.bezier_curve import Traced
 from mbdkit_biomech.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 from mbdkit_biomech.muscles.muscle import Activation, Muscle

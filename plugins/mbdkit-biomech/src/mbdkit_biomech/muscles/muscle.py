@@ -8,34 +8,23 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
-from mbdkit.plugin import (
-    CoordinateFunction,
-    Element,
-    NotNegative,
-    Number,
-    Point,
-    Positive,
-    SpecError,
-    StrictModel,
-    Target,
-    did_you_mean,
-    listed,
-    of_models,
-    quoted,
-)
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.mechanisms import (
-    Attachment,
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.bodies import Attachment, Element
+from mbdkit.mechanism.coordinate_function import (
     CoordinateExpressionError,
-    Motion,
-    Value,
-    of_state,
-    of_time,
-    pair,
-    sequence,
+    CoordinateFunction,
+    names_of,
+    value_and_slopes,
 )
-from mbdkit.plugin.seams import ElementsByName, element_check
+from mbdkit.mechanism.element_kinds import ElementsByName, element_check
+from mbdkit.mechanism.model_methods import of_models
+from mbdkit.mechanism.state_values import Value, of_state, of_time
+from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive, pair, sequence
+from mbdkit.registry.target import Target
 from mbdkit_biomech.muscles.patella import Patella
 
 MOST_CIRCLES = 4

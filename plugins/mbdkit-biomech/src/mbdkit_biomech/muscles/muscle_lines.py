@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
-from mbdkit.plugin import CoordinateFunction, Mechanism, QuantityNames
-from mbdkit.plugin.seams import element_lines
+from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_seams import element_lines
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.muscles.muscle import Muscle
 
 Place = tuple[str, tuple[float, float]]

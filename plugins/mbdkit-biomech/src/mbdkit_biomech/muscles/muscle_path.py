@@ -20,11 +20,12 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from mbdkit.mechanism.coordinate_function import names_of, value_and_slopes
-from mbdkit.mechanism.mechanism_quantities import GROUND, Point
-from mbdkit.plugin import CoordinateFunction, QuantityNames, RunError, quoted
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.mechanisms import Quantity
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError
+from mbdkit.base.plain_data import quoted
+from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
+from mbdkit.mechanism.mechanism_quantities import GROUND, Point, Quantity
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.patella import PatellaPath
 

@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import Headline, MbdkitError, plus_minus
-from mbdkit.plugin.archives import JOINTS_NAMED, few, largest_of, peak_errors, ranked
-from mbdkit.plugin.seams import run_headlines, summary_lines
+from mbdkit.archive.headlines import JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
+from mbdkit.archive.peak_errors import peak_errors
+from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run_summary import few, ranked
+from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 PULLING = (0.4, 1.6)
 """Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero."""

@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from mbdkit.base import higher_layers
-from mbdkit.plugin import SpecError, States
-from mbdkit.plugin.archives import NONE
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary, higher_layers
+from mbdkit.base.errors import SpecError
+from mbdkit.quantities.states import NONE, States
 from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
 from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
 from mbdkit_biomech.muscles.muscle import Muscle

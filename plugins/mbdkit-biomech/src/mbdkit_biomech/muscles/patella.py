@@ -19,9 +19,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism_quantities import GROUND, Point
-from mbdkit.plugin import Positive, QuantityNames, Revolute, SpecError, StrictModel
-from mbdkit.plugin.equations import elementary
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.mechanism.values import Positive
 
 FLEXION = np.radians(np.arange(0.0, 121.0, 10.0))
 ANGLE = np.radians([20.6, 19.2, 15.9, 13.7, 11.6, 8.3, 5.0, 1.9, -1.9, -6.6, -9.7, -13.7, -17.3])

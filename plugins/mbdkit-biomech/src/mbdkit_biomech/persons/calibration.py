@@ -8,8 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, quoted, shown
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed, shown
 from mbdkit_biomech.persons.joint_centers import (
     JointCenter,
     SegmentPair,

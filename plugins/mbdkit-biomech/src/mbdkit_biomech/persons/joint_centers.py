@@ -24,8 +24,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary, inverse_of, product, symmetric_eigenvectors
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
 from mbdkit_biomech.persons.landmarks import Side
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses
 
@@ -240,7 +241,7 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
         normal, across = normal + weight * row[:, None] * row, across + weight * ACROSS * row
         vector = vector + weight * row * float(np.mean(np.sum(side * (middle - poses.position), axis=1)))
     if not symmetric_eigenvectors(normal)[0][0] > 0:
-        raise _turn_together(pair, turn, np.inf)
+        raise _undetermined(pair, turn, np.inf)
     inverse = inverse_of(normal)
     found = product(inverse, vector)
     points = found[:3], found[3:]
@@ -278,7 +279,7 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     own = product(product(to_plane, covariance), to_plane.T)
     deviation = float(np.sqrt(np.max(np.diag(own)[:2])))
     if not deviation <= LARGEST_DEVIATION:
-        raise _turn_together(pair, turn, deviation)
+        raise _undetermined(pair, turn, deviation)
     return JointCenter("functional" if other is None else "combined", *points, own, fit, radians, misfit, square)
 
 
@@ -294,13 +295,17 @@ def _combined(points: np.ndarray, covariance: np.ndarray, other: JointCenter) ->
     return points + product(gain, gap), birge * (covariance - product(gain, covariance[:3])), misfit
 
 
-def _turn_together(pair: SegmentPair, turn: float, deviation: float) -> SpecError:
-    """Return the error that a motion does not determine a centre, because a joint hardly turns [deg]."""
-    size = f"to {1000 * deviation:.0f} mm only" if np.isfinite(deviation) else "not at all"
+def _undetermined(pair: SegmentPair, turn: float, deviation: float) -> SpecError:
+    """Return the error that a motion does not determine a centre, because markers move relative to each other by more
+    than the joint, which turns by `turn` [deg], moves them; `deviation` of the centre [m], or inf.
+    """
+    moved = 1000 * max(artefact.deviation for artefact in pair.artefacts)
+    known = f"is known to {1000 * deviation:.0f} mm only" if np.isfinite(deviation) else "is not known"
     return SpecError(
-        f"is functional, but the two segments turn together: the angle between them changes by {turn:.0f} deg, so that "
-        f"the centre is known {size} (a standard deviation of at most {1000 * LARGEST_DEVIATION:.0f} mm is accepted); "
-        "bend the joint in a calibration trial (`motion.static`), or determine the centre by landmarks",
+        f"is functional, but the motion does not determine the centre: the angle between both segments changes by "
+        f"{turn:.0f} deg, and the markers of a segment move relative to each other by {moved:.0f} mm, so that the "
+        f"centre {known} (a standard deviation of at most {1000 * LARGEST_DEVIATION:.0f} mm is accepted); bend the "
+        "joint more in a calibration trial (`motion.static`), or determine the centre by landmarks",
         key=pair.key,
     )
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, did_you_mean, listed, shown
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed, shown
 from mbdkit_biomech.inverse_dynamics.files.measured_table import HEADINGS_SHOWN, MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import si_values, times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable, TimeColumn

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
 from mbdkit_biomech.persons.person_sections import PlaneAxes
 from mbdkit_biomech.persons.rigid_clusters import Poses, rate_of
 

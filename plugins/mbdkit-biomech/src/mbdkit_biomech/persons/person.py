@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding, SpecError, listed
-from mbdkit.plugin.equations import product, symmetric_eigenvectors
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
@@ -171,13 +173,19 @@ class Skeleton:
         poses = segments.motion.poses
         plane = plane_of(asked_plane, poses, segments.motion.file.time)
         _require_units(subject, segments, plane)
-        centers = segments.centers(asked_centers, plane)
+        shape = [*_shape_doubts(segments)]
+        try:
+            centers = segments.centers(asked_centers, plane)
+        except SpecError as error:  # other clusters are a cause of whatever then fails
+            raise (
+                SpecError(f"{shape[0].sentence} With them, {error}", key="motion.static") if shape else error
+            ) from None
         positions = {joint: centers[joint].position(poses[a], poses[b]) for joint, (a, b) in segments.joints.items()}
         if not _faces_forward(segments, plane, positions):
             plane = plane.reversed()
             signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
             centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in centers.items()}
-        findings = [*_side_doubts(segments, plane), *_shape_doubts(segments)]
+        findings = [*_side_doubts(segments, plane), *shape]
         plane = plane.with_residual(list(positions.values()))
         findings += [*_plane_doubts(plane), *_center_doubts(centers)]
         points = {joint: plane.coordinates(own) for joint, own in positions.items()}

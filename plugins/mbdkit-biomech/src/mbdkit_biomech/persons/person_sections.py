@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Section
+from mbdkit.base.errors import SpecError
+from mbdkit.spec.sections import Section
 
 Marker = Annotated[str, Field(min_length=1)]
 

@@ -12,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding, SpecError, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import UNLOADED
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing

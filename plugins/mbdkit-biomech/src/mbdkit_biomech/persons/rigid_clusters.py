@@ -18,8 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, listed, shown
-from mbdkit.plugin.equations import inverse_of, product, symmetric_eigenvectors
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed, shown
+from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
 
 LEAST_MARKERS = 3
 """Number of markers that determine a pose."""

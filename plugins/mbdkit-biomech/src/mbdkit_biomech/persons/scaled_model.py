@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import QuantityNames, SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.models._one_leg import SUFFIX
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, person_of

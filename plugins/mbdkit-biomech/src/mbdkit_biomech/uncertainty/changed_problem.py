@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Mechanism, QuantityNames
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.runs import AssembledMechanism, Follower
+from mbdkit.base import elementary
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
+from mbdkit.runs.followers import Follower
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.plugin import Finding
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression, reaction_forces_without_muscles, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.persons.landmarks import LEFT

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, UnknownNameError, listed, plus_minus, table
-from mbdkit.plugin.seams import excluded_words, run_attribute, summary_lines
+from mbdkit.archive.headlines import excluded_words, plus_minus
+from mbdkit.archive.result_seams import run_attribute, summary_lines
+from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.base.text import listed, table
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 SHOWN = 0.005
 """Smallest share of a source in the printed table."""

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.plugin import Finding, listed
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import judged_frames, residual_wrench

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mbdkit.plugin import Finding, MbdkitError
+from mbdkit.base.errors import MbdkitError
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import residual_wrench
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars

@@ -14,7 +14,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, did_you_mean
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean
 from mbdkit_biomech.persons.calibration import require_known
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 

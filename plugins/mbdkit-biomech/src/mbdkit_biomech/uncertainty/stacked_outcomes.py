@@ -16,15 +16,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import MbdkitError, RunError
+from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import MbdkitError, RunError
-from mbdkit.plugin.equations import JointSums, elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import solve_dynamics
 from mbdkit_biomech.inverse_dynamics.loads.followers import loads_of
 from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_of_length
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, impossible, share_loads
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, share_softly
 from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 from mbdkit_biomech.persons.plate_contacts import later
@@ -55,15 +57,21 @@ EXACT = (*PROPERTIES, "muscle_delay", "exponent", "minimum", "across", "emg")
 """Keys of places that are not taken to first order."""
 
 
-class Outcomes(NamedTuple):
-    """Outcomes for S values of the scalars in T frames; nan in frames that the muscles cannot produce.
+LOST = ("muscles are too weak", "tendons are longer than their paths", "no optimal activations were found")
+"""Why frames of samples have no result."""
 
-    Actuators and reserves (S, T, U), reactions (S, T, J, 3), and tensions (S, T, M).
+
+class Outcomes(NamedTuple):
+    """Outcomes for S values of the scalars in T frames; nan in frames without result.
+
+    Actuators and reserves (S, T, U), reactions (S, T, J, 3), tensions (S, T, M), and the number (S, T) of the reason in
+    `LOST`, counted from 1; 0 in frames that have a result.
     """
 
     actuators: np.ndarray
     reactions: np.ndarray
     muscles: np.ndarray
+    lost: np.ndarray
 
 
 class _Mechanics:
@@ -178,7 +186,7 @@ class StackedOutcomes:
     def at(self, values: np.ndarray) -> Outcomes:
         """Return the outcomes for values (S, K) of the scalars."""
         frames, joints = len(self._base), self._layout["reactions"].shape
-        shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),)
+        shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),), ()
         out = Outcomes(*(np.empty((len(values), frames, *shape)) for shape in shapes))
         exponents, most = self._total(values, ("exponent",)), max(1, ROWS // frames)
         equal = (np.flatnonzero(exponents == one) for one in np.unique(exponents))  # they are solved together
@@ -197,6 +205,7 @@ class StackedOutcomes:
         recruiter, recruited = self.recruiter, self.result.recruited
         if recruiter is None or recruited is None:
             out.actuators[rows], out.reactions[rows] = own["value"].swapaxes(0, 1), own["reactions"].swapaxes(0, 1)
+            out.lost[rows] = 0
             return
         frames, count = smooth.shape[:2]
         flat = own.reshape(-1)
@@ -221,7 +230,11 @@ class StackedOutcomes:
         joint = flat["reactions"].reshape(frames * count, -1)
         joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])
-        for target, found in ((out.actuators, actuators), (out.reactions, joint), (out.muscles, force)):
+        lost = np.where(solved[:, 0], 0, 3)
+        if (unsolved := np.flatnonzero(lost)).size:
+            lost[unsolved[impossible(programme.only(unsolved))]] = 1
+        lost[np.isnan(capacity + passive).any(axis=1)] = 2
+        for target, found in zip(out, (actuators, joint, force, lost), strict=True):
             target[rows] = found.reshape(frames, count, *target.shape[2:]).swapaxes(0, 1)
 
     def _shared(

@@ -22,18 +22,19 @@ small, by half in one of twenty frames.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import counted
-from mbdkit.plugin.archives import TableColumn
-from mbdkit.plugin.equations import product
+from mbdkit.archive.result_table import TableColumn
+from mbdkit.base.text import counted, listed
+from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, without_followers
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
-from mbdkit_biomech.uncertainty.stacked_outcomes import Outcomes, StackedOutcomes
+from mbdkit_biomech.uncertainty.stacked_outcomes import LOST, Outcomes, StackedOutcomes
 
 _TJ = ("time", "joint")
 OF_DATA, INTERACTIONS = "noise of the data", "interactions"
@@ -45,8 +46,8 @@ GAUSSIAN = 0.95
 """Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
 number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there."""
 
-LARGEST_SCATTER, SUFFICIENT = 0.1, 500
-"""Relative standard error of bars from which the number of samples is too small, and the number that is advised."""
+LARGEST_SCATTER = 0.1
+"""Relative standard error of bars from which the number of samples is too small."""
 
 
 @dataclass(frozen=True)
@@ -69,19 +70,21 @@ class UncertainResult:
     scalars: int
     samples: int
     failed: int
-    """Number of scalars, of samples, and of samples in which the muscles cannot produce some frames."""
+    """Number of scalars, of samples, and of samples in which some frames have no result."""
     added: tuple[np.ndarray, np.ndarray] | None
     """Bounds (T, J) of the forces of joints without the bodies that follow the motion, and of what these add [N]; None
     without such bodies."""
     failed_rows: float
-    """Share of the frames of all samples that the muscles cannot produce."""
+    """Share of the frames of all samples that have no result."""
+    reasons: str
+    """Why, with the numbers of samples."""
 
     @property
     def failures(self) -> str:
         """A sentence on the samples without solution."""
         return (
-            f"in {self.failed} of {self.samples} samples of the uncertain muscles, they are too weak, or their tendons "
-            f"too long, to produce some frames ({self.failed_rows:.2%} of all), which error bars leave out"
+            f"in {self.failed} of {self.samples} samples of the uncertain muscles, some frames have no result "
+            f"({self.failed_rows:.2%} of all), and error bars leave them out: {self.reasons}"
         )
 
     @property
@@ -90,15 +93,16 @@ class UncertainResult:
         worst = float(np.nanmax(self.scatter, initial=0.0))
         if worst <= LARGEST_SCATTER:
             return ""
+        needed = math.ceil(self.samples * (worst / LARGEST_SCATTER) ** 2 / 100) * 100
         return (
             f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
-            f"uncertain by up to {worst:.0%} (standard error); {SUFFICIENT} are enough"
+            f"uncertain by up to {worst:.1%} (standard error); it falls to {LARGEST_SCATTER:.0%} with about {needed}"
         )
 
     @property
     def told(self) -> str:
         """A sentence for the description of the method."""
-        failed = f", of which {self.failed} have frames that the muscles cannot produce" if self.failed else ""
+        failed = f", of which {self.failed} have frames without result" if self.failed else ""
         return (
             f" Uncertain properties of the person, loads and muscles: {counted(self.samples, 'sample')} of "
             f"{counted(self.scalars, 'scalar')} of {counted(len(self.kinds), 'source')}{failed}."
@@ -168,8 +172,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     nominal = stacked.at(np.zeros((1, len(sources))))
     values = drawn(sources, asked.samples, random)
     sampled = stacked.at(values)
-    failed = np.isnan(sampled.reactions).any(axis=(2, 3))
-    actuators, reactions, muscles = (one - own for one, own in zip(sampled, nominal, strict=True))
+    actuators, reactions, muscles = (one - own for one, own in zip(sampled[:-1], nominal[:-1], strict=True))
     force = reactions[..., :2]
     sizes, changes = (np.linalg.norm(one[..., :2], axis=-1) for one in (sampled.reactions, reactions))
     moves = np.sum(stacked.moves * stacked.moves, axis=0) * quantile(1.0)
@@ -185,7 +188,10 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     kinds = {source.group: source.kind for source in sources}
     shares, bias = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
-    failures = int(np.sum(failed.any(axis=1))), _added(result, sources, values, reactions), float(np.mean(failed))
+    failed, added = sampled.lost > 0, _added(result, sources, values, reactions)
+    counts = [int(np.sum((sampled.lost == number).any(axis=1))) for number in range(1, 1 + len(LOST))]
+    reasons = listed([f"{one} in {count}" for one, count in zip(LOST, counts, strict=True) if count], "and")
+    failures = int(np.sum(failed.any(axis=1))), added, float(np.mean(failed)), reasons
     scatter = _scatter(changes[:, at, np.arange(len(at))])
     return UncertainResult(squares, peaks, bias, scatter, kinds, shares, len(sources), len(values), *failures)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import Mechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.uncertainty.contributions import (
     NAMED,
     PERSON_MODEL_ERROR,
@@ -18,7 +18,7 @@ from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
 from mbdkit_report.seams import report_charts, report_sections
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 DRAWN = 6
 """Number of sources of a chart; those that are left out have smaller shares."""

@@ -6,8 +6,8 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.specs import Count, Section
+from mbdkit.base.errors import SpecError
+from mbdkit.spec.sections import Count, Section
 
 Distance = Annotated[float, Field(ge=0, le=0.1)]
 Angle = Annotated[float, Field(ge=0, le=0.5)]

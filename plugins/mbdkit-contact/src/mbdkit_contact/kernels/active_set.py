@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import IntVector, RealMatrix, RealVector, subkernel
+from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
 PROXIMAL = 1e-9

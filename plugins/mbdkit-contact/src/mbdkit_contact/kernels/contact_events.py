@@ -6,27 +6,21 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import (
-    DIVERGED,
+from mbdkit.engine.kernels.accelerations import solve_system
+from mbdkit.engine.kernels.projection import (
     EPS,
     FEW_ROUNDINGS,
     MOST_ITERATIONS,
-    OK,
-    PAUSED,
-    REFUSED,
     STAGNANT,
-    copy,
-    fill,
-    fill_rows,
     largest_size,
     position_rows,
     rate_rows,
     scaled_residual,
-    separate,
-    solve_system,
-    solved_rows,
-    subkernel,
 )
+from mbdkit.engine.kernels.system import DIVERGED, OK, solved_rows
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
+from mbdkit.engine.native.functions import separate, subkernel
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_forces import (
     add_answers,
     along,
@@ -540,7 +534,11 @@ def _change_modes(e, m, kind, contact):
     if status != OK or kind != NORMAL or modes[contact] == OPEN:
         return status
     status = find_accelerations(e, m)
-    if status != OK or m.normal[contact] > least:
+    has_changed = False
+    for i in range(len(modes)):
+        has_changed |= modes[i] != m.kept_modes[i]
+    # in the same modes, the force is that whose zero was located, even if all forces vanish at this instant
+    if status != OK or (has_changed and m.normal[contact] > least):
         return status
     for i in range(len(modes)):  # the force vanishes now, and would pull later
         m.touching[i], m.sliding[i] = m.struck[i], 0.0

@@ -7,25 +7,18 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import (
-    OK,
-    IntMatrix,
-    IntVector,
-    RealCube,
-    RealMatrix,
-    RealVector,
+from mbdkit.engine.kernels.accelerations import (
     apply_multipliers,
-    fill,
-    fill_rows,
     joint_right_side,
-    reduce_columns,
     refine_multipliers,
-    separate,
-    solve_least_norm,
-    subkernel,
     substitute_by_pivots,
 )
-from mbdkit.kernels import solve as schur_solve
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.orthogonal import reduce_columns, solve_least_norm
+from mbdkit.engine.kernels.schur import solve as schur_solve
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.kernels.vectors import fill, fill_rows
+from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, Shapes, choose, row_of
 
 SINGULAR = 1e-11

@@ -38,22 +38,12 @@ from __future__ import annotations
 
 from math import sqrt, tanh
 
-from mbdkit.kernels import (
-    IntMatrix,
-    RealCube,
-    RealMatrix,
-    RealVector,
-    call_law,
-    cosine_and_sine,
-    fill,
-    inlined,
-    integers_at,
-    kernel,
-    law_function,
-    new_registers,
-    numbers_at,
-    value_of,
-)
+from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.bundle_types import IntMatrix, RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.arithmetic import value_of
+from mbdkit.engine.native.calls import call_law, integers_at, new_registers, numbers_at
+from mbdkit.engine.native.functions import inlined, kernel, law_function
 from mbdkit_contact.kernels.uneven_ground import (
     EDGE,
     OWN,

@@ -6,22 +6,14 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import prepare
-from mbdkit.kernels import (
-    NOT_FINITE,
-    OK,
-    PAUSED,
-    REFUSED,
-    copy,
-    entry,
-    fill,
-    load_engine,
-    separate,
-    solve_accelerations,
-    solve_triangle,
-    subkernel,
-    take_states,
-)
+from mbdkit.engine.kernels.accelerations import solve_accelerations
+from mbdkit.engine.kernels.applied_forces import take_states
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.orthogonal import solve_triangle
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, prepare
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.functions import entry, separate, subkernel
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
 from mbdkit_contact.kernels.contact_forces import (
     SINGULAR,
     add_answers,
@@ -44,8 +36,6 @@ SAME = 1e-10
 """Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the
 motion, count as zero.
 """
-SLOWEST = 1e-3
-"""Least value of the largest velocity of a motion [m/s], so that rounding errors of bodies at rest count as zero."""
 SAME_ACCELERATION = 1e-9
 """Accelerations below this share of those without contact forces count as zero."""
 REDUNDANT = 1e-6
@@ -65,7 +55,7 @@ EXACT_GAP = 1e-15
 @subkernel
 def speed(m):
     """Return the largest velocity of the motion so far, from its kinetic energy [m/s]."""
-    return max(sqrt(2.0 * m.known.energy[0] / m.limits[2]), SLOWEST)
+    return max(sqrt(2.0 * m.known.energy[0] / m.limits[2]), m.limits[5])
 
 
 @subkernel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
-from mbdkit.kernels import (
+from mbdkit.engine.kernels.bundle_types import (
     STATE,
     ComplexMatrix,
     ComplexVector,
@@ -13,10 +13,10 @@ from mbdkit.kernels import (
     RealCube,
     RealMatrix,
     RealVector,
-    Topology,
-    bundle_loader,
     example_of,
 )
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit_contact.kernels.contact_forces import ClosedContacts
 from mbdkit_contact.kernels.impacts import ImpactBundle
 
@@ -75,7 +75,7 @@ class Known(NamedTuple):
     strikes: RealMatrix
     """(S, N + 2 P) positions, and multipliers of the impulses of joints."""
     until: RealVector
-    """(1,) time at which `event` happens [s]."""
+    """(2,) time at which `event` happens, and size of the last step that has resolved the forces [s]."""
     shown: RealMatrix
     """(2, H) forces and modes that rows show at the start and at the end of the last step."""
     shift_q: RealVector
@@ -93,7 +93,7 @@ class EventSearch(NamedTuple):
     best: RealCube
     """(3, C, 2) share and value of the largest sample before the first negative one."""
     last: RealCube
-    """(3, C, 4) shares and values of the last two samples."""
+    """(3, C, 4) shares and values of the last two samples, or after the first negative one, of the least one."""
     high: RealMatrix
     """(3, C) share of the first sample that is negative or may be; infinite if there is none."""
     limits: RealMatrix
@@ -168,7 +168,8 @@ class EventBundle(NamedTuple):
     law: IntVector
     """(1,) number of the law of impact."""
     limits: RealVector
-    """(3,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg]."""
+    """(6,) share of the energy below which sequences of impacts are cut, length of the mechanism [m], mass [kg],
+    relative and absolute tolerance of controlled steps, and the least value of the largest velocity [m/s]."""
     places: IntVector
     """(2,) index of the first of the states that hold forces and modes, and their number; (D,) coordinates whose sums
     of forces follow them."""

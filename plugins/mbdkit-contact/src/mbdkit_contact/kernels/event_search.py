@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import fill, separate, subkernel
+from mbdkit.engine.kernels.vectors import fill
+from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.contact_modes import rate_of_gap
 from mbdkit_contact.kernels.event_bundle import NORMAL, PLACE
 from mbdkit_contact.modes import OPEN, STICK
@@ -55,16 +56,24 @@ def is_open_gap(m, kind, i):
 
 @subkernel
 def add_sample(m, kind, i, share, value):
-    """Add a sample of an event function; shares must not decrease. Samples that are nan are ignored."""
+    """Add a sample of an event function; shares must not decrease. Samples that are nan are ignored.
+
+    After the first negative one, ``last`` has the place and the value of the least one.
+    """
     x = m.search
-    if np.isnan(value) or x.high[kind, i] < np.inf:
+    last = x.last[kind, i]
+    if np.isnan(value):
+        return
+    if x.high[kind, i] < np.inf:
+        if value < last[1]:
+            last[0], last[1] = share, value
         return
     if value < -x.limits[kind, i] and share > 0.0:
-        x.high[kind, i] = share
+        x.high[kind, i] = last[0] = share
+        last[1] = value
         return
     if value > x.best[kind, i, 1]:
         x.best[kind, i, 0], x.best[kind, i, 1] = share, value
-    last = x.last[kind, i]
     s0, f0, s1, f1 = last[0], last[1], last[2], last[3]
     if f1 < f0 and f1 < value and f1 > 0.0 and s0 < s1 < share:  # nan compares as false
         # the parabola through three samples may have a negative minimum between them
@@ -73,7 +82,8 @@ def add_sample(m, kind, i, share, value):
         slope = left + curve * (s1 - s0)
         lowest = s1 - 0.5 * slope / curve
         if f1 - 0.25 * slope * slope / curve < -x.limits[kind, i] and s0 < lowest < share:
-            x.high[kind, i] = lowest
+            x.high[kind, i] = last[0] = lowest
+            last[1] = 0.0
             if lowest <= s1:
                 x.best[kind, i, 0], x.best[kind, i, 1] = s0, f0
             return
@@ -235,10 +245,10 @@ def note_value(m):
     if x.state[0] == HIGH:
         if value >= 0.0:  # an approximate sample showed an event, but a step of the method does not
             x.best[kind, i, 0], x.best[kind, i, 1] = share, value
-            x.high[kind, i] = 1.0 if share < 1.0 and x.state[3] < 2 else np.inf
-            x.state[0] = NEXT
-            if x.high[kind, i] < np.inf:
-                x.state[0], b[6] = HIGH, 1.0
+            x.state[0], x.high[kind, i] = NEXT, np.inf
+            if share < 1.0 and x.state[3] < 3:  # redundant contacts may share the forces there, and not later
+                x.state[0], least = HIGH, x.last[kind, i, 0]
+                x.high[kind, i] = b[6] = least if share < least else 1.0
             return
         b[0], b[1] = share, value
         if x.best[kind, i, 1] > 0.0:

@@ -17,7 +17,9 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import copy, cosine_and_sine, separate, subkernel
+from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.vectors import copy
+from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.event_bundle import NORMAL, UNKNOWN
 from mbdkit_contact.kernels.kinematics import CIRCLES, LINE, POLYGONS, ROUND, SINGLE, choose, gap_of, height_over_edge
 from mbdkit_contact.kernels.uneven_ground import (
@@ -114,7 +116,7 @@ def _place(m, body, s):
 
 
 @subkernel
-def _place_both(m, i, s):
+def set_states(m, i, s):
     """Write the states of the bodies of a contact at a share of the piece to the shapes."""
     contacts = m.closed.shapes.contacts
     for side in range(2):
@@ -362,7 +364,7 @@ def _note_touch(m, i, apart, share):
             x.high[NORMAL, k], any_overlaps = min(x.high[NORMAL, k], share), True
     if not any_overlaps:
         x.high[NORMAL, i] = min(x.high[NORMAL, i], share)
-    _place_both(m, i, apart[0])
+    set_states(m, i, apart[0])
     choose(s, pair)
     for k in range(s.pairs[pair, 1], s.pairs[pair, 1] + s.pairs[pair, 2]):
         value = gap_of(s, k) - x.level[k]
@@ -383,18 +385,18 @@ def _find_touch(m, i, share, size, until):
         ignored = max(ignored, IGNORED * s.exact[0] - x.level[k])
     apart = begin = 0.0
     w, least, touches = until, s.exact[0], False
-    _place_both(m, i, 0.0)
+    set_states(m, i, 0.0)
     _begin_at_states(m, i)
     if _look(m, i, 0.0, ignored) == TOUCHES:  # inside, but beyond the ends of all features that act
         return until
     for _ in range(MOST_PARTS):
         end = begin + w if begin + w < until else until
-        _place_both(m, i, end)
+        set_states(m, i, end)
         result = _look(m, i, end - begin, ignored)
         if result == TOUCHES:
             touches, until = True, end
         if touches and (until - begin) * way <= NARROW * s.exact[0]:
-            _place_both(m, i, until)
+            set_states(m, i, until)
             _note_touch(m, i, (apart, share + apart * size), share + until * size)
             return until
         if result == IS_CLEAR or w * way <= least:
@@ -433,7 +435,7 @@ def find_rebounds(m):
         if m.touch.near[i] == 0 or x.best[NORMAL, i, 1] > 0.0 or not m.gaps[i] < x.level[i]:
             continue
         for k in range(1, REBOUND):
-            _place_both(m, i, k / REBOUND)
+            set_states(m, i, k / REBOUND)
             choose(s, s.contacts[i, 3])
             value = gap_of(s, i) - x.level[i]
             if value > x.best[NORMAL, i, 1]:

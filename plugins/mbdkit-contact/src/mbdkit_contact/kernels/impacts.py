@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import IntVector, RealVector, subkernel
+from mbdkit.engine.kernels.bundle_types import IntVector, RealVector
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.pivoting import Cones, new_cones, solve_cones
 
 NEWTON, POISSON = range(2)

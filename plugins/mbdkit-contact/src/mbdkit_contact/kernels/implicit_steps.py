@@ -12,8 +12,12 @@ so that x is the solution without contacts, less the part of ``S^-1 D`` with ``G
 
 from __future__ import annotations
 
+from mbdkit.engine.kernels.lu import substitute
+from mbdkit.engine.kernels.system import OK
+from mbdkit.engine.native.functions import entry, separate, subkernel
+from mbdkit.integrators.run.run_state import JACOBIANS, load_run_state
+from mbdkit.integrators.stages.collocation_stages import load_stages
 from mbdkit.integrators.stages.simplified_newton import one_of
-from mbdkit.kernels import JACOBIANS, OK, entry, load_run_state, load_stages, separate, subkernel, substitute
 from mbdkit_contact.kernels.contact_forces import find_directions
 from mbdkit_contact.kernels.contact_modes import collect_closed
 from mbdkit_contact.kernels.event_bundle import load_events

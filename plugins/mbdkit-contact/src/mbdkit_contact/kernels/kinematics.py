@@ -19,7 +19,9 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import IntMatrix, IntVector, RealMatrix, RealVector, cosine_and_sine, subkernel
+from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealMatrix, RealVector
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.row_kernels import circles_gap, circles_row, hole_gap, hole_row, line_gap, line_row
 from mbdkit_contact.kernels.uneven_ground import (
     EDGE,

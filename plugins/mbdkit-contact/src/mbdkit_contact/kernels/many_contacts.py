@@ -16,7 +16,8 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import copy, fill, subkernel
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.active_set import EXACT
 from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.stepping_bundle import ACROSS, ALONG, add_move, rate_of

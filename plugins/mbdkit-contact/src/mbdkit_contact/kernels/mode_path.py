@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import subkernel
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.active_set import (
     PROXIMAL,
     assemble,

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import IntVector, RealMatrix, RealVector, subkernel
+from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
+from mbdkit.engine.native.functions import subkernel
 
 TINY = (1e-11, 1e-8, 1e-5)
 """Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if

@@ -31,41 +31,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import prepare
-from mbdkit.kernels import (
-    DAMPING,
+from mbdkit.engine.kernels.accelerations import solve_accelerations, solve_system
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces, take_multipliers
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, MASS, STIFFNESS
+from mbdkit.engine.kernels.lu import factorize, solve_refined
+from mbdkit.engine.kernels.projection import largest_size, position_rows, project_velocities, rate_rows
+from mbdkit.engine.kernels.system import (
     DIVERGED,
-    FACTORIZATIONS,
-    GAMMA_V,
-    ITERATIONS,
-    JACOBIAN,
-    JACOBIANS,
-    MASS,
     NOT_FINITE,
     OK,
     REPIVOT_STAGES,
-    RHS,
-    STIFFNESS,
-    any_forces,
-    applied_forces,
-    copy,
     evaluate_tangents,
-    factorize,
-    fill,
-    fill_rows,
     fold_values,
-    largest_size,
-    position_rows,
-    project_velocities,
-    rate_rows,
-    solve_accelerations,
-    solve_refined,
-    solve_system,
+    prepare,
     solved_rows,
-    subkernel,
-    take_multipliers,
     unfold_multipliers,
 )
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
+from mbdkit.engine.native.functions import subkernel
+from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 
 MOST_ITERATIONS = 20
 """Largest number of Newton iterations in a step of the generalized-alpha method."""

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from mbdkit.kernels import (
-    DIVERGED,
-    OK,
-    REPIVOT_STAGES,
-    copy,
-    fill,
-    fill_rows,
-    solve_refined,
-    subkernel,
-    substitute_by_pivots,
-    substitute_by_schur,
-)
+from mbdkit.engine.kernels.accelerations import substitute_by_pivots, substitute_by_schur
+from mbdkit.engine.kernels.lu import solve_refined
+from mbdkit.engine.kernels.system import DIVERGED, OK, REPIVOT_STAGES
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.active_set import solve_active_set
 from mbdkit_contact.kernels.impacts import NEWTON, SMALL_RESTITUTION, find_ordered, stronge
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, choose, find_gaps, place, row_of

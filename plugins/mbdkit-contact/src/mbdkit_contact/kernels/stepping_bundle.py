@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, NamedTuple
 
-from mbdkit.kernels import STATE, Factors, IntMatrix, IntVector, Pattern, RealMatrix, RealVector, subkernel
+from mbdkit.engine.kernels.bundle_types import STATE, IntMatrix, IntVector, RealMatrix, RealVector
+from mbdkit.engine.kernels.lu import Factors, Pattern
+from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.active_set import ActiveSet
 from mbdkit_contact.kernels.impacts import ImpactBundle
 from mbdkit_contact.kernels.kinematics import Shapes

@@ -14,32 +14,17 @@ from math import sqrt
 
 import numpy as np
 
-from mbdkit.kernels import (
-    AT_END_OF_LAST,
-    AT_START_OF_LAST,
-    MODIFIED,
-    NOT_FINITE,
-    OK,
-    PAUSED,
-    REFUSED,
-    RHS,
-    RealCube,
-    RealMatrix,
-    RealVector,
-    begin_energy,
-    call_entry,
-    copy,
-    entry,
-    fade,
-    fill,
-    hermite,
-    kernel,
-    load_engine,
-    load_run_state,
-    separate,
-    subkernel,
-)
-from mbdkit.plugin.methods import SAME_INSTANT
+from mbdkit.engine.kernels.bundle_types import RealCube, RealMatrix, RealVector
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.interpolation import fade, hermite
+from mbdkit.engine.kernels.system import NOT_FINITE, OK
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.calls import call_entry
+from mbdkit.engine.native.functions import entry, kernel, separate, subkernel
+from mbdkit.integrators.interface import SAME_INSTANT
+from mbdkit.integrators.loop.step_loop import PAUSED, REFUSED
+from mbdkit.integrators.run.run_state import AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED, RHS, load_run_state
+from mbdkit.integrators.run.step_guards import begin_energy
 from mbdkit_contact.kernels.contact_events import book_energy, close, drift, happen, is_nearly_closed, limited
 from mbdkit_contact.kernels.contact_modes import (
     add_forces,
@@ -87,6 +72,14 @@ From the last stage of gauss-2 to the end, a linear function changes by a third 
 SAME_PLACE, MOST_PIECES = 1e-8, 40.0
 """Error of the cubics that stand for the motion in a step, relative to the length of the mechanism, up to this number
 of cubics."""
+RESOLVED = 0.01
+"""Forces of contacts at the stages of a step that the others predict up to this share of the largest one, or of the
+limit of friction, do not exceed their limits unseen between the stages.
+"""
+FAR_AWAY = 0.25
+"""The same share of the distance from these limits."""
+JUMP = 1e-4
+"""Share of the size of the last resolved step from which on steps are not resolved further."""
 WHOLE = 1.0 - 1e-12
 """Share of a step from which on an event counts as one at its end."""
 SAME_SHARE = 1e-9
@@ -279,6 +272,7 @@ def _take(e, c, m, run, t, h, want_error):
     m.samples[1] = 0
     if status != OK:
         return _status(m, status)
+    _sort_samples(m)
     c.base_state[0] = AT_START_OF_LAST
     m.t[0] = t + h
     for d in range(len(m.q)):  # as `mbdkit.integrators.run.run_state.add_increments` does
@@ -341,7 +335,7 @@ def _interpolate(c, m, h, theta, q, v):
 
 
 @subkernel
-def _node(e, c, m, run, t, h, theta, q, v):
+def write_node(e, c, m, run, t, h, theta, q, v):
     """Write the state within a step by dense output, or at one of its ends; return a status."""
     if theta == 0.0 or theta == 1.0:
         copy(c.from_q if theta == 0.0 else m.q, q)
@@ -354,7 +348,7 @@ def _node(e, c, m, run, t, h, theta, q, v):
 
 
 @separate
-def _pieces(e, c, m, run, t, h):
+def pieces(e, c, m, run, t, h):
     """Return into how many cubics the motion of a step is divided, with which their error is below `SAME_PLACE`; also a
     status.
     """
@@ -387,14 +381,14 @@ def _search_touches(e, c, m, run, t, h):
     """
     for i in range(len(m.gaps)):
         m.search.level[i] = min(m.begin[NORMAL, i], 0.0)
-    count, status = _pieces(e, c, m, run, t, h)
+    count, status = pieces(e, c, m, run, t, h)
     q0, v0, q1, v1 = m.touch.nodes[0], m.touch.nodes[1], m.touch.nodes[2], m.touch.nodes[3]
     any_touches = False
     for k in range(count):
         if status == OK:
-            status = _node(e, c, m, run, t, h, k / count, q0, v0)
+            status = write_node(e, c, m, run, t, h, k / count, q0, v0)
         if status == OK:
-            status = _node(e, c, m, run, t, h, (k + 1) / count, q1, v1)
+            status = write_node(e, c, m, run, t, h, (k + 1) / count, q1, v1)
         if status != OK or any_touches:
             break
         set_piece(m, q0, v0, q1, v1, h / count)
@@ -482,10 +476,7 @@ def _end_quietly(e, c, m, shows):
     if shows:
         c.counts[RHS] += 1
         return find_values(e, m, True)
-    last = 0
-    for j in range(1, m.samples[0]):
-        if m.sample_times[j] > m.sample_times[last]:
-            last = j
+    last = max(m.samples[0] - 1, 0)
     for i in range(len(known.modes)):
         is_closed = known.modes[i] != OPEN
         m.normal[i] = m.sample_values[last, 0, i] if is_closed else 0.0
@@ -507,23 +498,88 @@ def _sample_features(c, m, h):
 
 
 @separate
+def _sort_samples(m):
+    """Sort the samples of contact forces by time: stages need not be in this order."""
+    for k in range(1, m.samples[0]):
+        j = k
+        while j > 0 and m.sample_times[j - 1] > m.sample_times[j]:
+            m.sample_times[j - 1], m.sample_times[j] = m.sample_times[j], m.sample_times[j - 1]
+            for kind in range(3):
+                for i in range(len(m.known.modes)):
+                    before = m.sample_values[j - 1, kind, i]
+                    m.sample_values[j - 1, kind, i] = m.sample_values[j, kind, i]
+                    m.sample_values[j, kind, i] = before
+            j -= 1
+
+
+@separate
 def _sample_forces(m, t, h):
-    """Add samples of contact forces, slips and limits of friction, at the stages of the method, if they are unique."""
-    if m.samples[2] != 0:
-        return
-    # stages need not be in order of time, but the search brackets a zero between neighbours
-    for _ in range(m.samples[0]):
-        first, at = 0, np.inf
-        for j in range(m.samples[0]):
-            if m.sample_times[j] < at:
-                first, at = j, m.sample_times[j]
-        share = (at - t) / h
-        m.sample_times[first] = np.inf
+    """Add samples of contact forces, slips and limits of friction, at the stages of the method."""
+    for j in range(m.samples[0] if m.samples[2] != 2 else 0):
+        share = (m.sample_times[j] - t) / h
         if 0.0 < share < 1.0:
             for i in range(len(m.known.modes)):
                 if m.known.modes[i] != OPEN:
-                    add_sample(m, NORMAL, i, share, _sampled(m, first, NORMAL, i))
-                    add_sample(m, FRICTION, i, share, _sampled(m, first, FRICTION, i))
+                    add_sample(m, NORMAL, i, share, _sampled(m, j, NORMAL, i))
+                    add_sample(m, FRICTION, i, share, _sampled(m, j, FRICTION, i))
+
+
+@separate
+def _surprise(m, t, kind, i, scale):
+    """Return the largest error with which samples of an event function predict those between them, relative to what is
+    small compared with `scale`, or with the least sample.
+
+    A sample is predicted by the polynomial through at most two samples on either side. The value at the start of the
+    step, if it is known, is one of them.
+    """
+    worst, least, n = 0.0, np.inf, m.samples[0]
+    is_known = m.known.determined[1] != 0 and m.samples[2] == 0  # redundant contacts share forces in another way there
+    first = -1 if is_known and n > 0 and m.sample_times[0] > t else 0
+    for j in range(n):
+        value, predicted = _sampled(m, j, kind, i), 0.0
+        least = min(least, value)
+        if not first < j < n - 1:
+            continue
+        for k in range(max(first, j - 2), min(n, j + 3)):
+            if k == j:
+                continue
+            at, weight = t if k < 0 else m.sample_times[k], 1.0
+            for x in range(max(first, j - 2), min(n, j + 3)):
+                if x not in (j, k):
+                    other = t if x < 0 else m.sample_times[x]
+                    weight *= (m.sample_times[j] - other) / (at - other)
+            predicted += weight * (m.begin[kind, i] if k < 0 else _sampled(m, k, kind, i))
+        worst = max(worst, abs(predicted - value))
+    return worst / max(RESOLVED * scale, FAR_AWAY * least)
+
+
+@separate
+def _unresolved(m, t, h):
+    """Return by how much the forces of closed contacts vary more than the samples in a step resolve; at most 1 if they
+    are resolved, or if that needs much smaller steps than before, as where a load jumps.
+    """
+    worst = 0.0
+    for i in range(len(m.known.modes)):
+        mode, largest = m.known.modes[i], 0.0
+        for j in range(m.samples[0] if mode != OPEN and m.samples[2] != 2 else 0):
+            largest = max(largest, abs(m.sample_values[j, 0, i]))
+        if largest > 0.0:
+            worst = max(worst, _surprise(m, t, NORMAL, i, largest))
+            if mode == STICK and m.coefficients[i, 1] > 0.0:
+                worst = max(worst, _surprise(m, t, FRICTION, i, m.coefficients[i, 1] * largest))
+    if worst <= 1.0:
+        m.known.until[1] = h
+    return 0.0 if h < JUMP * m.known.until[1] else worst
+
+
+@subkernel
+def _estimate_forces(c, m, t, h):
+    """Let step-size control resolve the forces of contacts: the motion of a body at rest says nothing about them."""
+    d, worst = m.places[0], 0.0
+    if any_closed(m):
+        scale = m.limits[4] + m.limits[3] * max(abs(c.z[d]), abs(c.z[d] + c.dz[d]))
+        worst = _unresolved(m, t, h) * scale * sqrt(2.0 * (len(c.q) - 3) + len(c.z))
+    c.est_z[d] = c.second_z[d] = worst
 
 
 @separate
@@ -558,6 +614,9 @@ def release_redundant(e, m):
     """Ignore events of sticking contacts if all modes persist at the point; return a status."""
     if not asks_for_decision(m):
         return OK
+    for i in range(len(m.touching)):  # modes that persist at the end say nothing about the step before
+        if m.known.modes[i] == STICK and min(m.search.high[NORMAL, i], m.search.high[FRICTION, i]) < 1.0:
+            return OK
     fill(m.sliding, 0.0)
     for i in range(len(m.touching)):
         m.touching[i] = m.known.modes[i] != OPEN
@@ -689,6 +748,8 @@ def attempt(run, method, t, h, want_error):
     for k in range(m.places[1]):
         d = m.places[0] + k
         c.dz[d], c.z_low[d] = known.shown[1, k] - c.z[d], 0.0
+    if want_error != 0.0 and m.places[1] > 0:
+        _estimate_forces(c, m, t, size)
     return OK
 
 
@@ -803,6 +864,16 @@ def begin_search_at(
     copy_rows(samples[0], m.values)
     add_samples(m, 0.0, rates[0])
     last = len(shares) - 1
+    m.samples[0], m.samples[2] = min(len(shares), len(m.sample_times)), 0
+    for j in range(m.samples[0]):
+        m.sample_times[j] = shares[j] * h
+        for i in range(len(m.known.modes)):
+            normal = samples[j, NORMAL, i]
+            m.sample_values[j, 0, i] = normal
+            m.sample_values[j, 1, i] = m.coefficients[i, 1] * normal - samples[j, FRICTION, i]
+    if any_closed(m) and _unresolved(m, 0.0, h) > 1.0:
+        m.search.first[0], m.search.event[0] = 0.5, UNKNOWN
+        return OK
     set_piece(m, q[0], v[0], q[last], v[last], h)
     copy(samples[last, NORMAL], m.gaps)
     if find_near(m, samples[0, NORMAL], m.gaps):

@@ -9,35 +9,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.system import prepare
-from mbdkit.kernels import (
-    DIVERGED,
-    EPS,
-    FACTORIZATIONS,
-    FEW_ROUNDINGS,
-    NOT_FINITE,
-    OK,
-    STAGNANT,
-    applied_forces,
-    bundle_loader,
-    copy,
-    entry,
-    evaluate_powers,
-    example_of,
-    fill,
-    fill_rows,
-    hermite,
-    keep_node,
-    load_run_state,
-    position_rows,
-    solve_system,
-    solved_rows,
-    stays_finite,
-    subkernel,
-    take_multipliers,
-    take_states,
-)
-from mbdkit.kernels import MOST_ITERATIONS as MOST_CORRECTIONS
+from mbdkit.engine.kernels.accelerations import solve_system
+from mbdkit.engine.kernels.applied_forces import applied_forces, take_multipliers, take_states
+from mbdkit.engine.kernels.bundle_types import example_of
+from mbdkit.engine.kernels.interpolation import hermite
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, STAGNANT, position_rows
+from mbdkit.engine.kernels.projection import MOST_ITERATIONS as MOST_CORRECTIONS
+from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK, evaluate_powers, prepare, solved_rows
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows, stays_finite
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import entry, subkernel
+from mbdkit.integrators.run.run_state import FACTORIZATIONS, keep_node, load_run_state
 from mbdkit_contact.kernels.kinematics import find_gaps, place
 from mbdkit_contact.kernels.many_contacts import PRECISION
 from mbdkit_contact.kernels.smooth_steps import (

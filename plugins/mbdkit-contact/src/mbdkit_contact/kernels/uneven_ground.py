@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from math import sqrt
 
-from mbdkit.kernels import inlined
+from mbdkit.engine.native.functions import inlined
 
 EDGE, SEGMENT = 5, 10
 """Numbers of an edge of a polygon: start, normal and length; of a segment: see `mbdkit_contact.polylines.SEGMENT`."""

@@ -20,7 +20,7 @@ from mbdkit_studies import STEP, family, value
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies import Study, StudyPoint
 
 G = 9.81
@@ -229,8 +229,7 @@ def _painleve(study: Study) -> Claim:
     wrong = [mu for mu, status in runs.items() if status != ("complete" if mu < 4.0 / 3.0 else "failed")]
     missing = not runs or any(status not in ("complete", "failed") for status in runs.values())
     passed = max((mu for mu, status in runs.items() if status == "complete"), default=math.nan)
-    answer = Answer.OPEN if missing else Answer.NO if wrong else Answer.YES
-    return WORDS.claim("painleve", answer, passed=passed)
+    return WORDS.claim("painleve", Answer.OPEN if missing else Answer.NO if wrong else Answer.YES, passed=passed)
 
 
 def _figure(touches: Sequence[Touched]) -> Figure:

@@ -219,5 +219,4 @@ def _energy(results: Sequence[Combination]) -> Claim:
         )
         shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (result, other)]
         computed.append(f"{shown[0]}, {shown[1]} ({mechanism})")
-    computed_text = "; ".join(computed)
-    return WORDS.claim("projection-energy", _known(answers), computed=computed_text, holding=_holding(answers))
+    return WORDS.claim("projection-energy", _known(answers), computed="; ".join(computed), holding=_holding(answers))

@@ -20,7 +20,7 @@ from mbdkit_studies import METHOD, STEP, value
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies import Study
 
 REFERENCE = ("Gauss 3", 2e-6)

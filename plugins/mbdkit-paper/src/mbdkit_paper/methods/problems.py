@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import yaml
 
-from mbdkit.plugin import Positive, StrictModel
-from mbdkit.plugin.specs import load_spec
+from mbdkit.base.strict_model import StrictModel
+from mbdkit.mechanism.values import Positive
+from mbdkit.spec.loading import load_spec
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run, RunSpec
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.run_spec import RunSpec
 
 
 PRECISE = {"integrator": {"name": "dop853", "adaptive": True, "rtol": 1e-13}, "stabilization": "projection"}

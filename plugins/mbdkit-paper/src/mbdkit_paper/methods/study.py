@@ -10,9 +10,12 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
-from mbdkit.plugin import Claims, MbdkitError
-from mbdkit.plugin.runs import build, make_method, require_support
-from mbdkit.plugin.specs import choice_of, named_options, registry
+from mbdkit.base.errors import MbdkitError
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import Claims
+from mbdkit.registry.manager import registry
+from mbdkit.runs.preparation import build, make_method, require_support
+from mbdkit.spec.formulation_choice import choice_of
 from mbdkit_paper.methods.problems import Problem, problems
 from mbdkit_studies import IN_TOLERANCES, claims_of
 

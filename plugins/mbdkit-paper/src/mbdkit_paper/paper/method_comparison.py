@@ -168,5 +168,4 @@ def _stages_claim(lines: dict[str, Points]) -> Claim:
         if math.isfinite(drift) and drift > 1
         else ""
     )
-    work = least_most([1 / gain for gain in gains])
-    return WORDS.claim("stages", together(answers), computed=text, work=work, extra=extra)
+    return WORDS.claim("stages", together(answers), computed=text, work=least_most([1 / g for g in gains]), extra=extra)

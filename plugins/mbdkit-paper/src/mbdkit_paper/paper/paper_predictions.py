@@ -13,7 +13,7 @@ from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range
 from mbdkit_studies import METHOD, STEP, family
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies import Study
 
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}

@@ -12,7 +12,7 @@ from mbdkit_report import Answer, Cell, Claim, Column, Figure, Line, Range, Tabl
 from mbdkit_studies import METHOD, MODEL, STEP, Points, family, value
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies import Study, StudyPoint
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"

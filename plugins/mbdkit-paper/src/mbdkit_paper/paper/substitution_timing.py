@@ -15,8 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError
-from mbdkit.plugin.files import replacing
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
+from mbdkit.spec.run_spec import RunSpec
 
 EVALUATIONS = 24
 """Number of timed evaluations. The minimum of this many is reproducible even on a busy machine."""

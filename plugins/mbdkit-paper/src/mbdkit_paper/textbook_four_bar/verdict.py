@@ -33,7 +33,7 @@ from mbdkit_studies import METHOD, STEP, at_equal_work, family, value, work_for
 from mbdkit_studies.results.judge import study_verdict
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies import Study
 
 STANDARD = 0.08

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Run
+from mbdkit.archive.run import Run
 
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any, ClassVar, TypeVar
 
-from mbdkit.plugin.files import json_text
+from mbdkit.base.plain_data import json_text
 from mbdkit_report.figures.page_model import Figure, Table
 
 

@@ -11,7 +11,7 @@
 import numpy as np
 
 import mbdkit
-from mbdkit.plugin.specs import load_spec
+from mbdkit.spec.loading import load_spec
 
 run = mbdkit.run("knee", check=True)
 run

@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit_report.figures.plane_geometry import Array
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _STEPS = 6  # number of straight pieces between two nodes in a picture
 

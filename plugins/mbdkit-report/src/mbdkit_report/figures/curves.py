@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Accuracy, Run
+    from mbdkit.archive.accuracy import Accuracy
+    from mbdkit.archive.run import Run
 
 Array = NDArray[np.float64]
 BLOCK = 4_000_000  # values read at a time

@@ -16,16 +16,21 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.plugin import FunctionJoint, MbdkitError
-from mbdkit.plugin.mechanisms import JointAngles, element_kinds, lines_of
+from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.joint_base import FunctionJoint
+from mbdkit.mechanism.mechanism_seams import lines_of
+from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
 from mbdkit_report.figures.curves import evenly, take
 from mbdkit_report.figures.element_places import Place, cable_places, contact_places
 from mbdkit_report.figures.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, Run
-    from mbdkit.plugin.mechanisms import Beam, SlidingJoint
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.beams import Beam
+    from mbdkit.mechanism.joints import SlidingJoint
+    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_contact.contact import Shape
 
 GROUND = -1

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Joint, Mechanism
-from mbdkit.plugin.mechanisms import JointAngles
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.pathways import JointAngles
 
 if TYPE_CHECKING:
     from mbdkit_contact.contact import Shape

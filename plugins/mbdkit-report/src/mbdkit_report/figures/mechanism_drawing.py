@@ -12,9 +12,14 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.plugin import GROUND, Joint, Mechanism
-from mbdkit.plugin.doubts import ROUND_OFF
-from mbdkit.plugin.mechanisms import JointAngles, is_of_state, jet_of, parts_of
+from mbdkit.mechanism.beams import parts_of
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.motion_corners import jet_of
+from mbdkit.mechanism.pathways import JointAngles
+from mbdkit.mechanism.state_values import is_of_state
+from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
 from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
 from mbdkit_report.figures.element_places import cable_places

@@ -14,7 +14,7 @@ from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import Scene, scene
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 RATE = 50
 """Frames per second; fewer if there are many bodies."""

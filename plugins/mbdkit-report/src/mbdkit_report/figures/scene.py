@@ -18,7 +18,7 @@ from mbdkit_report.figures.drawing_geometry import Drawing, Trace, traced_paths
 from mbdkit_report.figures.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _PATH_ROWS = 4_000
 _SPEEDS = [digit * 10.0**power for power in range(-9, 10) for digit in (1.0, 2.0, 5.0)]

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
-from mbdkit.plugin.seams import run_attribute
+from mbdkit.archive.result_seams import run_attribute
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.pages.animate import animate, page
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _NUMBERS = 150_000
 """Approximate number of pose values in the output of a cell; they take about one megabyte."""

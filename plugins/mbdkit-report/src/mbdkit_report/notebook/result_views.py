@@ -11,12 +11,17 @@ from typing import Never, cast
 import numpy as np
 from matplotlib.figure import Figure
 
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.history import JointHistories
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import answer_lines, summary_lines
-from mbdkit.plugin import Accuracy, MbdkitError, Mechanism, Run, ViewItem, shown
-from mbdkit.plugin.archives import JointHistories
-from mbdkit.plugin.seams import OwnSeam
-from mbdkit.plugin.specs import registry
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.text import shown
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.registry.feature_items import ViewItem
+from mbdkit.registry.manager import registry
+from mbdkit.registry.seam import OwnSeam
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.mechanism_drawing import NamedPose

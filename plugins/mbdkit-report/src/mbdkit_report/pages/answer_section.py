@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.headlines import ROUND_OFF, excluded_error
 from mbdkit.archive.run_summary import derivative_texts
-from mbdkit.plugin.archives import ROUND_OFF, excluded_error
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import Array, bands, take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
@@ -22,7 +22,8 @@ from mbdkit_report.plot.element_quantity import ElementQuantity, reaction_force,
 from mbdkit_report.seams import report_sections
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, Run
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 50
 """Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of

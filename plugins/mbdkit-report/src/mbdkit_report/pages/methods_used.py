@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from mbdkit.plugin import Claims, IntegratorPlugin, SpecError, listed
-from mbdkit.plugin.specs import Registered, kind_of, registry
-from mbdkit.registry.catalogue import Kind
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.registry.catalogue import Kind, Registered
+from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.spec.spec_kinds import kind_of
 from mbdkit_report.plot.caption import plain_name
 
 _EQUATIONS = (

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import Table as TimeTable
-from mbdkit.plugin import listed
-from mbdkit.plugin.mechanisms import JointAngles, path_ends
-from mbdkit.plugin.specs import description, parameter_values
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.mechanism.parameters import parameter_values
+from mbdkit.mechanism.pathways import JointAngles, path_ends
+from mbdkit.mechanism.values import Table as TimeTable
 from mbdkit_report.figures.curves import take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration, names_shown, own_forces
 from mbdkit_report.figures.page_model import Cell, Illustration, Section, Table, columns_of
@@ -20,7 +21,8 @@ from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.spec_words import described_unit
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, Run
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 ROWS = 200
 """Largest number of rows in a table."""

@@ -8,11 +8,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import cast
 
-from mbdkit.plugin import FileFormat, MbdkitError, SpecError, listed, load
-from mbdkit.plugin.archives import DAMAGE, hash_warnings, open_hdf5
-from mbdkit.plugin.files import check_output, check_suffix, replacing
-from mbdkit.plugin.specs import registry
-from mbdkit.plugin.terminal import warn_on_stderr
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.archive.reader import load
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files import check_output, check_suffix, replacing
+from mbdkit.base.text import listed
+from mbdkit.registry.feature_items import FileFormat
+from mbdkit.registry.manager import registry
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_report import run_report
@@ -112,9 +115,7 @@ def _of_file(source: Path) -> FileFormat | None:
 def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[ReportPage]:
     if kind is None and not os.path.isdir(source):
         with load(source) as run:
-            warnings = hash_warnings(run)
-            warn_on_stderr(warnings)
-            yield run_report(run, warnings)
+            yield run_report(run)
     elif kind is None or kind.report is None:
         folders = [one for one in _formats() if one.file]
         phrases = listed([f"no {one.name}" for one in folders], "and")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin.archives import own_version
+from mbdkit.base.distributions import own_version
 from mbdkit_report.analysis.verdict import Answer, Verdict
 from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table, columns_of
 from mbdkit_report.figures.palette import color_key, color_number, line_styles

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Recorded
-from mbdkit.plugin.archives import ROUND_OFF, kind_of_group
+from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.quantities.array import Recorded
+from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -20,7 +22,7 @@ from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 MARKS = 60
 """No events are marked if a run has more event crossings than this."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import headline_texts
-from mbdkit.plugin.specs import write_yaml
+from mbdkit.archive.headlines import headline_texts
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
@@ -20,20 +20,15 @@ from mbdkit_report.pages.section_items import added_sections, with_additions
 from mbdkit_report.plot.caption import caption
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
 """Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""
 _NUMBERS = 240_000  # approximate number of pose values of the animation; they take about 1.5 megabytes
 
 
-def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
+def run_report(run: Run) -> ReportPage:
     """Return the report of a run.
-
-    Parameters
-    ----------
-    warnings
-        Sentences about the archive, such as `hash_warnings`, which are shown at the top of the page.
 
     Raises
     ------
@@ -47,7 +42,7 @@ def run_report(run: Run, warnings: Sequence[str] = ()) -> ReportPage:
     return ReportPage(
         title=head.title,
         settings=head.settings,
-        alarm=_alarm(run, head.alarm, warnings),
+        alarm=_alarm(run, head.alarm),
         headline=(("verdict", run.verdict), *headline_texts(run, "\u00b1")),
         tone=TONES.get(run.verdict, ""),
         verdict=run_verdict(run),
@@ -69,13 +64,12 @@ def film_of(run: Run, numbers: int, label: str = "") -> dict[str, object]:
     return with_additions(run, film_data(run, numbers, label))
 
 
-def _alarm(run: Run, ending: str, warnings: Sequence[str]) -> str:
-    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted,
-    and the `warnings`; empty if there is none.
+def _alarm(run: Run, ending: str) -> str:
+    """Return the warning at the top of the page: that the run stopped early, or that its results must not be trusted;
+    empty if there is none.
     """
     questioned = f"VERDICT: {run.verdict.upper()}" if run.verdict in ("doubtful", "bad") else ""
-    first = ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
-    return ". ".join(filter(None, [first, *(f"{warning[0].upper()}{warning[1:]}" for warning in warnings)]))
+    return ending.partition(": ")[0] or questioned  # without the reason, which the section "Verdict" gives
 
 
 def environment(provenance: Mapping[str, object], first: Mapping[str, str]) -> Table:

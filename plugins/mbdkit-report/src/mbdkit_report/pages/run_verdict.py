@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.run_summary import without_suspicion
-from mbdkit.plugin import Level
-from mbdkit.plugin.doubts import MISALIGNMENT, ROUND_OFF, gravity_level, rounding
-from mbdkit.trust.criteria import ENERGY
+from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
+from mbdkit.trust.energy_record import gravity_level
 from mbdkit_report.analysis.growth import Growth, growth_law
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_report.figures.curves import bands, take
@@ -21,7 +20,7 @@ from mbdkit_report.pages.run_tables import run_tables
 from mbdkit_report.plot.element_quantity import ElementQuantity, misalignment
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _LAWS = {
     "bounded": "it does not grow",

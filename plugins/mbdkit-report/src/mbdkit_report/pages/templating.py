@@ -9,7 +9,7 @@ from importlib.resources import files
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from mbdkit.plugin import shown
+from mbdkit.base.text import shown
 
 
 def render(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from mbdkit.base.text import markdown
-from mbdkit.plugin import table as aligned
+from mbdkit.base.text import table as aligned
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.figures.page_model import Table
 from mbdkit_report.pages.report_page import ReportPage, cell_text

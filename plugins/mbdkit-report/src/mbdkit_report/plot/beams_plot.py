@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.archive.run_views import BeamForce, Names
-from mbdkit.plugin import SpecError, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
@@ -22,7 +23,7 @@ from mbdkit_report.plot.element_quantity import MOST
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _TITLES: dict[BeamForce, str] = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5

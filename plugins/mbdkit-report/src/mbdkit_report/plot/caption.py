@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbdkit.plugin.specs import kind_of, name_of
+from mbdkit.spec.formulation_choice import name_of
+from mbdkit.spec.spec_kinds import kind_of
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatterSciNotation
 
-from mbdkit.plugin import UnknownNameError, file_error
+from mbdkit.base.errors import UnknownNameError, file_error
 from mbdkit_report.figures.page_model import Figure
 from mbdkit_report.figures.palette import FAINT, GRID, INK, PAPER, color_number, line_styles
 from mbdkit_report.plot.caption import Caption

@@ -11,9 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.plugin import MbdkitError, RunSpec, SpecError, counted, did_you_mean, listed, path_text
-from mbdkit.plugin.files import Path as SpecPath
-from mbdkit.plugin.seams import run_attribute
+from mbdkit.archive.result_seams import run_attribute
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import Path as SpecPath
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import counted, did_you_mean, listed
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
@@ -21,7 +24,7 @@ from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.spec_words import key_unit, key_words
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_report.figures.page_model import Figure, Line
 
 _LINES = 6

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.run_views import Gap, Names
-from mbdkit.plugin import SpecError, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.charts import Panel
@@ -22,7 +23,7 @@ from mbdkit_report.plot.element_quantity import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 
 def panels(run: Run) -> list[Panel]:

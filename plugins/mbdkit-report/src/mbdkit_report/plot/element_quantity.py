@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
+from mbdkit.archive.headlines import Headline, plus_minus
+from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_views import Gap, Names
-from mbdkit.plugin import Headline, plus_minus
-from mbdkit.plugin.archives import missed_between_rows, peak_errors
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
@@ -23,7 +23,7 @@ from mbdkit_report.plot.style import legend, powers_of_ten
 if TYPE_CHECKING:
     import h5py
 
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 SMALLEST = 1e-18
 """Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""

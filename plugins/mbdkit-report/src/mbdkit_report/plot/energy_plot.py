@@ -9,14 +9,15 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.run_views import Names
-from mbdkit.plugin import SpecError, did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
 from mbdkit_report.plot.charts import Panel, draw_chart
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 COLORS = {
     "kinetic": PALETTE[1],

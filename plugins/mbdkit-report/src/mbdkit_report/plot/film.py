@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from PIL import Image
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.curves import evenly
 from mbdkit_report.figures.palette import ALARM, INK, PALETTE, PAPER, SPRING, body_colors, trace_colors
@@ -23,7 +23,7 @@ from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.style import dress, new_figure, quietly
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 RATE = 25
 """Frames per second."""

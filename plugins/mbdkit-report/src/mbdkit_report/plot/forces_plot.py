@@ -7,13 +7,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.run_views import Names
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import MOST, element_chart, element_panel, element_values, has_elements, picked
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 
 def panels(run: Run) -> list[Panel]:

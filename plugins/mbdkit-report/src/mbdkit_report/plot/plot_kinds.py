@@ -8,11 +8,13 @@ from importlib import import_module
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Protocol, cast
 
-from mbdkit.plugin import PlotKind, SpecError, use
-from mbdkit.plugin.specs import registry
+from mbdkit.base.errors import SpecError
+from mbdkit.registry.feature_items import PlotKind
+from mbdkit.registry.manager import registry
+from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_report.figures.page_model import Figure
     from mbdkit_report.plot.charts import Panel
 

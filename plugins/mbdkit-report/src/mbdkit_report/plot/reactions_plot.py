@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.run_views import Components, Names
-from mbdkit.plugin import SpecError, did_you_mean, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
@@ -23,7 +24,7 @@ from mbdkit_report.plot.element_quantity import (
 from mbdkit_report.plot.torques_plot import carried_torque
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "magnitude": (),

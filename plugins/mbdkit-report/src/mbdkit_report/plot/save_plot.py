@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.files import check_suffix
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import check_suffix
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.palette import GRID, INK, PALETTE, PAPER
 from mbdkit_report.plot.caption import caption
@@ -26,7 +26,7 @@ from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.plot.style import FORMATS, new_figure, save
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _WIDTH = 7.2  # inches
 _HEADING_AND_LABELS = 2.1  # inches

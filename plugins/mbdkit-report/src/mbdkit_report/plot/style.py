@@ -16,8 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import ScalarFormatter
 
-from mbdkit.plugin import shown
-from mbdkit.plugin.files import replacing
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.files import replacing
+from mbdkit.base.text import one_line, shown
 from mbdkit_report.figures.palette import ALARM, FAINT, GRID, INK, PAPER
 from mbdkit_report.plot.caption import Caption
 
@@ -153,7 +154,16 @@ def _escape(figure: Figure) -> None:
 
 
 def quietly(draw: Callable[[], object]) -> None:
-    """Call `draw` without Matplotlib's warnings about missing glyphs, because a title may be in any script."""
+    """Call `draw` without Matplotlib's warnings about missing glyphs, because a title may be in any script.
+
+    Raises MbdkitError if Matplotlib is told to use LaTeX, which fails or is not installed.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        draw()
+        try:
+            draw()
+        except (RuntimeError, OSError) as error:
+            if not mpl.rcParams["text.usetex"]:
+                raise
+            advice = "install LaTeX with dvipng, or set `text.usetex: False`, which is Matplotlib's default"
+            raise MbdkitError(f"Matplotlib cannot draw text with LaTeX ({one_line(error)}); {advice}") from error

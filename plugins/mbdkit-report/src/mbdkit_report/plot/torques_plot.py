@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run_views import Names
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.archives import ROUND_OFF
+from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.curves import Array, Bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
@@ -25,7 +25,7 @@ from mbdkit_report.plot.element_quantity import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 
 def panels(run: Run) -> list[Panel]:

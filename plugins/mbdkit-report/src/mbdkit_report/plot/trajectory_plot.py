@@ -21,7 +21,7 @@ from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress, legend
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 _ROWS = 20_000
 _CHART_ROWS = 4_000

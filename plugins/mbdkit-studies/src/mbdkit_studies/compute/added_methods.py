@@ -12,10 +12,17 @@ from typing import Any, TypeAlias
 
 from pydantic import ValidationError
 
-from mbdkit.plugin import Claims, MbdkitError, RunSpec, SpecError, listed, value_text
-from mbdkit.plugin.runs import build, make_method, require_support
-from mbdkit.plugin.specs import choice_of, name_of, named_options, parse_key, put, registry, spec_error
-from mbdkit.spec.reading import read_value
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import value_text
+from mbdkit.base.text import listed
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import Claims
+from mbdkit.registry.manager import registry
+from mbdkit.runs.preparation import build, make_method, require_support
+from mbdkit.spec.formulation_choice import choice_of, name_of
+from mbdkit.spec.reading import parse_key, put, read_value
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.points.planned_points import HOW, Grid, PlannedPoints, Setting, grids, sets_method
 from mbdkit_studies.results.point_selection import IN_TOLERANCES
 from mbdkit_studies.spec.method_claims import METHOD, claims_of

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 
-from mbdkit import ArchiveError
-from mbdkit.kernels import WIDTH
-from mbdkit.plugin import MbdkitError, PluginError, ResourceError, RunSpec, SpecError, one_line
-from mbdkit.plugin.archives import FinishedRun
-from mbdkit.plugin.equations import Starts, one_thread_of_linear_algebra
-from mbdkit.plugin.runs import simulate_arrays
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.base.errors import ArchiveError, MbdkitError, PluginError, ResourceError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import one_line
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.runs.simulation import simulate_arrays
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 from mbdkit_studies.texts import joined_lines

@@ -13,11 +13,18 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.missing_plugins import missing_plugins
+from mbdkit.archive.reader import load
+from mbdkit.base.called_functions import calls_allowed
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.interrupts import interrupts_delayed
-from mbdkit.plugin import MbdkitError, SpecError, counted, load, plain, shown, value_text
-from mbdkit.plugin.runs import calls_allowed, check_calls
-from mbdkit.plugin.specs import RunSource, load_spec, parse_key, read_source
-from mbdkit.plugin.terminal import count_bar, in_notebook, logger_of, say
+from mbdkit.base.logs import logger_of
+from mbdkit.base.plain_data import plain, value_text
+from mbdkit.base.progress_bars import count_bar, in_notebook
+from mbdkit.base.terminal import say
+from mbdkit.base.text import counted, shown
+from mbdkit.runs.preparation import check_calls
+from mbdkit.spec.loading import RunSource, load_spec, read_source
+from mbdkit.spec.reading import parse_key
 from mbdkit_studies.compute.added_methods import MethodSource, with_methods
 from mbdkit_studies.compute.executor_pool import Engine
 from mbdkit_studies.compute.run_blocks import RunBlocks
@@ -39,7 +46,7 @@ RunStores = RunFiles | RunBlocks
 _LOG = logger_of(__name__)
 
 #: Function called with the number of computations that are done, their total number, and the number of failed runs. A
-#: run, a second run and a set of repeated timings count as one computation each.
+#: run, a second run and a repeated timing count as one computation each.
 Progress = Callable[[int, int, int], None]
 
 
@@ -113,7 +120,7 @@ def study(
         Part of the study to compute; by default all of it.
     progress
         Called with three numbers after each task: the number of computations that are done, their total number, and the
-        number of failed runs. A run, a second run and a set of repeated timings count as one computation each. By
+        number of failed runs. A run, a second run and a repeated timing count as one computation each. By
         default, notebooks show a progress bar.
     notify
         Called with messages for the user, such as warnings.

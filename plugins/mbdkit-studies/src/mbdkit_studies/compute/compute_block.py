@@ -12,15 +12,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
-from mbdkit.archive.stored_mechanism import is_determined
-from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, path_text
-from mbdkit.plugin.archives import ArrayContents, FinishedRun, mechanism_json
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.files import file_locks, files_json
-from mbdkit.plugin.measures import Description
-from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs
-from mbdkit.plugin.terminal import say
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents
+from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
+from mbdkit.base import file_locks
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.files_read import files_json
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
+from mbdkit.base.terminal import say
+from mbdkit.measures.take import Description
 from mbdkit.runs.provenance import plugins_of, surroundings
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.compute.batch import CHUNK, refusal, simulate_in_any_order
 from mbdkit_studies.compute.study_plan import StudyPlan
 from mbdkit_studies.compute.tasks import Outcome, mark_of

@@ -12,8 +12,10 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import SpecError, one_line, value_text
-from mbdkit.plugin.archives import own_version
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import value_text
+from mbdkit.base.text import one_line
 from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.pool import PROGRAM, Pool
 from mbdkit_studies.compute.tasks import Message, Outcome, Task, died

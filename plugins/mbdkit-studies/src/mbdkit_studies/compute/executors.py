@@ -18,7 +18,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from mbdkit.plugin import SpecError, counted, one_line, shown
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import counted, one_line, shown
 from mbdkit_studies.folder.owned_folder import JOBS
 
 MOST_JOBS = 100

@@ -21,9 +21,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 
-from mbdkit.archive.part_file import remove_part
-from mbdkit.plugin import ResourceError
-from mbdkit.plugin.archives import checkpoint_path, part_path
+from mbdkit.archive.part_file import checkpoint_path, part_path, remove_part
+from mbdkit.base.errors import ResourceError
 from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
 from mbdkit_studies.texts import without_numbers
 

@@ -9,11 +9,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from mbdkit import ArchiveError
+from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
 from mbdkit.archive.untrusted_file import is_sparse
-from mbdkit.plugin import ResourceError, Run, RunSpec, SpecError, counted, load
-from mbdkit.plugin.archives import COUNTERS, DAMAGE, SOME_COUNTERS, TIMINGS, data_sha256
-from mbdkit.plugin.runs import functionals_of
+from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
+from mbdkit.base.text import counted
+from mbdkit.runs.integrals import functionals_of
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard
@@ -66,8 +69,8 @@ class RunFiles(RunStore[str]):
         own = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
         self._missing = [run_id for run_id in own if run_id in missing]
         self._again = self._to_run_again() if shard is None else []
-        self._repeats = self._missing_repeats() if shard is None else {}
-        return len(self._missing) + len(self._again) + len(self._repeats)
+        self._turns = self._missing_timings() if shard is None else []
+        return len(self._missing) + len(self._again) + len(self._turns)
 
     def _to_run_again(self) -> list[str]:
         """Return the runs that still need a second run; reference runs never do."""
@@ -76,14 +79,19 @@ class RunFiles(RunStore[str]):
         wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
         return [run_id for run_id in wanted if run_id not in self._second]
 
-    def _missing_repeats(self) -> dict[str, int]:
-        """Return the number of timings to make, by run, for the runs that lack timings."""
-        wanted: dict[str, int] = {}
-        for point in self.plan.points:
-            count = point.grid.repeats
-            if not point.lacking and count > max(1, len(self._timings.get(point.run_id, ()))):
-                wanted[point.run_id] = max(count, wanted.get(point.run_id, 0))
-        return wanted
+    def _missing_timings(self) -> list[tuple[int, str]]:
+        """Return the numbers and runs of the timings to make.
+
+        All runs are timed once before one is timed again: other work on the machine that lasts for many runs then
+        spreads the times of each run, and does not pass for a difference between runs.
+        """
+        wanted = dict.fromkeys(
+            (turn, point.run_id)
+            for point in self.plan.points
+            if not point.lacking and point.grid.repeats > 1
+            for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
+        )
+        return sorted(wanted, key=lambda timing: timing[0])
 
     def rounds(self) -> Iterator[Round]:
         """Yield the missing runs, then the second runs and the timings of complete runs."""
@@ -92,9 +100,8 @@ class RunFiles(RunStore[str]):
         second = self.spec.second_run_measures
         again = [self._task(run_id, second=second) for run_id in self._again if self._is_complete(run_id)]
         yield Round(again, len(self._again))
-        repeats = [(run_id, count) for run_id, count in self._repeats.items() if self._is_complete(run_id)]
-        timings = [self._task(run_id, repeats=count) for run_id, count in repeats]
-        yield Round(timings, len(self._repeats), one_by_one=True)
+        timings = [self._task(run_id, timing=turn) for turn, run_id in self._turns if self._is_complete(run_id)]
+        yield Round(timings, len(self._turns), one_by_one=True)
 
     def _task(self, run_id: str, **content: object) -> Task:
         """Return the task that computes a run, with or without writing its archive."""
@@ -109,8 +116,8 @@ class RunFiles(RunStore[str]):
         self.unfinished += [outcome.reason] if outcome.is_passing else []
         if "second" in task.content:
             self._second |= {} if outcome.is_passing else {task.key: outcome}
-        elif "repeats" in task.content:
-            self._timings |= {task.key: outcome.seconds} if outcome.seconds else {}
+        elif "timing" in task.content:
+            self._timings[task.key] = (*self._timings.get(task.key, ()), *outcome.seconds)
         else:
             self._second.pop(task.key, None)
             self.note_file(task.key, outcome)
@@ -249,8 +256,8 @@ class RunFiles(RunStore[str]):
                     "this archive contains another run than its name says; move it to another folder", file=path
                 )
             try:
-                sound = data_sha256(run.file) == run.data_sha256
-            except DAMAGE:
+                sound = bool(run.file)  # all arrays are verified
+            except ArchiveError:
                 sound = False
             ended = run.status in ("complete", "failed") and self._has_integrals(run)
             return Outcome(run.status, run.status_reason) if sound and ended else MISSING

@@ -11,9 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from mbdkit import ArchiveError
-from mbdkit.plugin import ResourceError, SpecError
-from mbdkit.plugin.archives import own_version
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
 from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard

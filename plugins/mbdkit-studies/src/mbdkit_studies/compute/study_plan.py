@@ -8,15 +8,16 @@ from contextlib import suppress
 from functools import cached_property
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.measures.take import is_taken
-from mbdkit.plugin import RunSpec, SpecError, path_text
-from mbdkit.plugin.doubts import angles_in_degrees
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.measures import Description, describe
-from mbdkit.plugin.runs import caution
-from mbdkit.plugin.specs import DefinedMeasure, VariedSpecs, parse_key
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.measures.take import Description, describe, is_taken
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.notes import zero_reactions
-from mbdkit.spec.study_measures import expressions_of
+from mbdkit.runs.preparation import caution
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.study_measures import DefinedMeasure, expressions_of
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
@@ -235,10 +236,8 @@ def check_column_names(spec: StudySpec) -> None:
         If a name or label cannot be stored, if two columns would have the same name, or if an axis or variable sets a
         measure.
     """
-    try:
+    with SpecError.place_by(spec.placed):
         measures = {measure.name: measure.place for measure in spec.defined_measures()}
-    except SpecError as error:
-        raise spec.placed(error) from None
     for name, where in measures.items():
         if name in COLUMNS | _OF_TABLES:
             message = f"'{name}' is a column of the index of every study; choose another name for this measure"

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from mbdkit.base.called_functions import may_call
 from mbdkit.base.command_words import command_words
-from mbdkit.plugin.runs import may_call
 
 Message: TypeAlias = dict[str, Any]
 """A task for a worker, or its answer, as plain data that JSON can contain."""

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.archives import DAMAGE
+from mbdkit.archive.hdf5_errors import DAMAGE
+from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.provenance import DECIDE_LAST_BITS
 from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, block_image
@@ -64,7 +64,10 @@ class UnfinishedBlock:
         """
         runs: dict[int, BlockRun] = {}
         for path in pieces_of(self._block):
-            with suppress(MbdkitError, *DAMAGE), Block(path) as piece:  # a kill may leave a truncated file
+            with (
+                suppress(MbdkitError, *DAMAGE),
+                Block(path, is_verified=False) as piece,
+            ):  # a kill may leave a truncated file
                 if self._suits(piece):
                     runs |= {run.number: run for run in _runs(piece)}
         return runs

@@ -19,16 +19,17 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
+from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.command_words import executing
-from mbdkit.plugin import MbdkitError, SpecError, shown
-from mbdkit.plugin.archives import own_version
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.runs import calls_allowed
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.text import shown
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.tasks import Message
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 Carry = Callable[[Message, Callable[[str], None]], Message]
 """Function that carries out the task described by a message, and returns the answer.
@@ -121,7 +122,8 @@ def _outcome(task: Message, notify: Callable[[str], None], carry: Carry) -> Mess
 
 
 def _work(task: Message, notify: Callable[[str], None]) -> Message:
-    from mbdkit.plugin import RunSpec, simulate
+    from mbdkit.runs.simulation import simulate
+    from mbdkit.spec.run_spec import RunSpec
 
     if "block" in task:
         from mbdkit_studies.compute.compute_block import compute_block
@@ -136,13 +138,11 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
         values, note = second_run(spec, task["second"])
         told = {name: value if math.isfinite(value) else None for name, value in values.items()}
         return {"status": "complete", "reason": note, "values": told}
-    if "repeats" in task:
-        seconds = []
-        for _ in range(task["repeats"] + 1):
+    if "timing" in task:
+        for _ in range(1 if task["timing"] else 2):  # the very first run is for warm-up
             with simulate(spec) as run:
-                seconds.append(float(run.stats["wall_s"]))
-        # without the first run, which is for warm-up
-        return {"status": "complete", "reason": "", "seconds": seconds[1:]}
+                answer = {"status": "complete", "reason": "", "seconds": [float(run.stats["wall_s"])]}
+        return answer
     path = Path(task["path"])
     with _continued(path, task["measures"]) or simulate(
         spec, path=path, overwrite=True, measures=task["measures"]
@@ -154,7 +154,7 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
 
 def _continued(path: Path, measures: Sequence[str]) -> Run | None:
     """Continue the run that an interrupted call has left; return None if there is none that can be continued."""
-    from mbdkit.plugin.archives import checkpoint_path, part_path
+    from mbdkit.archive.part_file import checkpoint_path, part_path
     from mbdkit.runs.resuming import continue_run
 
     part = part_path(path)

@@ -14,9 +14,10 @@ import h5py
 import numpy as np
 from h5py import h5p
 
+from mbdkit.archive.fingerprint import is_text
+from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.part_file import LIBVER
-from mbdkit.plugin import Array
-from mbdkit.plugin.archives import TEXT, create, is_text, set_text
+from mbdkit.quantities.array import TEXT, Array
 
 _LEVEL = 4
 """Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent."""

@@ -16,8 +16,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO
 
-from mbdkit.plugin import ResourceError, SpecError, shown
-from mbdkit.plugin.files import file_locks, rename_new
+from mbdkit.base import file_locks
+from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.files import rename_new
+from mbdkit.base.text import shown
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Array, SpecError
-from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT, create, data_sha256, open_hdf5, reading, set_text
-from mbdkit.plugin.files import replacing
+from mbdkit.archive.fingerprint import StoredHashes, seal
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import SpecError
+from mbdkit.base.files import replacing
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
 from mbdkit_studies.spec.study_spec import StudySpec
 
@@ -37,7 +41,8 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
             array = Array(f"members/value_{number:04d}", ("run",), "1", f"value of {key}", dtype)
             dataset = write_column(file, array, values)
             set_text(dataset, "key", key)
-        return file_bytes(file), data_sha256(file)
+        seal(file)
+        return file_bytes(file), str(file.attrs["data_sha256"])
 
 
 def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
@@ -61,7 +66,8 @@ def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
     with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
         if file.attrs.get("format") != _FORMAT:
             raise SpecError("this is not a table of members", file=path)
-        if data_sha256(file) != sha256:
+        StoredHashes(file).verify()
+        if file.attrs["data_sha256"] != sha256:
             raise SpecError("this is not the table of this study: its hash differs", file=path)
         items = [item for item in file["members"].values() if "key" in item.attrs]
         columns = {str(item.attrs["key"]): read_column(item) for item in items}

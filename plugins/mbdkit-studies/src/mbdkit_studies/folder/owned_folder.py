@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
-from mbdkit.plugin import SpecError, file_error
-from mbdkit.plugin.files import check_folder, check_writable, rename_new
-from mbdkit.plugin.specs import read_file, write_yaml
+from mbdkit.base.errors import SpecError, file_error
+from mbdkit.base.files import check_folder, check_writable, rename_new
+from mbdkit.spec.reading import read_file
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_studies.folder import folder_lock
 from mbdkit_studies.folder.folder_lock import LOCK, WHOLE, Shard
 

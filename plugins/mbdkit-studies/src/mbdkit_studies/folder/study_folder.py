@@ -6,7 +6,7 @@ import os
 import re
 from pathlib import Path
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.owned_folder import OwnedFolder, contains
 from mbdkit_studies.spec.study_loading import load_study_spec

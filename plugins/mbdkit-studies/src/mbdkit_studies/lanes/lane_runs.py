@@ -15,34 +15,35 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.finished_run import ArrayHash
-from mbdkit.engine.consistent_start import CompiledForStarts
-from mbdkit.kernels import WIDTH, Observed, StagePivots, suits_lanes, topology_of
-from mbdkit.plugin import Finding, Method, Recorded, RunSpec, States, findings, judge
-from mbdkit.plugin.archives import FLOAT, TEXT, ArchiveNames, FinishedRun, archive_names
-from mbdkit.plugin.doubts import EnergyRecord, LawRanges, StateWatchers, evidence_of_run, has_ranges, steps_are_rows
-from mbdkit.plugin.equations import (
-    CompiledMechanism,
-    MechanismAtStart,
-    Starts,
-    Workspace,
-    joint_sums,
-    start_settings,
-)
-from mbdkit.plugin.mechanisms import mechanism_sizes
-from mbdkit.plugin.methods import Guards, StepEvidence, Stretch, Timetable
-from mbdkit.plugin.runs import (
-    RunIntegrals,
-    caution,
-    functionals_of,
-    guards,
-    make_method,
-    recorded_arrays,
-    recorded_states,
-    timetable,
-)
-from mbdkit.plugin.terminal import logger_of
+from mbdkit.archive.finished_run import ArrayHash, FinishedRun
+from mbdkit.base.logs import logger_of
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
+from mbdkit.engine.input_schedule import start_settings
+from mbdkit.engine.joint_sums import joint_sums
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
+from mbdkit.integrators.lanes.lane_collocation import StagePivots
+from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
+from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.methods.kinds import Method
+from mbdkit.quantities.array import FLOAT, TEXT, Recorded
+from mbdkit.quantities.names import ArchiveNames, archive_names
+from mbdkit.quantities.states import States
 from mbdkit.runs.corners import check_jumps
+from mbdkit.runs.evidence import evidence_of_run
+from mbdkit.runs.findings import findings
+from mbdkit.runs.integrals import RunIntegrals, functionals_of
+from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
+from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
+from mbdkit.runs.recorded_states import recorded_states
+from mbdkit.runs.state_watchers import StateWatchers
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.trust.criteria import judge
+from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit.trust.finding import Finding
 from mbdkit_studies.lanes.lane_starts import at_starts
 from mbdkit_studies.lanes.lane_stepper import (
     ControlledLaneStepper,

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.engine.assembly import tolerances
-from mbdkit.engine.consistent_start import CompiledForStarts, within_double_precision
-from mbdkit.plugin import Mechanism, SpecError
-from mbdkit.plugin.equations import AssembledState, LeastChange, MechanismAtStart
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.assembly import AssembledState, tolerances
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, within_double_precision
+from mbdkit.engine.least_change import LeastChange
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 def at_starts(

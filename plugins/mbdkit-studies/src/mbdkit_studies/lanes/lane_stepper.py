@@ -12,34 +12,28 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import MechanismAtStart
+from mbdkit.engine.counters import Counters
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.native.number_arrays import Lanes, new_lanes
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import StepEvidence, Timetable
+from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots, load_stage_pivots
+from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
+from mbdkit.integrators.lanes.lane_mechanisms import fill_lane
+from mbdkit.integrators.lanes.lane_run import new_lane_run
 from mbdkit.integrators.loop.step_watch import guard_evidence
-from mbdkit.integrators.run.run_plan import smallest_step
-from mbdkit.integrators.run.step_control import control_data, first_size
+from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
+from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
+from mbdkit.integrators.run.step_control import Control, control_data, first_size
+from mbdkit.integrators.run.step_guards import new_guard_state
 from mbdkit.integrators.start import step_control
-from mbdkit.kernels import (
-    ENDED,
-    FACTORIZATIONS,
-    ITERATIONS,
-    JACOBIANS,
-    RHS,
-    WIDTH,
-    Lanes,
-    Observed,
-    PinnedBundle,
-    StagePivoting,
-    StagePivots,
-    Topology,
-    accelerate,
-    fill_lane,
-    load_stage_pivots,
-    new_guard_state,
-    new_lane_control,
-    new_lane_run,
-    new_lanes,
-)
-from mbdkit.plugin import Method
-from mbdkit.plugin.equations import CompiledMechanism, Counters, MechanismAtStart, SingularSystemError, Workspace
-from mbdkit.plugin.methods import Control, StepEvidence, Timetable, guard_limits
+from mbdkit.methods.kinds import Method
 
 
 @dataclass(frozen=True)
@@ -302,7 +296,8 @@ class ControlledLaneStepper(LaneStepper):
         runs, c = self.runs, self.run
         controls = [self._control(mechanism) for mechanism in mechanisms]
         for lane, (control, table) in enumerate(zip(controls, tables, strict=True)):
-            data = control_data(control, smallest_step(table))
+            longest = min(control.max_step, table.longest_step(table.start))
+            data = control_data(replace(control, max_step=longest), smallest_step(table))
             for name in ("rtol", "atol", "min_size", "max_size"):
                 getattr(runs.control, name)[..., lane] = getattr(data, name)
         c.every[0] = 0 if tables[0].interval is not None else tables[0].every

@@ -8,12 +8,22 @@ from typing import Unpack
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunSpec, SpecError, did_you_mean, listed, simulate
-from mbdkit.plugin.archives import utc_now
-from mbdkit.plugin.equations import CompiledMechanism, Starts, one_thread_of_linear_algebra, with_ground
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import GivenStart, run_in_memory, spec_started_at
-from mbdkit.plugin.specs import RunSource, Sections, VariedSpecs, load_spec, variable_path
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import utc_now
+from mbdkit.base.errors import SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import Path
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
+from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.runs.finish import run_in_memory
+from mbdkit.runs.given_start import GivenStart, spec_started_at
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import RunSource, Sections, load_spec
+from mbdkit.spec.reading import variable_path
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_report import keys_ending_in
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 
@@ -43,6 +53,8 @@ class PreparedRun:
     ----------
     spec
         The spec with its original numbers.
+    in_use
+        Held by the thread that uses the prepared run.
     """
 
     def __init__(self, spec: RunSpec):
@@ -51,12 +63,15 @@ class PreparedRun:
         self._lanes = LaneRuns(Starts(), ())
         self._is_long = False
         self._given: tuple[RunSpec, GivenStart] | None = None
+        self.in_use = UseLock("another thread is using this prepared run; give each thread its own `mbdkit.prepare`")
 
+    @one_thread_at_a_time
     def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
         return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
 
+    @one_thread_at_a_time
     def start_with(
         self, parameters: Numbers | None = None, initial: Numbers | None = None
     ) -> tuple[CompiledMechanism, np.ndarray, np.ndarray]:
@@ -80,6 +95,7 @@ class PreparedRun:
         q, v = given.state(initial)
         return given.start.mechanism, with_ground(q), with_ground(v)
 
+    @one_thread_at_a_time
     def run(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> Run:
         """Run the spec with other numbers; the results are bitwise equal to those of `mbdkit.run` for `spec_with`.
 

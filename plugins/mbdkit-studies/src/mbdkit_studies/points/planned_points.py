@@ -15,10 +15,13 @@ from typing import Any, overload
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.plugin import MbdkitError, RunSpec, SpecError, listed, parse_path, path_text, plain
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import BY_ACCELERATIONS, choice_of, parse_key, put, registry
-from mbdkit.plugin.terminal import shortened
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import Path, parse_path, path_text, plain
+from mbdkit.base.text import listed, shortened
+from mbdkit.registry.manager import registry
+from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, choice_of
+from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report import stated_units
 from mbdkit_studies.points.sampled_values import rows_of, table_place, values_of
 from mbdkit_studies.spec.method_claims import METHOD, claims_of

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, did_you_mean, listed
+from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
     from mbdkit_studies.points.planned_points import Grid, Label
     from mbdkit_studies.spec.study_spec import StudySpec
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, SpecError, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import Estimated
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.spec.estimates import Estimated
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.sample_section import Sample, frozen
@@ -123,10 +123,8 @@ def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
         return {}
     if spec._columns is None:
         estimated = spec.estimated()
-        try:
+        with SpecError.place_by(lambda error: spec.placed(error.located(prefix="sample"))):
             spec._columns = sampled_values(spec.sample, estimated)
-        except SpecError as error:
-            raise spec.placed(error.located(prefix="sample")) from None
     return spec._columns
 
 

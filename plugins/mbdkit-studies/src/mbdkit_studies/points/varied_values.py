@@ -11,11 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError, counted, listed, path_text, read_quantity
-from mbdkit.plugin.equations import Starts
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.runs import build
-from mbdkit.plugin.specs import names_in, parameter_values, parameters_in_use, parse_key
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.text import counted, listed
+from mbdkit.base.units import read_quantity
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.mechanism.parameters import names_in, parameter_values, parameters_in_use
+from mbdkit.runs.preparation import build
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.points.planned_points import Grid, grids
 from mbdkit_studies.spec.sample_section import frozen
 from mbdkit_studies.spec.study_spec import StudySpec

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Array, SpecError
-from mbdkit.plugin.archives import FLOAT, INTEGER, TEXT
-from mbdkit.plugin.seams import exported_files
+from mbdkit.archive.result_seams import exported_files
+from mbdkit.base.errors import SpecError
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_report import TableColumn, write_tables
 from mbdkit_report.group_table import BLOCK_VALUES
 from mbdkit_studies.study import Study

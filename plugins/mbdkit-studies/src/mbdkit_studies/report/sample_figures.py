@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.measures import REDUCTIONS
+from mbdkit.base.errors import MbdkitError
+from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide
@@ -248,7 +248,7 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
             Line("5 % and 95 %", np.concatenate([x, gap, x]), np.concatenate([lowest, gap, highest])),
         )
         unit = "" if bands.unit == "1" else bands.unit
-        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{one.told}"
+        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{bands.told}{one.told}"
         name = replace(one, quantity=Quantity((text,), "", Axis(""))).slug("quantiles")
         yield Figure(name, f"{text} over time", caption, Axis("time", "s"), Axis(text, unit), lines)
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import SpecError, listed
-from mbdkit.plugin.doubts import MISALIGNMENT
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.trust.criteria import MISALIGNMENT
 from mbdkit_report import (
     Answer,
     Cell,

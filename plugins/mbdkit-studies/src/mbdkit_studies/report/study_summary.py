@@ -7,16 +7,16 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import counted, shown
-from mbdkit.plugin.doubts import LEVELS
-from mbdkit.plugin.files import json_text
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import counted, shown
+from mbdkit.trust.criteria import LEVELS
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import central_range, unit_of
 from mbdkit_studies.store.study_index import STATUSES
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.measures import Description
+    from mbdkit.measures.take import Description
     from mbdkit_studies.compute.study_plan import StudyPlan
     from mbdkit_studies.points.planned_points import Grid
     from mbdkit_studies.spec.study_spec import StudySpec

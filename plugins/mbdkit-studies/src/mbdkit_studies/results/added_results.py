@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin.doubts import ROUND_OFF
+from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report import Cell, Figure, Table, Verdict, columns_of, observed_order
 from mbdkit_studies.results.cost_at_error import ERROR, wall_time
 from mbdkit_studies.results.general_verdict import size_at_start

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.doubts import ROUND_OFF
-from mbdkit.plugin.mechanisms import mechanism_size
-from mbdkit.trust.criteria import EPS
+from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.trust.criteria import EPS, ROUND_OFF
 from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
 from mbdkit_studies.points.sample_groups import measured
 from mbdkit_studies.results.cost_at_error import cost_at_error

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from mbdkit.plugin import PluginError, SpecError, StudyPlugin, did_you_mean, listed, with_place
-from mbdkit.plugin.seams import Seam
-from mbdkit.plugin.specs import registry
+from mbdkit.base.errors import PluginError, SpecError, with_place
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.items import StudyPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.registry.seam import Seam
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.specs import Registered
+    from mbdkit.registry.catalogue import Registered
     from mbdkit_report import Verdict
     from mbdkit_studies.spec.study_spec import StudySpec
     from mbdkit_studies.study import Study

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.archive.peak_errors import missed_of_verdict
-from mbdkit.measures.take import is_taken
-from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.archives import NotRecordedError, kind_of_group, missed_between_rows
-from mbdkit.plugin.measures import error_of, take
-from mbdkit.plugin.mechanisms import mechanism_sizes
-from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN
+from mbdkit.archive.named_columns import NotRecordedError
+from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
+from mbdkit.base.errors import MbdkitError
+from mbdkit.measures.take import error_of, is_taken, take
+from mbdkit.mechanism.size import mechanism_sizes
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, DefinedMeasure
 from mbdkit_report import Trend, trends
 from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
@@ -29,9 +29,9 @@ from mbdkit_studies.spec.reference_errors import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run, RunSpec
-    from mbdkit.plugin.archives import FinishedRun
-    from mbdkit.plugin.specs import DefinedMeasure
+    from mbdkit.archive.finished_run import FinishedRun
+    from mbdkit.archive.run import Run
+    from mbdkit.spec.run_spec import RunSpec
 
 
 class RunGroup:

@@ -7,8 +7,11 @@ from collections.abc import Mapping
 
 from pydantic import ValidationError
 
-from mbdkit.plugin import Claims, IntegratorPlugin, SpecError, blaming, plain
-from mbdkit.plugin.specs import named_options, registry
+from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.plain_data import plain
+from mbdkit.registry.item_options import named_options
+from mbdkit.registry.items import Claims, IntegratorPlugin
+from mbdkit.registry.manager import registry
 
 METHOD = "integrator"
 """Key of the method in a run spec."""

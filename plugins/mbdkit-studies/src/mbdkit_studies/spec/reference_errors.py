@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, Run
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError
 
 EVERY_ROW, LAST_ROW = slice(None), slice(-1, None)
 

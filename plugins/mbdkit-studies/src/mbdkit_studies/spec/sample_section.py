@@ -10,11 +10,12 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, model_validator
 
-from mbdkit.base.units import QUANTITY
-from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, quoted, read_quantity, value_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.specs import Section, parse_key
-from mbdkit.spec.sections import whole
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, quoted, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.sections import Section, whole
 
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 
@@ -55,10 +56,8 @@ def frozen(given: object) -> Any:
     if not isinstance(given, Mapping) or len(given) != 1:
         raise SpecError(f"should be {FORM}, not {value_text(given)}")
     name, parameters = next(iter(given.items()))
-    try:
+    with SpecError.locate(str(name)):
         return _frozen(str(name), parameters)
-    except SpecError as error:
-        raise error.located(prefix=str(name)) from None
 
 
 def _frozen(name: str, given: object) -> Any:
@@ -124,10 +123,8 @@ def _in_si(values: Mapping[str, object]) -> tuple[dict[str, Any], Unit | None]:
     """
     numbers, units = dict(values), {}  # type: dict[str, Any], dict[str, Unit]
     for key, value in values.items():
-        try:
+        with SpecError.locate(str(key)):
             quantity = read_quantity(value)
-        except SpecError as error:
-            raise error.located(prefix=str(key)) from None
         if quantity is not None:
             numbers[key], units[key] = quantity
     sized = [key for key in values if key in (*LIMITS, *_NORMAL, *_LOCATION)]

@@ -10,10 +10,17 @@ from typing import cast
 
 import numpy as np
 
-from mbdkit.plugin import EquationsOfMotion, MbdkitError, Method, RunSpec, StepError, one_line, simulate
-from mbdkit.plugin.equations import NONE, Workspace
-from mbdkit.plugin.methods import Stretch, Timetable, start_method
-from mbdkit.plugin.runs import build
+from mbdkit.base.errors import MbdkitError, StepError
+from mbdkit.base.text import one_line
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.stabilization import NONE
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.interface import Stretch, Timetable
+from mbdkit.integrators.start import start_method
+from mbdkit.methods.kinds import Method
+from mbdkit.runs.preparation import build
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.run_spec import RunSpec
 
 REVERSALS = ("reversibility_defect", "reversibility_velocity_defect")
 

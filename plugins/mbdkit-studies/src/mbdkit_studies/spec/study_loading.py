@@ -7,24 +7,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import TypeAlias
 
-from mbdkit.plugin import SpecError, StudyPlugin, blaming, copied, did_you_mean, listed, path_text
-from mbdkit.plugin.files import Path
-from mbdkit.plugin.seams import packaged_spec, spec_loader
-from mbdkit.plugin.specs import (
-    Document,
-    Registered,
-    example_names,
-    kind_of,
-    parse_key,
-    read_file,
-    read_source,
-    read_text,
-    refused,
-    registry,
-    set_value,
-)
-from mbdkit.spec.loading import exists
-from mbdkit.spec.reading import read_assignment
+from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.plain_data import Path, copied, path_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.items import StudyPlugin
+from mbdkit.registry.manager import registry
+from mbdkit.spec.loading import example_names, exists, read_source
+from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text, set_value
+from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader
 from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import sets_together
@@ -78,13 +69,11 @@ def load_study_spec(source: object, assignments: Iterable[str] = (), *, quick: b
         raise document.place(SpecError(message, key="mbdkit"))
     if error := refused(data, "study"):
         raise document.place(error)
-    try:
+    with SpecError.place_by(document.place):
         bases = _write_out_bases(data, folder)
         for assignment in assignments:
             _override(document, assignment)
         spec = StudySpec(**data)
-    except SpecError as error:
-        raise document.place(error) from None
     spec._document = document
     spec._bases = bases
     spec._folder = folder
@@ -264,10 +253,8 @@ def base_document(base: object, folder: FilePath, key: str, owner: str) -> Docum
     """
     if not isinstance(base, Mapping):
         return read_source(base_source(base, folder, key, owner) if isinstance(base, str) else base)
-    try:
+    with SpecError.locate(key):
         return read_source(Document(copied(base), folder=folder))
-    except SpecError as error:
-        raise error.located(prefix=key) from None
 
 
 def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | FilePath:

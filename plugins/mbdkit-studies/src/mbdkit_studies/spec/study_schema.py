@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import DRAFT, Registry, described, run_schema
+from mbdkit.registry.catalogue import Registry
+from mbdkit.spec.schema import DRAFT, described, run_schema
+from mbdkit.spec.spec_kinds import spec_schema
 from mbdkit_studies.spec.study_spec import StudySpec
 
 

@@ -11,23 +11,24 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.plugin import FormatVersion, SpecError, copied, listed, parse_path, path_text, quoted
-from mbdkit.plugin.files import LONGEST_NAME, Path
-from mbdkit.plugin.specs import (
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
+from mbdkit.base.strict_model import FormatVersion
+from mbdkit.base.text import listed, shortened
+from mbdkit.mechanism.validation_errors import spec_error
+from mbdkit.spec.estimates import Estimated, Estimates
+from mbdkit.spec.model_spec import StrictSpec
+from mbdkit.spec.reading import Document, parse_key, put
+from mbdkit.spec.sections import Section
+from mbdkit.spec.study_measures import (
+    REFERENCE,
+    SECOND_RUN,
     DefinedMeasure,
-    Document,
-    Estimated,
-    Estimates,
     Measures,
-    Section,
-    StrictSpec,
+    built_in,
+    built_in_measures,
     defined,
-    parse_key,
-    put,
-    spec_error,
 )
-from mbdkit.plugin.terminal import shortened
-from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, built_in, built_in_measures
 from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 

@@ -16,11 +16,11 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
-from mbdkit.base.plain_data import LARGEST_NUMBER
-from mbdkit.base.units import QUANTITY
-from mbdkit.plugin import SpecError, Unit, did_you_mean, listed, read_quantity, value_text
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.files import Path
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import LARGEST_NUMBER, Path, value_text
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import QUANTITY, Unit, read_quantity
 
 #: Sets with more values are assumed to be mistakes.
 LARGEST_SET = 10_000
@@ -150,10 +150,8 @@ def _in_si(kind: str, limits: list[Any]) -> list[Any]:
 
 def _quantity(given: object, key: str) -> tuple[float, Unit] | None:
     """Return the value and the unit of a number with a unit; None for anything else."""
-    try:
+    with SpecError.locate(key):
         return read_quantity(given)
-    except SpecError as error:
-        raise error.located(prefix=key) from None
 
 
 def _is_number(value: object) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError
+from mbdkit.base.errors import MbdkitError
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.points.sample_groups import SampledStudy, SampleGroup, measured, one_group
 from mbdkit_studies.statistics import sample_statistics

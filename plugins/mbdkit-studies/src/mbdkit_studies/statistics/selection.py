@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.expressions.parser import MAX_NESTING, OPERATORS
-from mbdkit.plugin import did_you_mean, listed
-from mbdkit.plugin.measures import OPERATIONS, Compiler
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import MAX_NESTING, OPERATORS, Compiler
 
 _ORDER: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Lt: np.less,

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.measured_values import ERROR
-from mbdkit.plugin import MbdkitError, SpecError, listed
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import listed
 from mbdkit_report import data_frame, key_words
 from mbdkit_studies.points.sample_groups import SampledStudy, measured, one_group
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE

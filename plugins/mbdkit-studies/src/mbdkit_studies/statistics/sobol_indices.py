@@ -63,7 +63,8 @@ def sobol_indices(
     which is from [2]_. `scipy.stats.sobol_indices` uses the same formulas. Intervals are computed by the bootstrap over
     the rows, which are treated as independent. Those of first-order indices are quantiles with the correction for few
     rows of [3]_. Those of total indices are bootstrap-t intervals of their cube roots [4]_, because the estimates of
-    small total indices have skewed distributions. For a Sobol or Halton sequence, the actual errors are smaller.
+    small total indices have skewed distributions. For a Halton sequence, the actual errors are smaller. For a Sobol
+    sequence, they are mostly smaller, but several times larger in scramblings that align columns of both matrices.
 
     `scipy.stats.sobol_indices` itself cannot be used. It requires that the number of rows is a power of 2, but rows
     with a failed run are left out here. It also returns 0 instead of nan if all values are equal.

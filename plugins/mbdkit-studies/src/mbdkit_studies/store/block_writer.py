@@ -16,26 +16,16 @@ from typing import Any, Literal, get_args
 import h5py
 import numpy as np
 
+from mbdkit.archive.fingerprint import seal
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import write_image
-from mbdkit.plugin import Array, Recorded
-from mbdkit.plugin.archives import (
-    COUNTERS,
-    FLOAT,
-    INTEGER,
-    KINDS,
-    TEXT,
-    TIMINGS,
-    FinishedRun,
-    attributes_sha256,
-    create,
-    data_sha256,
-    layout,
-    name_texts,
-    set_text,
-    sizes_of,
-    utc_now,
-)
-from mbdkit.plugin.files import canonical_text
+from mbdkit.archive.run_writer import utc_now
+from mbdkit.base.plain_data import canonical_text
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Recorded
+from mbdkit.quantities.registered_kinds import sizes_of
+from mbdkit.quantities.table import KINDS
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, write_column, write_hashes
 
 FORMAT = "mbdkit-block"
@@ -253,8 +243,7 @@ class _Writer:
         self.names_of_structures()
         for number, rows in enumerate(self.structures.values()):
             self.structure(prefix(number), rows)
-        set_text(self.file, "data_sha256", data_sha256(self.file))
-        set_text(self.file, layout.ATTRIBUTES_HASH, attributes_sha256(self.file))
+        seal(self.file)
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
         """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""

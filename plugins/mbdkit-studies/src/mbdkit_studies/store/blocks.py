@@ -12,34 +12,25 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
-from mbdkit.archive.stored_mechanism import built_mechanism
-from mbdkit.plugin import ArchiveError, Judgement, Level, Run, RunSpec, SpecError
-from mbdkit.plugin.archives import (
-    COUNTERS,
-    DAMAGE,
-    TIMINGS,
-    ArchiveNames,
-    ArrayContents,
-    FinishedRun,
-    MeasuredValues,
-    PlainSpec,
-    SharedForces,
-    StoredMechanism,
-    attributes_sha256,
-    data_sha256,
-    datasets,
-    is_text,
-    kind_of_group,
-    layout,
-    open_hdf5,
-    read_mechanism,
-    reading,
-)
-from mbdkit.plugin.doubts import LEVELS
-from mbdkit.plugin.files import read_files
-from mbdkit.plugin.seams import file_problems
-from mbdkit.plugin.specs import parse_key, put
+from mbdkit.archive.fingerprint import StoredHashes, is_text
+from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.hdf5_errors import DAMAGE, reading
+from mbdkit.archive.layout import COUNTERS, TIMINGS
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.plain_spec import PlainSpec
+from mbdkit.archive.result_seams import file_problems
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents
+from mbdkit.archive.run_writer import SharedForces
+from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files_read import read_files
+from mbdkit.quantities.names import ArchiveNames
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.trust.criteria import LEVELS, Judgement, Level
 from mbdkit_studies.folder.columns import read_column
 from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
 
@@ -60,6 +51,8 @@ class Block:
         The file, which may be untrusted.
     of_study
         Hash of the study to which the block must belong; empty if it may belong to any study.
+    is_verified
+        Whether a block that was changed after it was written is refused.
 
     Raises
     ------
@@ -71,7 +64,7 @@ class Block:
         If the file is in use, or the system refuses to read it.
     """
 
-    def __init__(self, path: Path, of_study: str = ""):
+    def __init__(self, path: Path, of_study: str = "", *, is_verified: bool = True):
         self.path = path
         self.file = open_hdf5(path, "block of a study", objects=OBJECTS)
         try:
@@ -89,20 +82,20 @@ class Block:
                 self.numbers = np.asarray(self.file["runs/run"][:])
                 if of_study and self.study_sha256 != of_study:
                     raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
+            if is_verified:
+                with reading("its contents", path, hint=_HINT):
+                    StoredHashes(self.file).verify()
         except BaseException:
             self.file.close()
             raise
 
     def is_sound(self) -> bool:
-        """Return whether arrays and attributes match their stored hashes, and all axes have dimension scales."""
+        """Return whether arrays and attributes match their stored hashes."""
         try:
-            return bool(
-                self.file.attrs["data_sha256"] == data_sha256(self.file)
-                and self.file.attrs[layout.ATTRIBUTES_HASH] == attributes_sha256(self.file)
-                and all(map(_has_scales, datasets(self.file)))
-            )
+            StoredHashes(self.file).verify()
         except DAMAGE:
             return False
+        return True
 
     def columns(self, group: str, wanted: Collection[str] | None = None) -> dict[str, np.ndarray]:
         """Return the columns of ``runs``, ``stats``, ``values`` or ``measures`` by name; none if the group does not
@@ -361,20 +354,6 @@ class _Rows(Mapping[str, np.ndarray]):
         return len(self.first)
 
 
-def _has_scales(item: h5py.Dataset) -> bool:
-    """Return whether each axis of an array has one dimension scale of the same length, in the group of the array.
-
-    The hashes do not cover dimension scales, because HDF5 stores them as addresses in the file.
-    """
-    if item.is_scale:
-        return True
-    group, axes = item.name.rpartition("/")[0], [dim.values() for dim in item.dims]
-    return all(
-        len(scales) == 1 and scales[0].name.rpartition("/")[0] == group and scales[0].shape == (length,)
-        for scales, length in zip(axes, item.shape, strict=True)
-    )
-
-
 _HINT = "run `mbdkit study` to compute its block again"
 
 
@@ -392,7 +371,7 @@ def _plain(value: object) -> Any:
 def block_problems(path: Path) -> list[str] | None:
     """Return the problems of a block of runs, for `mbdkit archive check`; None if the file is no readable block."""
     try:
-        with Block(path) as block:
+        with Block(path, is_verified=False) as block:
             sound = block.is_sound()
     except (SpecError, ArchiveError, FileNotFoundError):
         return None

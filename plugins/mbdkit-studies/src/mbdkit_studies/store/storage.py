@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Run, load
-from mbdkit.plugin.archives import NotStoredError
-from mbdkit.plugin.files import only_known
+from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import NotStoredError
+from mbdkit.base.files_read import only_known
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec

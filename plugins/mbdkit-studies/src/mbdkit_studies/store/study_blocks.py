@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 from mbdkit.archive.disk_space import row_bytes
-from mbdkit.plugin import MbdkitError, RunSpec
-from mbdkit.plugin.archives import archive_names
-from mbdkit.plugin.equations import compile_mechanism
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.quantities.names import archive_names
 from mbdkit.runs.preparation import rows_expected
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints, number_of_points
 from mbdkit_studies.spec.study_loading import load_study_spec

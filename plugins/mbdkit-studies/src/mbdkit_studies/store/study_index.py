@@ -15,25 +15,16 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mbdkit.plugin import ArchiveError, Array, SpecError
-from mbdkit.plugin.archives import (
-    ATTRIBUTES_HASH,
-    COUNTERS,
-    FLOAT,
-    INTEGER,
-    SOME_COUNTERS,
-    TEXT,
-    TIMINGS,
-    attributes_sha256,
-    create,
-    data_sha256,
-    open_hdf5,
-    own_version,
-    reading,
-    set_text,
-)
-from mbdkit.plugin.files import replacing
-from mbdkit.plugin.measures import Description
+from mbdkit.archive.fingerprint import StoredHashes, seal
+from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
+from mbdkit.archive.untrusted_file import open_hdf5
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.files import replacing
+from mbdkit.measures.take import Description
+from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND
@@ -105,7 +96,7 @@ class Row:
     values
         Measures, counters and timings by column.
     repeats
-        Wall times of the repeated timings, which are made one after another [s].
+        Wall times of the repeated timings, each made after those of all other runs [s].
     file_sha256
         Hash of the bytes of the archive; empty without an archive.
     second_run
@@ -244,8 +235,7 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
             _write_table(file, "references", "reference", index.references, index)
         if len(index.states):
             _write_states(file, index.states)
-        set_text(file, "data_sha256", data_sha256(file))
-        set_text(file, ATTRIBUTES_HASH, attributes_sha256(file))
+        seal(file)
         image = file_bytes(file)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
@@ -313,10 +303,7 @@ def read(path: Path) -> Index:
         written = str(file.attrs["format_version"])
         if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
             raise ArchiveError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
-        if file.attrs["data_sha256"] != data_sha256(file):
-            raise ValueError("data_sha256 does not match")
-        if file.attrs[ATTRIBUTES_HASH] != attributes_sha256(file):
-            raise ValueError("attributes_sha256 does not match")
+        StoredHashes(file).verify()
         tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
         if any(len(set(map(len, table.values()))) > 1 for table in tables):
             raise ValueError("its columns have different lengths")

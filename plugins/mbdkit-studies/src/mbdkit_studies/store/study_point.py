@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import overload
 
-from mbdkit.plugin import MbdkitError, RunSpec
+from mbdkit.base.errors import MbdkitError
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report import key_unit, key_words
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Label, PlannedPoint, PlannedPoints, point_label

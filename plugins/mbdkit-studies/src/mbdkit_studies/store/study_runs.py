@@ -10,12 +10,16 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
-from mbdkit.plugin import MbdkitError, Run, SpecError, did_you_mean, listed, simulate
-from mbdkit.plugin.archives import COUNTERS, MeasuredValues, own_version
-from mbdkit.plugin.files import FileRead, only_known
-from mbdkit.plugin.measures import Description
-from mbdkit.plugin.runs import calls_allowed
+from mbdkit.archive.layout import COUNTERS
+from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.run import Run
+from mbdkit.base.called_functions import calls_allowed
+from mbdkit.base.distributions import own_version
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.files_read import FileRead, only_known
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.measures.take import Description
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.measures import MEASURES, other_values

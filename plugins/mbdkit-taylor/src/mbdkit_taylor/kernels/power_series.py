@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 
 from mbdkit.engine.kernels.motions import OPCODES
-from mbdkit.kernels import copy, fill, subkernel
+from mbdkit.engine.kernels.vectors import copy, fill
+from mbdkit.engine.native.functions import subkernel
 
 EXPANDED = ("const", "t", "add", "sub", "mul", "div", "powi", "neg", "sin", "cos", "exp", "log", "sqrt")
 """Operations whose series are implemented. The others have switches (such as ``abs``), where no series exists, or are

@@ -9,43 +9,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbdkit.kernels import (
-    AT_START_OF_LAST,
-    BASE,
-    BASE_RATES,
-    BODIES,
-    BODY,
-    FACTORIZATIONS,
-    NOT_FINITE,
-    OK,
-    PLACE,
-    PLACE_SIDE,
-    RHS,
-    V_STAGE,
-    PinnedBundle,
-    Relative,
-    State,
-    Y,
-    any_forces,
-    applied_forces,
-    bundle_loader,
-    coordinates_of,
-    copy,
-    end_of_step,
-    entry,
-    evaluate_powers,
-    inlined,
-    keep_node,
-    load_run_state,
-    new_relative,
-    place_bodies,
-    prepare_angles,
-    stays_finite,
-    subkernel,
-)
-from mbdkit.plugin.equations import gauss_legendre, spanning_tree
-from mbdkit.plugin.measures import MAX_DEPTH
-from mbdkit.plugin.methods import CompiledMethod
+from mbdkit.base.quadrature import gauss_legendre
+from mbdkit.engine.kernels.applied_forces import any_forces, applied_forces
+from mbdkit.engine.kernels.bundle_types import State
+from mbdkit.engine.kernels.system import NOT_FINITE, OK, evaluate_powers, prepare_angles
+from mbdkit.engine.kernels.table_rows import BODIES
+from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, coordinates_of, place_bodies
+from mbdkit.engine.kernels.vectors import copy, stays_finite
+from mbdkit.engine.native.bundle import PinnedBundle, bundle_loader
+from mbdkit.engine.native.functions import entry, inlined, subkernel
+from mbdkit.engine.spanning_tree import spanning_tree
+from mbdkit.expressions.program import MAX_DEPTH
+from mbdkit.integrators.run.run_state import AT_START_OF_LAST, FACTORIZATIONS, RHS, keep_node, load_run_state
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
+from mbdkit.integrators.stages.relative import BASE, BASE_RATES, V_STAGE, Relative, Y, end_of_step, new_relative
 from mbdkit_taylor.kernels.power_series import expand_motions
 from mbdkit_taylor.kernels.tree_series import (
     BEFORE,
@@ -65,8 +42,8 @@ from mbdkit_taylor.kernels.tree_series import (
 )
 
 if TYPE_CHECKING:
-    from mbdkit.plugin.equations import Workspace
-    from mbdkit.plugin.methods import Control
+    from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.run.step_control import Control
     from mbdkit_taylor.taylor import TaylorSeries
 
 WINDOW = 4

@@ -18,8 +18,11 @@ expressions of the state have no series here.
 
 from __future__ import annotations
 
-from mbdkit.kernels import BODY_FORCE, LINEAR, LOAD, PATHWAYS, POINT_FORCE, SPRING, TORQUE, inlined, subkernel, turned
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE, TORQUE
+from mbdkit.engine.kernels.table_rows import LINEAR, LOAD, SPRING
+from mbdkit.engine.kernels.tree import turned
+from mbdkit.engine.native.functions import inlined, subkernel
 from mbdkit_taylor.kernels.power_series import coefficient
 
 OF, PAIR, SIDE, BEFORE, LINK = range(5)

@@ -16,7 +16,7 @@ import yaml
 from pydantic import BaseModel
 
 import mbdkit
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
 from mbdkit.registry.policy import API

@@ -7,7 +7,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from mbdkit.plugin import RunError, SpecError, listed
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbdkit.plugin import Finding, listed
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from mbdkit.plugin import Finding
-from mbdkit.plugin.seams import Seam
+from mbdkit.registry.seam import Seam
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 

@@ -9,7 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Evidence, Finding, Judgement, accepted_doubts, findings, judge, open_doubts
+from mbdkit.runs.findings import findings
+from mbdkit.trust.criteria import Evidence, Judgement, judge
+from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin import Finding
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Criterion
 
 ROUND_OFF = 1e-9

@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import GROUND
-from mbdkit.plugin import RunError, listed
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from mbdkit.plugin import Finding, counted, listed
+from mbdkit.base.text import counted, listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries, global_point

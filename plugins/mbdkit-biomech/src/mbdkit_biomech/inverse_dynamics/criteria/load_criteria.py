@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.ndimage import median_filter
 
-from mbdkit.plugin import Finding, listed
-from mbdkit.plugin.mechanisms import Coordinate, MarkerCoordinate
+from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (
@@ -135,6 +136,7 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     time, place = result.motion.time, 3 * result.problem.loads[name].body
     q, v = result.motion.q[:, place : place + 3], result.motion.v[:, place : place + 3]
     force, point = result.loads.force[:, index], centre_of_pressure(result, index)[0]
+    force = np.where(_is_left_out(force)[:, None], 0.0, force)
     body = result.problem.fitter.bodies[place // 3]
     usual = float(np.sqrt(np.sum(np.var(v[:, :2], axis=0))))
     if not np.any(force) or not usual > 0:
@@ -183,6 +185,19 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
                 "times as much).",
             )
             return
+
+
+def _is_left_out(force: np.ndarray) -> np.ndarray:
+    """Return which frames (T,) say nothing about the time of a plate, given its force (T, 2): those in which it is
+    unloaded, and those of contacts that one end of the record cuts.
+
+    In the part of a stance that is known, the foot moves in another way than in the whole, as if the load were late.
+    """
+    size = np.linalg.norm(force, axis=1)
+    left_out = size <= UNLOADED * np.max(size, initial=0.0)
+    if (unloaded := np.flatnonzero(left_out)).size:
+        left_out[: unloaded[0]] = left_out[unloaded[-1] :] = True
+    return np.asarray(left_out)
 
 
 def _direction(result: Inverse, index: int, name: str) -> Iterator[Finding]:

@@ -6,9 +6,8 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Point
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.mechanisms import MarkerCoordinate
+from mbdkit.base import elementary
+from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
 UNLIKE = 5.0

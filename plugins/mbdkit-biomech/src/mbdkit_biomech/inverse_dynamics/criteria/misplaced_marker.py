@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism_quantities import GROUND
-from mbdkit.plugin import RunError, listed
-from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget

@@ -10,17 +10,21 @@ from itertools import chain, combinations
 
 import numpy as np
 
-from mbdkit.mechanism.improbable_bodies import STAND_IN, improbable_radii, place_of
-from mbdkit.plugin import GROUND, Finding, Mechanism, Point
-from mbdkit.plugin.doubts import (
-    CoarseBeams,
-    angles_in_degrees,
-    improbable_beams,
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.extent import points_of_elements
+from mbdkit.mechanism.improbable_bodies import (
+    STAND_IN,
     improbable_bodies,
-    improbable_lengths,
     improbable_people,
+    improbable_radii,
+    place_of,
 )
-from mbdkit.plugin.mechanisms import points_of_elements
+from mbdkit.mechanism.improbable_values import improbable_beams, improbable_lengths
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.values import Point
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
+from mbdkit.runs.coarse_beams import CoarseBeams
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, recorded_states
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited

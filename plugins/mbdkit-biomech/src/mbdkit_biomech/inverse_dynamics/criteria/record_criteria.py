@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import Finding, listed
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps

@@ -7,8 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.plugin import Finding, cited, listed
-from mbdkit.plugin.equations import product
+from mbdkit.base.text import cited, listed
+from mbdkit.engine.linear_systems import product
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Load

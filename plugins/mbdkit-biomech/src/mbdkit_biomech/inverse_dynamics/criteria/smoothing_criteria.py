@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.signal import periodogram
 
-from mbdkit.plugin import Finding, listed
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.text import listed
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import UNEVEN, cutoff_of

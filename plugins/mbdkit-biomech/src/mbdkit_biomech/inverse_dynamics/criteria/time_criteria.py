@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.plugin import Finding, shown
+from mbdkit.base.text import shown
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured

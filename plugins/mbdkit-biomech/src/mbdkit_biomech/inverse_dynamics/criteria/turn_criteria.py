@@ -8,8 +8,12 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Finding, listed
-from mbdkit.plugin.mechanisms import AnglePathway, JointAngles, Law, TorsionSpring
+from mbdkit.base.text import listed
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.forces import TorsionSpring
+from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.pathways import AnglePathway, JointAngles
+from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body
 

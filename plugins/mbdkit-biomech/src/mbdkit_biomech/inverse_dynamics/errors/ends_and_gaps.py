@@ -25,11 +25,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.text import listed
+from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.engine.stacked_matrices import products, pseudoinverses
-from mbdkit.plugin import listed
-from mbdkit.plugin.equations import product, symmetric_eigenvectors
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.errors.noise import NoisePath, NoisyData
+from mbdkit_biomech.inverse_dynamics.errors.noise import CUBIC, NoisePath, NoisyData
+from mbdkit_biomech.inverse_dynamics.motion.measured import bridged
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
@@ -133,6 +134,26 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
         even = 0.5 * largest * (place * (1 - place) * gap.length) ** 2
         changes[gap.rows, gap.column, 2 * number : 2 * number + 2] = np.stack([even, even * (1 - 2 * place)], axis=1)
     return path.smoothed(changes)
+
+
+def changes_of_lines(result: Inverse, path: NoisePath) -> Smoothed:
+    """Return changes (T, U, 1) of the coordinates and their derivatives that are `END_FACTOR` times those of cubic
+    splines in place of the straight lines that fill gaps; (T, U, 0) without such gaps.
+    """
+    measured, missing, columns = result.fitted.measured, result.fitted.interpolated, straight_columns(result)
+    changes = np.zeros((*missing.shape, min(1, len(columns))))
+    for column in columns:
+        values, gaps = measured.values[:, column], missing[:, column]
+        changes[:, column, 0] = END_FACTOR * (bridged(measured.time, values, gaps, CUBIC) - values)
+    return path.smoothed(changes)
+
+
+def straight_columns(result: Inverse) -> list[int]:
+    """Return the indices of the columns whose gaps straight lines fill."""
+    motion, names = result.problem.spec.motion, result.fitted.measured.names
+    columns = np.flatnonzero(np.any(result.fitted.interpolated, axis=0)).tolist()
+    given = [(column, motion.gaps_of(names[column])) for column in columns]
+    return [column for column, gaps in given if gaps is not None and gaps.interpolation == "linear"]
 
 
 def changes_at_ends(data: NoisyData) -> Smoothed:

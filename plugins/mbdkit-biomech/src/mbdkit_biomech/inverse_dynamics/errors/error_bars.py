@@ -9,8 +9,9 @@ Other effects are added by root sum of squares. The square of the effect of the 
 changes of the result with a lower and with a higher cutoff, minus the mean square of these changes due to noise. If the
 independent coordinates are not the measured quantities, the square of the effect of their choice is the squared change
 of the result if other coordinates are smoothed, minus the mean square of this change due to noise. The effects of the
-ends of the record are added too, and those of an uncertain person and its muscles (`mbdkit_biomech.uncertainty`). Bars
-on which a long gap has an effect are nan (see `mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps`).
+ends of the record and of straight lines in gaps are added too, and those of an uncertain person and its muscles
+(`mbdkit_biomech.uncertainty`). Bars on which a long gap has an effect are nan (see
+`mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps`).
 """
 
 from __future__ import annotations
@@ -22,15 +23,19 @@ from functools import partial
 
 import numpy as np
 
+from mbdkit.archive.accuracy import Accuracy
+from mbdkit.base.errors import RunError
+from mbdkit.base.text import listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import Accuracy, RunError, listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,
     changes_at_ends,
     changes_in_gaps,
+    changes_of_lines,
     likely_at_ends,
     long_gaps,
+    straight_columns,
     told_gaps,
 )
 from mbdkit_biomech.inverse_dynamics.errors.noise import Noise, NoisePath, NoisyData
@@ -179,7 +184,8 @@ def error_bars(result: Inverse) -> ResultBars | None:
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
     of_ends = _squares_of_changes(sensitivity, changes_at_ends(data))
     likely = response(likely_at_ends(data))
-    squares = [square + more for square, more in zip(squares, of_ends, strict=True)]
+    of_lines = _squares_of_changes(sensitivity, changes_of_lines(result, data.path))
+    squares = [one + ends + lines for one, ends, lines in zip(squares, of_ends, of_lines, strict=True)]
     uncertain, of_data = uncertain_result(result, data.random), squares[1]
     if uncertain is not None:
         squares = [square + more for square, more in zip(squares, uncertain.squares, strict=True)]
@@ -431,6 +437,8 @@ def _method(
         f"; the {zero} at the ends of the record, which the smoothing takes for zero, are assumed to be {most} the "
         "record"
     )  # fmt: skip
+    lines = listed([measured.names[column] for column in straight_columns(result)], "and", NAMED)
+    ends += f"; the lines that fill gaps of {lines} are compared with cubic splines" if lines else ""
     unknown = "".join(f" Unknown (nan) in {gap}." for gap in told_gaps(result, gaps).values())
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged
@@ -27,7 +27,10 @@ from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
     with_cutoff,
 )
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars, Smoothing
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars, Gaps, Smoothing
+
+CUBIC = Gaps(longest=1.0)
+"""Gaps that cubic splines fill."""
 
 DRAWS = 20
 """Number of noise samples per column used to estimate the share of the noise that remains in the residuals."""
@@ -61,7 +64,6 @@ class NoisePath:
 
     def __init__(self, result: Inverse, independent: Independent, how: Sequence[Smoothing]):
         self._time, self._how = result.motion.time, tuple(how)
-        self._gaps = [result.problem.spec.motion.gaps_of(name) for name in result.fitted.measured.names]
         self._missing = np.isnan(result.fitted.measured.raw)
         self._person, self._names = result.problem.source.person, result.fitted.measured.names
         manifold, target, q = result.problem.fitter.manifold, result.fitted.measured.target, result.fitted.q
@@ -120,7 +122,7 @@ class NoisePath:
         """Yield blocks (T, K, S) of Gaussian noise, independent at each time, with `count` samples in total.
 
         In gaps, the noise is that of the values that fill them, due to the noise of the samples from which these values
-        are computed.
+        are computed. Straight lines are corrected by cubic splines (`changes_of_lines`), whose noise it then is.
 
         Parameters
         ----------
@@ -132,9 +134,7 @@ class NoisePath:
         for begin in range(0, count, most):
             noise = random.standard_normal((rows, self.columns, min(most, count - begin))) * deviation[:, None]
             for column in np.flatnonzero(np.any(self._missing, axis=0)):
-                gaps = self._gaps[column]
-                assert gaps is not None
-                noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], gaps)
+                noise[:, column] = bridged(self._time, noise[:, column], self._missing[:, column], CUBIC)
             if self._placed is not None:
                 predicted = products(self._predicted, noise[self._placed.rows])
                 for gap in self._placed.gaps:

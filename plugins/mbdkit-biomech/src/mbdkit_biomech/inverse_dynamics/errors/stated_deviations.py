@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbdkit.plugin import listed
+from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ResultBars
 

@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, SpecError, shown
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.text import shown
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 UNLOADED = 10.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.plugin import cited
+from mbdkit.base.text import cited
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 RATE_SAMPLES = 5

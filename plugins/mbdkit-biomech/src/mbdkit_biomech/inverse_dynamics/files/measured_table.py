@@ -12,7 +12,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, Unit, cited, did_you_mean, listed, read_quantity, read_unit
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import cited, did_you_mean, listed
+from mbdkit.base.units import Unit, read_quantity, read_unit
 
 GAPS = (
     *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),

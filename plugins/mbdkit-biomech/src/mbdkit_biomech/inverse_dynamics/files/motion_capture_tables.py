@@ -10,7 +10,8 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple, TypeGuard, TypeVar
 
-from mbdkit.plugin import SpecError, cited, listed
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import cited, listed
 from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable
 
 Rows = Sequence[tuple[int, list[str]]]

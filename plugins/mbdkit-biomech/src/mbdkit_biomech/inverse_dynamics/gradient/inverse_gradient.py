@@ -22,12 +22,14 @@ from typing import Any
 import numpy as np
 from scipy.integrate import cumulative_simpson
 
+from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
+from mbdkit.engine.native.arithmetic import DIRECTIONS
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.kernels import DIRECTIONS, DualStates, PinnedBundle, describe_duals
-from mbdkit.plugin import MbdkitError, SpecError
-from mbdkit.plugin.archives import archive_names, with_members
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.methods import Seeds, constants, dual_states, new_dual_run
+from mbdkit.integrators.duals.dual_run import Seeds, constants, dual_states, new_dual_run
+from mbdkit.quantities.names import archive_names, with_members
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.gradient.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (

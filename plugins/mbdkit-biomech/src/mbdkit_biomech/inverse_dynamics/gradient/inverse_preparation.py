@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.kernels import PAIR
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, fit, motion_of
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import muscle_arrays
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import columns_of, weights_of

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.methods import Seeds
+from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion

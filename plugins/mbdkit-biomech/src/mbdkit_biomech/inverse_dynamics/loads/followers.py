@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, listed
-from mbdkit.plugin.runs import AddedForces, Follower
-from mbdkit.plugin.seams import follower
-from mbdkit.plugin.specs import model_keys
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import listed
+from mbdkit.registry.model_keys import model_keys
+from mbdkit.runs.followers import AddedForces, Follower, follower
 from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, loads_on
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism
+    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 InverseProblem: TypeAlias = Any

@@ -11,14 +11,14 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from mbdkit.plugin import Mechanism
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.signals.cycles import crossings
 from mbdkit_report import Canvas, Drawing, Illustration, NamedPose, draw_sketch, mechanism_of
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.seams import film_data
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 Array = NDArray[np.float64]
 FRAMES, FRAMES_NARROW = 6, 3

@@ -10,9 +10,12 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import cited
 from mbdkit.mechanism.mechanism_quantities import GROUND
-from mbdkit.plugin import QuantityNames, SpecError, cited, quoted
-from mbdkit.plugin.equations import elementary
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import (
     GivenUnit,

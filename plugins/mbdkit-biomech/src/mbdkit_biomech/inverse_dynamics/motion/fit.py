@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.text import listed
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.stacked_matrices import least_norms, products, pseudoinverses, singular_values
-from mbdkit.plugin import RunError, SpecError, listed
-from mbdkit.plugin.equations import CompiledMechanism, JointSums
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
 from mbdkit.engine.stacked_matrices import complete_qr, least_norms, products, solve_triangles
-from mbdkit.kernels import Frames, Reactions, evaluate_frames, reactions_in_frames
-from mbdkit.plugin import EquationsOfMotion, Mechanism, SpecError
-from mbdkit.plugin.runs import AssembledMechanism
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
 
 DEPENDENT = 1e-9
 """The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share

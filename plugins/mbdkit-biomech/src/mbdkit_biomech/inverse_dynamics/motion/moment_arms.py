@@ -8,11 +8,13 @@ from types import MethodType
 
 import numpy as np
 
+from mbdkit.archive.result_seams import run_attribute
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.engine.linear_systems import product
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.plugin import QuantityNames, Run, SpecError, UnknownNameError
-from mbdkit.plugin.equations import product
-from mbdkit.plugin.runs import AssembledMechanism
-from mbdkit.plugin.seams import run_attribute
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath

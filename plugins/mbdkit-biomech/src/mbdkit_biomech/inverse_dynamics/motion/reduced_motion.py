@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products, singular_values
-from mbdkit.plugin.mechanisms import Quantity
+from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured

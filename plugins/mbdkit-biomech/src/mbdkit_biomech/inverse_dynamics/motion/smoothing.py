@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import BSpline, make_smoothing_spline
 
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.linear_systems import SparseFactors
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.plugin import SpecError
-from mbdkit.plugin.equations import SparseFactors, elementary
 from mbdkit_biomech.inverse_dynamics.files.measured_table import unit_of_time_as_cause
 from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
     butterworth_coefficients,

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from mbdkit.plugin import QuantityNames, listed
-from mbdkit.plugin.mechanisms import MarkerCoordinate
+from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin import RunError
-from mbdkit.plugin.equations import elementary
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle import Muscle
 

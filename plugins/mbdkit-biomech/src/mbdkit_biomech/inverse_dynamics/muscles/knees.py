@@ -6,8 +6,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mbdkit.plugin import listed
-from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import FOLLOWS
+from mbdkit.base.text import cited, listed
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 
@@ -37,12 +36,10 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
         for joint, most in bent.items()
         if most > end
     ]
-    names, used = list(recruiter.muscles), {one.muscle for one in recruited.targets.emg}
+    names = list(recruiter.muscles)
     return found + [
-        f"the EMG of {names[one.muscle]} does not follow the activation that the moments of the joints need "
-        f"(correlation below {FOLLOWS:g}), so that it counts as noise and is not used"
-        for one in recruiter.targets.emg
-        if one.muscle not in used
+        f"the EMG of {names[one.muscle]} (column '{cited(one.column)}') {why}"
+        for one, why in recruited.targets.left_out
     ]
 
 

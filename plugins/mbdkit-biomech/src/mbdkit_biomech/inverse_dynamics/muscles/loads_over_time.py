@@ -21,8 +21,10 @@ import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import block_array, block_diag, coo_array, csc_array, csr_array, diags_array, eye_array, vstack
 
-from mbdkit.plugin.equations import SparseFactors, elementary
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import SOLVED, Programme, Shared
+from mbdkit.base import elementary
+from mbdkit.engine.linear_systems import SparseFactors
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import SOLVED, Shared
 
 ITERATIONS = 80
 """Largest number of iterations of the interior-point method; 15 to 25 are usual."""

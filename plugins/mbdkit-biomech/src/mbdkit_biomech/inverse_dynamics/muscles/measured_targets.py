@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 
-from mbdkit.plugin import QuantityNames, SpecError, did_you_mean, quoted
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import cited, did_you_mean
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of, with_gaps_bridged
@@ -19,6 +24,9 @@ ENVELOPE = Butterworth(name="butterworth", cutoff=6.0)
 RAW = 0.1
 """A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
 negative."""
+
+VOLTS = re.compile(r"[\[(]\s*[mun\u00b5\u03bc]?V\s*[\])]")
+"""A voltage as the unit of a column."""
 
 AT_REST, MOST = 0.01, 1.5
 """Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation."""
@@ -93,7 +101,16 @@ def _channel(
         )
     rows = np.flatnonzero((at >= time[0] - asked.delay) & (at <= time[-1]))
     at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, asked.column, rows))
-    if -np.min(values) > RAW * np.max(values):
+    is_raw = -np.min(values) > RAW * np.max(values)
+    volts = VOLTS.search(f"{asked.column} ({table.unit(asked.column)})")
+    if asked.maximum is None and (is_raw or volts):
+        what = "is a raw signal, which has negative values" if is_raw else "is a voltage"
+        raise SpecError(
+            f"is missing: column '{cited(asked.column)}' {what}, and is no activation between 0 and 1; give the "
+            "envelope in a maximal contraction, in the unit of the column",
+            key=f"{key}.maximum",
+        )
+    if is_raw:
         values = low_passed(at, np.abs(values - np.mean(values))[:, None], ENVELOPE)[:, 0]
     values = np.interp(time - asked.delay, at, np.maximum(values, 0.0)) / (asked.maximum or 1.0)
     largest = float(np.max(values))
@@ -104,4 +121,4 @@ def _channel(
             "`maximum` in the unit of the column",
             key=f"{key}.maximum",
         )
-    return EmgTarget(muscles.index(name), np.minimum(values, 1.0), asked.deviation)
+    return EmgTarget(muscles.index(name), np.minimum(values, 1.0), asked.deviation, asked.column)

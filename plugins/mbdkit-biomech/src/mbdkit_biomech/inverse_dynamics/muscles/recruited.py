@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Targets
 
 

@@ -19,8 +19,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import counted, listed
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.plugin import QuantityNames, RunError, SpecError, counted, listed, quoted
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.muscles.elastic_tendons import ElasticMuscles, in_equilibrium
@@ -30,8 +33,9 @@ from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
     share_over_time,
     smallest_supplement_over_time,
 )
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Contraction, Recruited, Sharing
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads, smallest_supplement
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads, smallest_supplement
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Axial, Targets, share_softly
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Recruitment
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator, reserves_of
@@ -407,9 +411,8 @@ class Recruiter:
         times = listed([f"{time[row]:.6g}" for row in rows[:TIMES_NAMED]], "" if len(rows) > TIMES_NAMED else "and")
         more = ", ..." if len(rows) > TIMES_NAMED else ""
         if not told:
-            return RunError(
-                f"no optimal activations were found at t = {times}{more} s; use another `exponent`, or reserves"
-            )
+            more += " s; use another `exponent`" + ("" if len(self._reserves) >= len(driven) else ", or reserves")
+            return RunError(f"no optimal activations were found at t = {times}{more}")
         if by_frames and self.asked.minimum > 0.0:
             without = replace(programme.only(rows), low=np.where(np.isinf(programme.low[rows]), -np.inf, 0.0))
             if np.all(np.abs(smallest_supplement(without)) <= 1e-9 * programme.size[rows]):

@@ -9,8 +9,10 @@ right bounds are active. An inequality ``matrix x >= right`` is an equation whos
 multipliers that would fall below 0 become 0, and the others are computed for this (D. P. Bertsekas, SIAM J. Control
 Optim. 20:221-246, 1982). The Jacobian is regularised in proportion to the residual (D.-H. Li et al., Comput. Optim.
 Appl. 28:131-147, 2004). All frames are advanced at once, each with its own length of the step. Frames that need too
-many steps, such as those with saturated muscles, are solved again by the method of multipliers: a proximal term is
-reduced from problem to problem, each of which starts from the multipliers of the previous one.
+many steps, such as those with saturated muscles or with targets that are almost reached, are solved again: for p > 2 by
+an interior-point method for unknowns and multipliers together, for p = 2, where bounds may leave a single point, by the
+method of multipliers: a proximal term is reduced from problem to problem, each of which starts from the multipliers of
+the previous one.
 
 For p = 1, and for p = infinity, where the largest ``|x / weight|`` is minimised, HiGHS solves linear programmes. If
 there are several solutions, the one with the smallest sum of squares is chosen. The multipliers of one solution
@@ -20,19 +22,22 @@ determine the set of all solutions: unknowns whose reduced costs do not vanish a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
+from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import least_norms, products
-from mbdkit.plugin.equations import elementary
+from mbdkit_biomech.inverse_dynamics.muscles.interior_point import near_optimum
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 
 FIRST_STEPS, STEPS = 25, 200
-"""Largest numbers of evaluations in the first attempt, and in each proximal problem; 5 to 15 are usual."""
+"""Largest numbers of evaluations in the first attempt, and in each further one; 5 to 15 are usual."""
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 0.0)
-"""Proximal terms of the successive problems, relative to half the trace of the product of the matrix and its transpose.
+"""Proximal terms of the successive problems for p = 2, relative to half the trace of the product of the matrix and its
+transpose.
 """
 REGULAR, ROUNDING = 1e-8, 1e-15
 """Regularisation of the Jacobian, likewise, for a residual of 1, and its lower bound."""
@@ -69,49 +74,6 @@ LEAST_SLOPE = 1e-12
 
 At x = 0, where the derivative is infinite, it is computed as 0, and then raised to the bound.
 """
-
-
-@dataclass(frozen=True)
-class Programme:
-    """Convex programmes of T frames with N unknowns and K equations.
-
-    Attributes
-    ----------
-    matrix, right
-        Coefficients (T, K, N) and right sides (T, K) of the equations.
-    low, high
-        (T, N) bounds; may be infinite.
-    weight
-        (N,) weights of the unknowns, positive.
-    lowest
-        (T, K) lowest multipliers: -inf for equations, 0 for inequalities ``matrix x >= right``.
-    """
-
-    matrix: np.ndarray
-    right: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    weight: np.ndarray
-    lowest: np.ndarray = field(default_factory=lambda: np.array(-np.inf))
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "lowest", np.broadcast_to(self.lowest, self.right.shape))
-
-    @property
-    def size(self) -> np.ndarray:
-        """Size (T, K) of each equation: magnitude of its right side, and sum of the magnitudes of its terms with all
-        unknowns at their finite upper bounds.
-        """
-        largest = np.where(np.isfinite(self.high), np.abs(self.high), 0.0)
-        size: np.ndarray = np.abs(self.right) + products(np.abs(self.matrix), largest)
-        return np.where(size > 0, size, 1.0)
-
-    def only(self, rows: np.ndarray) -> Programme:
-        """Return the programmes of a selection of frames."""
-        matrix, right, low, high, lowest = (
-            one[rows] for one in (self.matrix, self.right, self.low, self.high, self.lowest)
-        )
-        return Programme(matrix, right, low, high, self.weight, lowest)
 
 
 @dataclass(frozen=True)
@@ -191,6 +153,7 @@ def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tupl
     return value, certificate, multipliers
 
 
+@np.errstate(all="ignore")  # programmes without solution diverge
 def _dual_newton(
     programme: Programme, p: float, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -199,47 +162,28 @@ def _dual_newton(
     if p > 2 and start is None:
         # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
-        cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
+        cost = slope_of_cost(x, p)
         begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
-    x, certificate, y = _refined(programme, _newton(programme, begin, p, 0.0, FIRST_STEPS), p)
-    if (left := np.flatnonzero(certificate > REACHED)).size:
-        own, again = programme.only(left), begin[left]
-        for proximal in PROXIMAL:
-            again = _newton(own, again, p, proximal, STEPS)
-        other, wrong, again = _refined(own, again, p)
-        better = wrong < certificate[left]
+    y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
+    x = _unknowns(programme, y, p)[0]
+    certificate = _certificate(programme, x, y, p)
+    near = begin.copy()
+    for is_first in (True, False):
+        if not (left := np.flatnonzero(certificate > REACHED)).size:
+            break
+        own, again = programme.only(left), near[left]
+        if p > 2 and is_first:
+            point = near_optimum(own, x[left], again, p)
+        else:  # for p > 2, from where the interior-point method has ended
+            for proximal in PROXIMAL if p == 2 else (0.0,):
+                again = _newton(own, again, p, proximal, STEPS)
+            point = _unknowns(own, again, p)[0], again
+        (other, again), wrong = point, _certificate(own, *point, p)
+        near[left], better = again, wrong < certificate[left]
         rows = left[better]
         x[rows], certificate[rows], y[rows] = other[better], wrong[better], again[better]
-    return x, certificate, y
-
-
-def _refined(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return unknowns (T, N), certificates (T,) and multipliers (T, K); for p > 2, after Newton steps of both together.
-
-    Where an unknown is almost 0, such as the distance to a target that is almost reached, its derivative dx/dg is
-    almost infinite, and steps of the multipliers alone cycle. The equations for both are smooth there.
-    """
-    x, _ = _unknowns(programme, y, p)
-    certificate = _certificate(programme, x, y, p)
-    left = np.flatnonzero((certificate > REACHED) & (certificate < NEAR)) if p > 2 else np.zeros(0, dtype=int)
-    own, here, there, count = programme.only(left), x[left], y[left], x.shape[1]
-    for _ in range(REFINEMENTS if left.size else 0):
-        slope = p * np.sign(here) * elementary.pow(np.abs(here), p - 1)
-        slope -= products(np.swapaxes(own.matrix, 1, 2), there)
-        right = np.hstack([-slope, _residual(own, here)])
-        fixed = ((here <= own.low) & (slope > 0)) | ((here >= own.high) & (slope < 0))
-        fixed = np.hstack([fixed, (there <= own.lowest) & (right[:, count:] <= 0)])
-        whole = np.zeros((len(left), right.shape[1], right.shape[1]))
-        whole[:, :count, count:], whole[:, count:, :count] = -np.swapaxes(own.matrix, 1, 2), own.matrix
-        whole[:, range(count), range(count)] = p * (p - 1) * elementary.pow(np.abs(here), p - 2)
-        whole = np.where(fixed[:, :, None] | fixed[:, None], np.eye(right.shape[1]), whole)
-        step = least_norms(whole, np.where(fixed, 0.0, right), 0.0)
-        here = np.clip(here + step[:, :count], own.low, own.high)
-        there = np.maximum(there + step[:, count:], own.lowest)
-        wrong = _certificate(own, here, there, p)
-        better = wrong < certificate[left]
-        rows = left[better]
-        x[rows], certificate[rows], y[rows] = here[better], wrong[better], there[better]
+        if p == 2:
+            break
     return x, certificate, y
 
 
@@ -253,7 +197,7 @@ def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, 
     for _ in range(steps):
         there = np.maximum(base + size * step, own.lowest)
         x, slope = _unknowns(own, there, p)
-        gradient = _residual(own, x) - proximal * trace * (there - center)
+        gradient = own.residual(x) - proximal * trace * (there - center)
         along = np.sum(gradient * step, axis=1, keepdims=True)
         held = (there <= own.lowest) & (gradient <= 0)
         norm = np.max(np.where(held, 0.0, np.abs(gradient)), axis=1, keepdims=True)
@@ -267,7 +211,7 @@ def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, 
         on = np.flatnonzero(~(moves & ended))
         if not on.size:
             break
-        shorter = np.clip(rise / np.where(moves, 1.0, rise - along), 0.1, 0.5)
+        shorter = np.clip(rise / np.where(along < rise, rise - along, 1.0), 0.1, 0.5)
         size, base = np.where(moves, 1.0, size * shorter)[on], np.where(moves, there, base)[on]
         step = np.where(moves, newton, step)[on]
         rise = np.where(moves, np.sum(gradient * newton, axis=1, keepdims=True), rise)[on]
@@ -305,20 +249,16 @@ def _unknowns(programme: Programme, y: np.ndarray, p: float) -> tuple[np.ndarray
     return np.clip(x, programme.low, programme.high), np.where(free, slope, 0.0)
 
 
-def _residual(programme: Programme, x: np.ndarray) -> np.ndarray:
-    return np.asarray(programme.right - products(programme.matrix, x))
-
-
 def _violation(programme: Programme, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the largest residual (T,) of equations, and of inequalities that do not hold or have a multiplier."""
-    residual = _residual(programme, x)
+    residual = programme.residual(x)
     holds = (y <= programme.lowest) & (residual <= 0)
     return np.asarray(np.max(np.where(holds, 0.0, np.abs(residual)), axis=1, initial=0.0))
 
 
 def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -> np.ndarray:
     """Return the largest violation (T,) of the optimality conditions, see `Shared`."""
-    cost = p * np.sign(x) * elementary.pow(np.abs(x), p - 1)
+    cost = slope_of_cost(x, p)
     g = products(np.swapaxes(programme.matrix, 1, 2), y)
     slope = cost - g  # zero between the bounds, not negative at the lower bound, and not positive at the upper one
     slope = np.where((x <= programme.low) & (slope > 0), 0.0, slope)
@@ -386,6 +326,18 @@ def _optimal_face(
     fixed = np.abs(reduced) > REDUCED_COST
     least = low[:count]
     return np.where(fixed & (reduced < 0), most, least), np.where(fixed & (reduced > 0), least, most), lowest
+
+
+def impossible(programme: Programme) -> np.ndarray:
+    """Return which frames (T,) have no unknowns between their bounds that satisfy the equations.
+
+    Multipliers y of the diverging problem for p = 2 prove it: ``y matrix x`` stays below ``y right`` for all of them.
+    """
+    y = share_loads(programme, 2.0).multipliers
+    g = products(np.swapaxes(programme.matrix, 1, 2), y)
+    bound = np.where(g > 0, programme.high, programme.low)
+    most = np.sum(np.where(g == 0, 0.0, g * np.where(g == 0, 0.0, bound)), axis=1)
+    return np.asarray(np.sum(y * programme.right, axis=1) > most + 1e-9 * np.abs(most))
 
 
 def smallest_supplement(programme: Programme) -> np.ndarray:

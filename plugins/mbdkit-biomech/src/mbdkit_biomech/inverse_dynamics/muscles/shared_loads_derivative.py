@@ -20,9 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base import elementary
 from mbdkit.engine.stacked_matrices import products, pseudoinverses
-from mbdkit.plugin.equations import elementary
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared
 
 LEAST_CURVATURE = 1e-12
 """Lower bound of the second derivatives of the cost, relative to the largest one in a frame; smaller ones are raised to

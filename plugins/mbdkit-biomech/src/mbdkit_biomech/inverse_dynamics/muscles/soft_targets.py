@@ -18,14 +18,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.engine.stacked_matrices import products
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Programme, Shared, share_loads
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 
 LEAST_DEVIATION = 0.03
 """Smallest standard deviation of an activation by EMG: that of a muscle at rest."""
 
-FOLLOWS = 0.5
+FOLLOWS, LEAST_SHARE = 0.5, 0.1
 """A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
-smaller."""
+smaller, and as one in another unit if its largest value is a smaller share of the largest one of that activation."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class EmgTarget:
     muscle: int
     activation: np.ndarray
     deviation: float
+    column: str = ""
 
 
 class Axial(NamedTuple):
@@ -81,6 +83,8 @@ class Targets:
 
     knees: tuple[Compartments, ...] = ()
     emg: tuple[EmgTarget, ...] = ()
+    left_out: tuple[tuple[EmgTarget, str], ...] = ()
+    """Channels that are not used, and why."""
 
     def __bool__(self) -> bool:
         return bool(self.knees or self.emg)
@@ -131,9 +135,24 @@ class Targets:
         return Targets(tuple(knees), tuple(emg))
 
     def without_noise(self, activation: np.ndarray) -> Targets:
-        """Return the targets without channels that do not follow the activations (T, M) of recruitment without EMG."""
-        kept = [one for one in self.emg if correlation(one.activation, activation[:, one.muscle]) >= FOLLOWS]
-        return replace(self, emg=tuple(kept))
+        """Return the targets without channels that contradict the activations (T, M) of recruitment without EMG."""
+        whys = [_contradiction(one.activation, activation[:, one.muscle]) for one in self.emg]
+        pairs = list(zip(self.emg, whys, strict=True))
+        kept = tuple(one for one, why in pairs if not why)
+        return replace(self, emg=kept, left_out=tuple(pair for pair in pairs if pair[1]))
+
+
+def _contradiction(emg: np.ndarray, activation: np.ndarray) -> str:
+    """Return why a channel (T,) is not used beside an activation (T,); empty if it is."""
+    if correlation(emg, activation) < FOLLOWS:
+        why = f"does not follow the activation that the moments of the joints need (correlation below {FOLLOWS:g}), so "
+        return why + "that it counts as noise and is not used"
+    largest, most = np.nanmax(emg), np.nanmax(activation)
+    if largest < LEAST_SHARE * most:
+        why = f"is at most {largest:.2g}, while the moments of the joints need an activation of up to {most:.2g}, so "
+        why += "that it seems to have another unit, such as V, and is not used: give `maximum`, the envelope in a "
+        return why + "maximal contraction, in the unit of the column"
+    return ""
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:

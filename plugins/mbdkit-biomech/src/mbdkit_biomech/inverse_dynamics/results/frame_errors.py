@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import Run, listed, plus_minus
-from mbdkit.plugin.archives import JOINTS_NAMED, RunErrors, errors_of_measures, peak_errors
-from mbdkit.plugin.seams import run_attribute
+from mbdkit.archive.accuracy_summary import RunErrors
+from mbdkit.archive.headlines import JOINTS_NAMED, plus_minus
+from mbdkit.archive.peak_errors import errors_of_measures, peak_errors
+from mbdkit.archive.result_seams import run_attribute
+from mbdkit.archive.run import Run
+from mbdkit.base.text import listed
 
 
 class FrameErrors(RunErrors):

@@ -12,13 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Run, RunError
-from mbdkit.plugin.archives import check_target
-from mbdkit.plugin.doubts import angles_in_degrees
-from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit.plugin.measures import check_measures
-from mbdkit.plugin.seams import computed_run
-from mbdkit.plugin.terminal import logger_of, warn_on_stderr
+from mbdkit.archive.part_file import check_target
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import RunError
+from mbdkit.base.logs import logger_of, warn_on_stderr
+from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.measures.take import check_measures
+from mbdkit.runs.angles_in_degrees import angles_in_degrees
+from mbdkit.runs.run_seams import computed_run
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns

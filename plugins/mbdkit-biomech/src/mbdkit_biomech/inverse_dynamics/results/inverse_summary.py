@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import Headline, counted, plus_minus
-from mbdkit.plugin.archives import EXACT, JOINTS_NAMED, few, largest_of, ranked
-from mbdkit.plugin.seams import run_headlines, summary_lines
+from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
+from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run_summary import few, ranked
+from mbdkit.base.text import counted
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
 """Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""

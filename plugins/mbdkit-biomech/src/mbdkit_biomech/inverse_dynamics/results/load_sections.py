@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from markupsafe import Markup
 
-from mbdkit.plugin import Mechanism, listed
-from mbdkit.plugin.archives import EXACT
+from mbdkit.archive.headlines import EXACT
+from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
 from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, workload
@@ -32,7 +33,7 @@ from mbdkit_report import (
 from mbdkit_report.seams import report_charts, report_sections
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 BARS = 24
 """Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left

@@ -15,10 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import RunError
-from mbdkit.plugin.equations import elementary, product
+from mbdkit.base import elementary
+from mbdkit.base.errors import RunError
+from mbdkit.engine.linear_systems import product
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, forces_of
-from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import changes_at_ends, changes_in_gaps, long_gaps
+from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
+    changes_at_ends,
+    changes_in_gaps,
+    changes_of_lines,
+    long_gaps,
+)
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import HIDDEN
 from mbdkit_biomech.inverse_dynamics.errors.noise import NoisyData
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
@@ -65,12 +71,15 @@ class SampledMeasures(NamedTuple):
         (C, ..., K) measures with other cutoffs; C may be 0.
     uncertain
         (P, ..., K) measures with other uncertain properties of the person and its muscles; P may be 0.
+    straight
+        (1, ..., K) measures after `changes_of_lines`; (0, ..., K) without gaps that straight lines fill.
     """
 
     value: np.ndarray
     noisy: np.ndarray
     cutoffs: np.ndarray
     uncertain: np.ndarray
+    straight: np.ndarray
 
     def minus(self, other: SampledMeasures) -> SampledMeasures:
         """Return the differences between two results, sample by sample, for the same noise, cutoffs, persons and
@@ -94,7 +103,7 @@ class SampledMeasures(NamedTuple):
             variance = known_mean((change - mean) ** 2)
             bias = FIRST_NOISE * np.sqrt(np.maximum(0.0, mean**2 - variance / np.maximum(1, number)))
             square = (bias + np.sqrt(FACTOR * variance)) ** 2
-        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs)):
+        for factor, samples in ((FACTOR, self.uncertain), (1.0, self.cutoffs), (1.0, self.straight)):
             if len(samples):
                 square = square + factor * known_mean((samples - self.value) ** 2)
         return np.asarray(np.sqrt(square))
@@ -138,10 +147,13 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
         return _measured(_moved(result, data.independent, series, loads), measures)
 
     noisy = [measured(*moved) for moved in _noisy(data, own)]
+    of_lines = changes_of_lines(result, data.path)
+    straight = [measured(_added(data.series, of_lines, one), own) for one in np.eye(of_lines.value.shape[2])]
     others = [measured(series, own) for _, _, series in data.other_cutoffs()]
     value = _measured(result, measures)
     changed = [*_uncertain(result, measures, data.random)]
-    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in (noisy, others, changed)))
+    samples = noisy, others, changed, straight
+    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in samples))
     change = changes_in_gaps(result, data.path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
         phase = data.random.uniform(0.0, 2 * np.pi, len(gaps))

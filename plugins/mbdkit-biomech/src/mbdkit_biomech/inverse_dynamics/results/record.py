@@ -9,19 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.plugin import Run
-from mbdkit.plugin.archives import (
-    ArchiveNames,
-    Ending,
-    MeasuredValues,
-    archive_names,
-    finish_states,
-    kind_of_group,
-    with_members,
-)
-from mbdkit.plugin.files import json_text
-from mbdkit.plugin.measures import take_all
-from mbdkit.plugin.runs import model_provenance
+from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.run import Run
+from mbdkit.archive.run_writer import Ending
+from mbdkit.base.plain_data import json_text
+from mbdkit.measures.take import take_all
+from mbdkit.quantities.names import ArchiveNames, archive_names, with_members
+from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.runs.finish import finish_states
+from mbdkit.runs.provenance import model_provenance
 from mbdkit_biomech.inverse_dynamics.compute import (
     Inverse,
     reaction_forces_without_muscles,

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, UnknownNameError, plus_minus, table
-from mbdkit.plugin.archives import ROUND_OFF, peak_errors
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.archive.headlines import ROUND_OFF, plus_minus
+from mbdkit.archive.peak_errors import peak_errors
+from mbdkit.base.errors import SpecError, UnknownNameError
+from mbdkit.base.html_view import HtmlView
+from mbdkit.base.text import table
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import exact_loads
 from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts, normalized
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 KINDS = ("joint", "actuator", "reserve", "residual")
 """Kinds of elements, in the order in which tables show them."""

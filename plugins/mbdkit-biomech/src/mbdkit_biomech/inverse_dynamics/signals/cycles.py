@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import SpecError
+from mbdkit.base.errors import SpecError
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run
+    from mbdkit.archive.run import Run
 
 POINTS = 101
 """Number of points of a normalized cycle: one per percent, both ends included."""

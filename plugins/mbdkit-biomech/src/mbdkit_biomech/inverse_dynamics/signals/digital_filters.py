@@ -11,7 +11,7 @@ from functools import lru_cache
 import mpmath
 import numpy as np
 
-from mbdkit.kernels import filter_rows
+from mbdkit.engine.kernels.filters import filter_rows
 
 DIGITS = 50
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.plugin.equations import SparseFactors
+from mbdkit.engine.linear_systems import SparseFactors
 
 End = Sequence[tuple[int, np.ndarray]]
 """Orders and values (...) of the derivatives that are prescribed at an end."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.plugin.mechanisms import Affine, Quantity
+from mbdkit.mechanism.mechanism_quantities import Affine, Quantity
 
 
 class Quantities:

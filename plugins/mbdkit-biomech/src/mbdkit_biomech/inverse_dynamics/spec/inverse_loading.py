@@ -7,10 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 
-from mbdkit.plugin import loaded
-from mbdkit.plugin.files import Path as KeyPath
-from mbdkit.plugin.seams import spec_loader
-from mbdkit.plugin.specs import Document, put
+from mbdkit.base.plain_data import Path as KeyPath
+from mbdkit.spec.loading import loaded
+from mbdkit.spec.reading import Document, put
+from mbdkit.spec.spec_kinds import spec_loader
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import DRAFT, Registry, described, model_schema, registry
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import registry
+from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit.spec.spec_kinds import spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import inverse_spec_type
 
 

@@ -7,9 +7,13 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from mbdkit.plugin import GROUND, Positive, SpecError, read_unit, shown
-from mbdkit.plugin.mechanisms import BodyPair, Points, pair
-from mbdkit.plugin.specs import Count, CriterionName, Section
+from mbdkit.base.errors import SpecError
+from mbdkit.base.text import shown
+from mbdkit.base.units import read_unit
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.values import BodyPair, Points, Positive, pair
+from mbdkit.spec.item_names import CriterionName
+from mbdkit.spec.sections import Count, Section
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 
 Named = Annotated[str, Field(min_length=1)]

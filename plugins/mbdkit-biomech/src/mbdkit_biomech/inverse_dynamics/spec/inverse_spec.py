@@ -7,20 +7,20 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
-from mbdkit.plugin import GROUND, QuantityNames, SpecError, Target, listed, path_text, quoted
-from mbdkit.plugin.mechanisms import force_of_reaction
-from mbdkit.plugin.specs import (
-    Choice,
-    DefinedMeasure,
-    ModelSpec,
-    Registered,
-    Registry,
-    RunMeasures,
-    Section,
-    check_name,
-    defined,
-    description,
-)
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import path_text, quoted
+from mbdkit.base.strict_model import description
+from mbdkit.base.text import listed
+from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.checks import check_name
+from mbdkit.mechanism.joints import force_of_reaction
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.target import Target
+from mbdkit.spec.choices import Choice
+from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.sections import Section
+from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Actuator,
     Criterion,
@@ -37,7 +37,8 @@ from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, ModelKey
+    from mbdkit.mechanism.mechanism import Mechanism
+    from mbdkit.registry.element_items import ModelKey
 
 S = TypeVar("S", bound=Section)
 

@@ -11,10 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Point
-from mbdkit.plugin import Mechanism, QuantityNames, SpecError, did_you_mean, listed, quoted
-from mbdkit.plugin.equations import elementary
-from mbdkit.plugin.mechanisms import AXES, Coordinate, MarkerCoordinate, Quantity, RelativeAngle, Travel
+from mbdkit.base import elementary
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import quoted
+from mbdkit.base.text import did_you_mean, listed
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import (
+    AXES,
+    Coordinate,
+    MarkerCoordinate,
+    Point,
+    Quantity,
+    RelativeAngle,
+    Travel,
+)
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Actuator, Recruitment
 
