@@ -122,7 +122,10 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     """Hand the ratios of a test to its report, and let the test fail if one of them is too large without a reason."""
     try:
         result = yield
-        near = [(ratio, f"{_relative(file)}:{line}", _reason(file, line)) for (file, line), ratio in _near.items()]
+        near = [
+            (ratio, f"{_relative(file)}:{line}", _reason(file, line) if ratio > PRINTED else "")
+            for (file, line), ratio in _near.items()
+        ]
     finally:
         _near.clear()
     item.user_properties.append((_STORE, near))
