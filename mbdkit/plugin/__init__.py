@@ -2,7 +2,7 @@
 
 Each name is imported when it is first used, so that a plugin costs nothing until a spec or a command names it. Further
 names are in doors by subject: `mbdkit.plugin.specs`, `archives`, `mechanisms`, `equations`, `methods`, `measures`,
-`runs`, `doubts`, `files` and `terminal`; what machine code needs is in `mbdkit.kernels`. A name behind no door may
+`runs`, `doubts` and `files`; what machine code needs is in `mbdkit.kernels`. A name behind no door may
 change at any time.
 """
 
@@ -22,18 +22,19 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         ArchiveError as ArchiveError, MbdkitError as MbdkitError, PluginError as PluginError,
         ResourceError as ResourceError, RunError as RunError, SpecError as SpecError, StepError as StepError,
         UnknownNameError as UnknownNameError, UnsupportedMechanismError as UnsupportedMechanismError,
-        blaming as blaming,
     )
     from mbdkit.base.files_read import read_data as read_data
+    from mbdkit.base.html_view import HtmlView as HtmlView
     from mbdkit.base.plain_data import (
         copied as copied, parse_path as parse_path, path_text as path_text, quoted as quoted, value_text as value_text,
     )
     from mbdkit.base.strict_model import FormatVersion as FormatVersion, StrictModel as StrictModel
-    from mbdkit.base.terminal import show as show, show_json as show_json
+    from mbdkit.base.terminal import show as show
     from mbdkit.base.text import (
         counted as counted, did_you_mean as did_you_mean, listed as listed, shown as shown, table as table,
     )
     from mbdkit.base.units import Unit as Unit, read_quantity as read_quantity, read_unit as read_unit
+    from mbdkit.cli.common_options import SpecCommand as SpecCommand
     from mbdkit.engine.compile_forces import Lowering as Lowering
     from mbdkit.engine.compiled_mechanism import ActingForce as ActingForce
     from mbdkit.engine.equations_of_motion import EquationsOfMotion as EquationsOfMotion

@@ -9,7 +9,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.checks import check_name as check_name
     from mbdkit.mechanism.parameters import parameter_values as parameter_values, parameters_in_use as parameters_in_use
     from mbdkit.registry.catalogue import Registry as Registry
-    from mbdkit.registry.item_options import item_of as item_of
     from mbdkit.spec.choices import Choice as Choice
     from mbdkit.spec.loading import (
         RunSource as RunSource, example_names as example_names, load_spec as load_spec, read_source as read_source,

@@ -38,7 +38,7 @@ from mbdkit.registry.model_keys import model_keys, options_with_keys
 if TYPE_CHECKING:
     from pydantic.json_schema import JsonSchemaValue
 
-    from mbdkit.registry.items import ForceLawPlugin
+    from mbdkit.registry.items import ForceLawPlugin, ModelPlugin
 
 
 @dataclass(frozen=True)
@@ -61,6 +61,13 @@ class Choice:
     def registry(self) -> Registry:
         """The registry to choose from."""
         return self.installed if self.installed is not None else registry()
+
+    @staticmethod
+    def build_model(options: BaseModel) -> object:
+        """Return what the model that was chosen builds from its options; errors of a plugin name this model."""
+        item = item_of(options)
+        with blaming(f"model {item.id} failed to build"):
+            return cast("ModelPlugin", item.plugin).build(options)
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validated)

@@ -9,18 +9,7 @@ import typer
 
 from mbdkit.base.terminal import say, show, show_json
 from mbdkit.base.text import counted
-from mbdkit.cli.common_options import (
-    Archive,
-    AsJson,
-    Debug,
-    MotionSet,
-    Overwrite,
-    Printing,
-    check_new,
-    grouped,
-    output_to,
-    stem,
-)
+from mbdkit.cli.common_options import Archive, AsJson, Debug, SpecCommand
 from mbdkit.cli.outcome import tell
 from mbdkit.runs.run_seams import repeated_run
 from mbdkit.spec.spec_kinds import spec_check
@@ -30,20 +19,8 @@ if TYPE_CHECKING:
     from mbdkit.spec.reading import Document
 
 
-@grouped
-def inverse(
-    spec: Annotated[
-        str,
-        typer.Argument(
-            metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as walking."
-        ),
-    ],
-    *,
-    output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
-    assignments: MotionSet = None,
-    overwrite: Overwrite = False,
-    printing: Printing,
-) -> None:
+@SpecCommand.of("a packaged example such as walking", key="motion.smooth.cutoff=6")
+def inverse(command: SpecCommand) -> None:
     """Compute joint and actuator forces from a measured motion.
 
     First, the mechanism is fitted to the measured data, with its joints closed to
@@ -53,12 +30,10 @@ def inverse(
     """
     from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
-    checked = load_inverse_spec(spec, assignments or ())
-    path = output if output is not None else Path(f"{stem(spec)}.h5")
-    check_new(path, spec, overwrite)
+    checked = command.load(load_inverse_spec)
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 
-    tell(compute_run(checked, path=path, overwrite=overwrite), printing)
+    tell(compute_run(checked, path=command.path, overwrite=command.overwrite), command.printing)
 
 
 def workload(

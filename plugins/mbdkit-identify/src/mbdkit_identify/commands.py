@@ -3,46 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mbdkit.plugin import counted, listed, show, show_json
+from mbdkit.plugin import SpecCommand, counted, listed, show
 from mbdkit.plugin.seams import spec_check
-from mbdkit.plugin.terminal import (
-    STOPPED_EARLY,
-    Overwrite,
-    Printing,
-    Set,
-    check_new,
-    grouped,
-    output_to,
-    say,
-    silence,
-    stem,
-)
 
 if TYPE_CHECKING:
     from mbdkit.plugin.specs import Document
     from mbdkit_identify.identification import Identification
 
 
-@grouped
+@SpecCommand.of("a packaged identification", "The result")
 def identify(
-    spec: Annotated[
-        str,
-        typer.Argument(
-            metavar="SPEC",
-            help="A YAML, TOML or JSON file, - for stdin, or a packaged identification.",
-        ),
-    ],
+    command: SpecCommand,
     *,
-    output: Annotated[Path | None, output_to("FILE.h5", "The result; by default ./SPEC.h5.")] = None,
-    assignments: Set = None,
     report: Annotated[bool, typer.Option("--report", help="Also write a report, as `mbdkit report` does.")] = False,
-    overwrite: Overwrite = False,
-    printing: Printing,
 ) -> None:
     """Find parameters of a model from measured motion.
 
@@ -57,23 +34,15 @@ def identify(
     from mbdkit_identify.identify import identify as solve
     from mbdkit_identify.loading import load_identify_spec
 
-    path = output if output is not None else Path(f"{stem(spec)}.h5")
-    loaded = load_identify_spec(spec, assignments or ())
-    check_new(path, spec, overwrite)
-    result = solve(loaded, notify=silence if printing.quiet or printing.as_json else say)
-    write_identification(result, path, overwrite)
-    page = None
+    result = solve(command.load(load_identify_spec), notify=command.notify)
+    write_identification(result, command.path, command.overwrite)
+    written, values = f"result: {command.path}", {"path": str(command.path), **_plain(result)}
     if report:
         from mbdkit_report import report as write
 
-        page = write(path, overwrite=overwrite)
-    if printing.as_json:
-        show_json({"path": str(path), **_plain(result)} | ({} if page is None else {"report": str(page)}))
-    elif not printing.quiet:
-        show(result.summary())
-        show(f"result: {path}{'' if page is None else f', report: {page}'}")
-    if result.verdict == "bad":
-        raise typer.Exit(STOPPED_EARLY)
+        page = write(command.path, overwrite=command.overwrite)
+        written, values = f"{written}, report: {page}", {**values, "report": str(page)}
+    command.conclude(f"{result.summary()}\n{written}", values, is_good=result.verdict != "bad")
 
 
 def _plain(result: Identification) -> dict[str, Any]:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, listed, plus_minus, table
-from mbdkit.plugin.terminal import HtmlView
+from mbdkit.plugin import HtmlView, SpecError, listed, plus_minus, table
 
 
 @dataclass(frozen=True)

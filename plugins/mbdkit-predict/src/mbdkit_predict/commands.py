@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import MotionSet, Overwrite, Printing, check_new, grouped, output_to, stem
+from mbdkit.cli.common_options import SpecCommand
 from mbdkit.cli.outcome import tell
 from mbdkit.spec.spec_kinds import spec_check
 
@@ -34,18 +33,11 @@ def validate_predict(source: object, name: str, assignments: list[str]) -> None:
     show("not checked  whether a motion satisfies all conditions")
 
 
-@grouped
+@SpecCommand.of("an example such as block", key="motion.smooth.cutoff=6")
 def predict(
-    spec: Annotated[
-        str,
-        typer.Argument(metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or an example such as block."),
-    ],
+    command: SpecCommand,
     *,
-    output: Annotated[Path | None, output_to("FILE.h5", "The archive; by default ./SPEC.h5.")] = None,
-    assignments: MotionSet = None,
     report: Annotated[bool, typer.Option("--report", help="Also write a report, as `mbdkit report` does.")] = False,
-    overwrite: Overwrite = False,
-    printing: Printing,
 ) -> None:
     """Find the motion and the controls that minimize an objective.
 
@@ -55,16 +47,14 @@ def predict(
     """
     from mbdkit_predict.predict_loading import load_predict_spec
 
-    checked = load_predict_spec(spec, assignments or ())
-    path = output if output is not None else Path(f"{stem(spec)}.h5")
-    check_new(path, spec, overwrite)
+    checked = command.load(load_predict_spec)
     from mbdkit_predict.prediction import compute
 
-    run = compute(checked, path=path, overwrite=overwrite)
+    run = compute(checked, path=command.path, overwrite=command.overwrite)
     if report:
         from mbdkit_report import report as write
 
-        target = write(path, overwrite=overwrite)
-        if not (printing.quiet or printing.as_json):
+        target = write(command.path, overwrite=command.overwrite)
+        if not (command.printing.quiet or command.printing.as_json):
             show(target)
-    tell(run, printing)
+    tell(run, command.printing)

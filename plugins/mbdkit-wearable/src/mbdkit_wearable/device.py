@@ -24,19 +24,17 @@ from mbdkit.plugin import (
     GROUND,
     Body,
     Mechanism,
-    ModelPlugin,
     Number,
     Point,
     SpecError,
     StrictModel,
-    blaming,
     did_you_mean,
     listed,
     quoted,
 )
 from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, workspace_at_start
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
-from mbdkit.plugin.specs import Choice, item_of, load_spec, parse_key, put, read_source
+from mbdkit.plugin.specs import Choice, load_spec, parse_key, put, read_source
 from mbdkit_wearable.cuff import Tissue
 
 if TYPE_CHECKING:
@@ -117,12 +115,9 @@ def add_devices(devices: Mapping[str, Device], mechanism: Mechanism) -> None:
     """Add the elements of devices and their cuffs to the mechanism of a person."""
     for name, device in devices.items():
         assert device.mechanism is not None
-        item = item_of(device.mechanism)
-        assert isinstance(item.plugin, ModelPlugin)
         key = f"devices.{quoted(name)}"
         try:
-            with blaming(f"model {item.id} failed to build"):
-                own = item.plugin.build(device.mechanism)
+            own = Choice.build_model(device.mechanism)
         except SpecError as error:
             raise SpecError(error.message, key=f"{key}.mechanism.{error.key.removeprefix('model.')}") from None
         assert isinstance(own, Mechanism)
