@@ -1,4 +1,4 @@
-"""Derivatives of recorded functions, and functions that are defined implicitly.
+"""Derivatives of recorded functions, also of those that are defined implicitly.
 
 The derivative of a term is a sum over its operands, forward through the graph (A. Griewank, A. Walther, Evaluating
 Derivatives, 2nd edition, SIAM 2008, chapter 3). It is recorded in the same graph, in which equal terms occur once, and
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import PluginError
-from mbdkit.expressions.recorded import Recorded, Recorder, Term
+from mbdkit.expressions.recorded import Recorded, Term
 
 _SLOPES: Mapping[str, tuple[Callable[..., Any], ...]] = {
     "add": (lambda f, x, y: 1.0, lambda f, x, y: 1.0),
@@ -133,55 +133,3 @@ def _slope_of_table(of: Recorded, at: Recorded) -> Recorded | float:
     number, order = of.term.data
     is_zero = order + 1 >= of.recorder.tables[number][1]  # above the degree
     return 0.0 if is_zero else of.recorder.apply("table", [at], (number, order + 1))
-
-
-def root(condition: Callable[[Recorded], Recorded], start: Recorded, iterations: int = 8) -> Recorded:
-    """Return the solution s of ``condition(s) = 0`` near `start`; NaN if Newton's method has not found it.
-
-    The program contains a fixed number of iterations of Newton's method, and one more that makes the solution exact to
-    rounding errors, if the last of the others has changed s by less than `CONVERGED`. They are no part of derivatives,
-    which are those of the implicit function: with g(x, s) = 0, ds/dx = -(dg/dx) / (dg/ds) (Griewank and Walther,
-    chapter 15). This quotient is a function of x and s again, so that derivatives of all orders are exact.
-
-    Parameters
-    ----------
-    condition
-        Function of s that also contains other recorded numbers; it is called once.
-    start
-        Value at which the iteration starts; derivatives do not depend on it.
-    iterations
-        Number of iterations.
-    """
-    recorder: Recorder = start.recorder
-    unknown = recorder.input(f"unknown {len(recorder.terms)}")
-    wanted = recorder.constant(condition(unknown))
-    step = wanted / derivative(wanted, unknown)
-    s = last = start
-    for _ in range(iterations):
-        last, s = s, s - recorder.replaced(step, unknown, s)
-    has_converged = np.absolute(s - last) <= CONVERGED * np.maximum(np.absolute(s), 1.0)
-    value: Any = np.where(has_converged, s - recorder.replaced(step, unknown, s), np.nan)
-    return recorder.apply("root", [value, wanted, unknown])
-
-
-CONVERGED = 1e-8
-"""Largest last change of a root by Newton's method, relative to the root or 1.
-
-The error of the root is about its square before the last step, and its fourth power after it."""
-
-
-def with_slope_at(function: Callable[[Recorded], Any], at: Recorded) -> tuple[Recorded, Recorded]:
-    """Return the value and the derivative of a function of one number at a recorded number.
-
-    Parameters
-    ----------
-    function
-        Function of a recorded number; it is called once.
-    at
-        The number, which need not be an input.
-    """
-    recorder: Recorder = at.recorder
-    argument = recorder.input(f"argument {len(recorder.terms)}")
-    value = recorder.constant(function(argument))
-    slope = derivative(value, argument)
-    return recorder.replaced(value, argument, at), recorder.replaced(slope, argument, at)

@@ -1,17 +1,22 @@
-"""Texts that are smooth functions of variables with given names, such as the equation of a coupling of two bodies."""
+"""Smooth functions of variables with given names, such as the profile of a cam or the equation of a coupling."""
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import BeforeValidator
 
 from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, value_of
-from mbdkit.mechanism.values import Table, curve_of
+from mbdkit.expressions.recorded_derivatives import derivative
+from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
 if TYPE_CHECKING:
     from mbdkit.expressions.recorded import Recorded
@@ -63,7 +68,7 @@ class VariableCompiler(Compiler):
 
 
 @lru_cache(maxsize=1024)
-def smooth_program(text: str, variables: tuple[str, ...]) -> Program:
+def _smooth_program(text: str, variables: tuple[str, ...]) -> Program:
     """Return the program of a text; raises SpecError if it is not valid, or not smooth."""
     compiler = VariableCompiler(text, variables)
     program = tuple(compiler.program())
@@ -73,63 +78,154 @@ def smooth_program(text: str, variables: tuple[str, ...]) -> Program:
     return program
 
 
-def function_of(*variables: str) -> Callable[[object], object]:
-    """Return a validator, for `pydantic.BeforeValidator`, of texts that are smooth functions of these variables."""
+CONVERGED = 1e-8
+"""Largest last change of a root by Newton's method, relative to the root or 1.
 
-    def check(value: object) -> object:
-        if isinstance(value, str):
-            smooth_program(value, variables)
-        return value
-
-    return check
+The error of the root is about its square before the last step, and its fourth power after it."""
 
 
-def value_of_table(table: Table, at: Recorded) -> Recorded:
-    """Return the value of the spline of a table at a number that records operations."""
-    curve = curve_of(table)
-    return at.recorder.table(curve.x, curve.c[::-1].T, at, table.period)
+@dataclass(frozen=True)
+class Profile:
+    """A smooth function of variables, most often of one, such as the radius of a cam as a function of the angle.
 
-
-@lru_cache(maxsize=1024)
-def with_numbers(text: str, variables: tuple[str, ...]) -> tuple[Program, tuple[float, ...]]:
-    """Return the program of a text in which numbers are variables, and these numbers.
-
-    Texts that differ in numbers then have the same program, and can be differentiated with respect to the numbers.
-    Exponents stay numbers, because derivatives of powers with variable exponents need positive operands.
-
-    Returns
-    -------
-    program
-        Program for `value_of_program`, with variables ``0``, ``1``, ... for the numbers.
-    numbers
-        The numbers.
-    """
-    program = smooth_program(text, variables)
-
-    def step(operation: str, place: float, *operands: frozenset[int]) -> frozenset[int]:
-        if operation == "const":
-            return frozenset((int(place),))
-        return operands[0] if operation == "pow" else frozenset().union(*operands)
-
-    varied = execute(tuple((operation, float(place)) for place, (operation, _) in enumerate(program)), step)
-    names = {place: f"{_VARIABLE}{i}" for i, place in enumerate(sorted(varied))}
-    changed = [(names[i], 0.0) if i in names else instruction for i, instruction in enumerate(program)]
-    return tuple(changed), tuple(program[place][1] for place in names)
-
-
-def value_of_program(program: Program, values: Mapping[str, Any]) -> Any:
-    """Return the value of the program of a text, given the values of all its variables by name."""
-    return value_of(program, lambda operation, number: values.get(operation.removeprefix(_VARIABLE), number))
-
-
-def value_of_text(text: str, values: Mapping[str, Any]) -> Any:
-    """Return the value of a function of variables.
+    Profiles with the same function are equal, so that joints with such profiles share a program.
 
     Parameters
     ----------
-    text
-        Text that `function_of` accepted.
-    values
-        Values of all its variables by name: numbers, arrays, or numbers that record operations.
+    function
+        A number, a table, the program of an expression, or a Python function.
+    variables
+        Names of the variables, in the order in which `value` takes them; needed for programs.
     """
-    return value_of_program(smooth_program(text, tuple(values)), values)
+
+    function: float | Table | Program | Callable[..., Any]
+    variables: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, function: float | str | Table | Callable[..., Any], *variables: str) -> Profile:
+        """Return the profile that a number, an expression of these variables, a table or a Python function gives.
+
+        Raises
+        ------
+        SpecError
+            If an expression is not valid, or a derivative of it is discontinuous.
+        """
+        return cls(_smooth_program(function, variables) if isinstance(function, str) else function, variables)
+
+    @classmethod
+    def key(cls, variable: str) -> Any:
+        """Return the type of a key of a spec: a number, an expression of a variable, or a table of a smooth spline."""
+        shown = f"[[{variable}, ...], [value, ...]]"
+
+        def columns(value: object, key: str = "") -> object:
+            return columns_of(value, key, at=f"values of {variable}", shown=f"{variable}, value")
+
+        class CurveTable(Table):
+            """A smooth function of one variable, given by points and interpolated by a cubic or quintic spline."""
+
+            COLUMNS: ClassVar[str] = shown
+
+            table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns)]
+            interpolation: Literal["cubic", "quintic"] = "cubic"
+            """A cubic or quintic spline, with two or four continuous derivatives."""
+
+            @staticmethod
+            def columns(value: object, key: str = "") -> object:
+                """Return the two columns of a table as tuples of floats."""
+                return columns(value, key)
+
+        wanted = f"a number, an expression of {variable}, or {{table: {shown}}}"
+
+        def smooth(value: object) -> object:
+            if not isinstance(value, str):
+                return number_or_table(value, CurveTable, wanted)
+            cls.of(value, variable)
+            return value
+
+        CurveTable.__name__ = CurveTable.__qualname__ = f"TableOf{variable.title()}"
+        return Annotated[Number | str | CurveTable, BeforeValidator(smooth)]
+
+    def value(self, *at: Any, **numbers: Any) -> Any:
+        """Return the value at arrays, or at numbers that record operations.
+
+        Parameters
+        ----------
+        at
+            Value of each variable.
+        numbers
+            The numbers that `with_numbers` has named.
+        """
+        if isinstance(self.function, tuple):
+            given = dict(zip(self.variables, at, strict=True)) | numbers
+            return value_of(self.function, lambda name, number: given.get(name.removeprefix(_VARIABLE), number))
+        if isinstance(self.function, Table):
+            curve, (x,) = curve_of(self.function), at
+            if isinstance(x, np.ndarray):
+                return curve(x)
+            return x.recorder.table(curve.x, curve.c[::-1].T, x, self.function.period)
+        return self.function(*at) if callable(self.function) else self.function + 0.0 * at[0]
+
+    def with_slope(self, at: Recorded) -> tuple[Recorded, Recorded]:
+        """Return the value and the derivative of a function of one variable at a recorded number.
+
+        The number need not be an input. A Python function is called once.
+        """
+        recorder = at.recorder
+        argument = recorder.input(f"argument {len(recorder.terms)}")
+        value = recorder.constant(self.value(argument))
+        slope = derivative(value, argument)
+        return recorder.replaced(value, argument, at), recorder.replaced(slope, argument, at)
+
+    def root(self, start: Recorded, iterations: int = 8) -> Recorded:
+        """Return the number s near `start` where a function of one variable is 0; NaN if Newton's method fails.
+
+        The program contains a fixed number of iterations of Newton's method, and one more that makes the solution exact
+        to rounding errors, if the last of the others has changed s by less than `CONVERGED`. They are no part of
+        derivatives, which are those of the implicit function: with g(x, s) = 0, ds/dx = -(dg/dx) / (dg/ds) (A.
+        Griewank, A. Walther, Evaluating Derivatives, 2nd edition, SIAM 2008, chapter 15). This quotient is a function
+        of x and s again, so that derivatives of all orders are exact.
+
+        Parameters
+        ----------
+        start
+            Value at which the iteration starts; derivatives do not depend on it. A Python function, which may contain
+            other recorded numbers, is called once.
+        iterations
+            Number of iterations.
+        """
+        recorder = start.recorder
+        unknown = recorder.input(f"unknown {len(recorder.terms)}")
+        wanted = recorder.constant(self.value(unknown))
+        step = wanted / derivative(wanted, unknown)
+        s = last = start
+        for _ in range(iterations):
+            last, s = s, s - recorder.replaced(step, unknown, s)
+        has_converged = np.absolute(s - last) <= CONVERGED * np.maximum(np.absolute(s), 1.0)
+        value: Any = np.where(has_converged, s - recorder.replaced(step, unknown, s), np.nan)
+        return recorder.apply("root", [value, wanted, unknown])
+
+    def with_numbers(self, prefix: str) -> tuple[Profile, tuple[tuple[str, float], ...]]:
+        """Return the profile of an expression in which numbers are parameters, with names and values of these.
+
+        Profiles that differ in numbers then are equal, and can be differentiated with respect to the numbers. Exponents
+        stay numbers, because derivatives of powers with variable exponents need positive operands.
+
+        Parameters
+        ----------
+        prefix
+            Prefix of the names, to which 0, 1, ... are appended.
+        """
+        assert isinstance(self.function, tuple)
+        program = self.function
+
+        def step(operation: str, place: float, *operands: frozenset[int]) -> frozenset[int]:
+            if operation == "const":
+                return frozenset((int(place),))
+            return operands[0] if operation == "pow" else frozenset().union(*operands)
+
+        varied = execute(tuple((operation, float(place)) for place, (operation, _) in enumerate(program)), step)
+        names = {place: f"{prefix}{i}" for i, place in enumerate(sorted(varied))}
+        changed = [(_VARIABLE + names[i], 0.0) if i in names else one for i, one in enumerate(program)]
+        return Profile(tuple(changed), self.variables), tuple(
+            (name, program[place][1]) for place, name in names.items()
+        )

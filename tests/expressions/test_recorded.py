@@ -17,7 +17,8 @@ from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels import motions
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.recorded import Recorded, Recorder, recorded_program
-from mbdkit.expressions.recorded_derivatives import derivative, derivatives, root
+from mbdkit.expressions.recorded_derivatives import derivative, derivatives
+from mbdkit.mechanism.variable_functions import Profile
 
 from .graphs import FLOATS, NAMES, PRECISE, drawn, run_block, run_block_with_duals, values
 
@@ -66,7 +67,7 @@ def test_a_root_has_the_derivatives_of_the_implicit_function() -> None:
     def condition(s: Any, x: Any, y: Any, sin: Any) -> Any:
         return s * s * s + x * s - y + 0.1 * sin(s * y)
 
-    s = root(lambda s: condition(s, x, y, np.sin), x)
+    s = Profile.of(lambda s: condition(s, x, y, np.sin)).root(x)
     found = derivatives(np.cos(s) * x, [x, y], 3)
     at = [0.8, 1.3]
 
@@ -80,7 +81,7 @@ def test_a_root_has_the_derivatives_of_the_implicit_function() -> None:
 def test_a_root_within_the_condition_of_a_root() -> None:
     recorder = Recorder()
     x, y, t = (recorder.input(name) for name in ("x", "y", "t"))
-    outer = root(lambda r: r - 0.1 * root(lambda s: s * s - x * r * r - y, x + y), x)
+    outer = Profile.of(lambda r: r - 0.1 * Profile.of(lambda s: s * s - x * r * r - y).root(x + y)).root(x)
     found = derivatives(outer, [x, y], 2)
     at = [1.2, 0.7]
 
@@ -95,7 +96,7 @@ def test_a_root_within_the_condition_of_a_root() -> None:
 def test_a_root_that_is_not_found_is_nan(y: float) -> None:
     recorder = Recorder()
     x, t = recorder.input("y"), recorder.input("t")
-    s = root(lambda s: s * s - x, recorder.constant(0.7))
+    s = Profile.of(lambda s: s * s - x).root(recorder.constant(0.7))
     assert np.isnan(run_block(block([x, t], [s, derivative(s, x)]), [y])).all()
 
 
@@ -106,7 +107,7 @@ def test_dual_numbers_differentiate_programs() -> None:
         np.arctan2(y, -x),
         np.hypot(x, y * y),
         recorder.table([0.0, 0.5, 2.0], [[0.3, 1.0, -2.0], [0.1, 0.4, 0.7]], x + y, 1.7),
-        root(lambda s: np.exp(s) * x - y, recorder.constant(0.5)),
+        Profile.of(lambda s: np.exp(s) * x - y).root(recorder.constant(0.5)),
     ]
     recorded = [one for function in functions for one in derivatives(function, [x, y], 1)]
     wanted = run_block(block([x, y, t], recorded), [0.4, 0.9]).reshape(-1, 3)

@@ -18,8 +18,8 @@ import numpy as np
 from pydantic import model_validator
 
 from mbdkit.plugin import FunctionJoint, Point, Pose, PoseFunction, Positive, SpecError, StrictModel
-from mbdkit.plugin.mechanisms import root, with_slope_at
-from mbdkit_transmissions.profiles import Curve, OfAngle, OfX, check_closed
+from mbdkit.plugin.mechanisms import Profile
+from mbdkit_transmissions.profiles import OfAngle, OfX, check_closed
 
 BISECTIONS, ITERATIONS = 12, 4
 """Bisections of half a turn that lead to the point of contact, and iterations of Newton's method after them.
@@ -34,11 +34,11 @@ Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]
 class OnClosedCurve:
     """The distance of a point from a polar curve."""
 
-    radius: Curve
+    radius: Profile
 
     def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return the distance [m], positive outside."""
-        radius, slope = with_slope_at(self.radius, np.arctan2(pose.y, pose.x))
+        radius, slope = self.radius.with_slope(np.arctan2(pose.y, pose.x))
         ratio = slope / radius
         return (np.sqrt(pose.x * pose.x + pose.y * pose.y) - radius) / np.sqrt(1.0 + ratio * ratio)
 
@@ -47,11 +47,11 @@ class OnClosedCurve:
 class OnGraph:
     """The distance of a point from the graph of a function y(x)."""
 
-    height: Curve
+    height: Profile
 
     def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return the distance [m], positive above."""
-        height, slope = with_slope_at(self.height, pose.x)
+        height, slope = self.height.with_slope(pose.x)
         return (pose.y - height) / np.sqrt(1.0 + slope * slope)
 
 
@@ -59,7 +59,7 @@ class OnGraph:
 class RollerOnCurve:
     """The distance of a roller from a polar curve."""
 
-    radius: Curve
+    radius: Profile
 
     def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return the distance [m], positive outside."""
@@ -77,7 +77,7 @@ class RollerOnCurve:
 class FaceOnCurve:
     """The distance of a flat face from a polar curve."""
 
-    radius: Curve
+    radius: Profile
 
     def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return the distance [m], positive outside."""
@@ -102,12 +102,12 @@ def _point_of_contact(condition: Callable[[Any], Any], near: Any) -> Any:
     half = math.pi / 4
     for _ in range(BISECTIONS):
         near, half = near + np.where(condition(near) > 0.0, half, -half), half / 2
-    return root(condition, near, ITERATIONS)
+    return Profile.of(condition).root(near, ITERATIONS)
 
 
-def _point_and_tangent(radius: Curve, s: Any) -> tuple[Any, Any, Any, Any]:
+def _point_and_tangent(radius: Profile, s: Any) -> tuple[Any, Any, Any, Any]:
     """Return the point of a polar curve at an angle, and its derivative by the angle."""
-    r, slope = with_slope_at(radius, s)
+    r, slope = radius.with_slope(s)
     c, sine = np.cos(s), np.sin(s)
     return r * c, r * sine, slope * c - r * sine, slope * sine + r * c
 
@@ -157,7 +157,7 @@ class Cam(FunctionJoint):
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
-        radius, follower = Curve(self.profile, "angle"), self.follower
+        radius, follower = Profile.of(self.profile, "angle"), self.follower
         size = float(np.max(check_closed(radius, "profile")))
         if follower == "point":
             return [PoseFunction(OnClosedCurve(radius))]
@@ -169,11 +169,11 @@ class Cam(FunctionJoint):
         return [PoseFunction(RollerOnCurve(radius), (("roller", follower.roller), ("size", size)))]
 
     @staticmethod
-    def _check_curvature(radius: Curve, follower: Follower) -> None:
+    def _check_curvature(radius: Profile, follower: Follower) -> None:
         """Raise SpecError if the follower cannot touch the profile everywhere."""
         step = 2 * np.pi / 7200
         angles = np.arange(-np.pi, np.pi, step)
-        before, r, after = (np.asarray(radius(angles + shift)) for shift in (-step, 0.0, step))
+        before, r, after = (np.asarray(radius.value(angles + shift)) for shift in (-step, 0.0, step))
         slope, bend = (after - before) / (2 * step), (after - 2 * r + before) / step**2
         curvature = (r * r + 2 * slope * slope - r * bend) / (r * r + slope * slope) ** 1.5
         worst = int(np.argmin(curvature))
@@ -191,7 +191,7 @@ class Cam(FunctionJoint):
 
     def lines(self, start: Pose) -> Lines:
         """Return the profile and the follower."""
-        profile = _closed_line(Curve(self.profile, "angle"), self.points[0])
+        profile = _closed_line(Profile.of(self.profile, "angle"), self.points[0])
         (x, y), follower = self.points[1], self.follower
         if follower == "point":
             return [profile]
@@ -204,7 +204,7 @@ class Cam(FunctionJoint):
         assert follower.flat is not None
         length = math.hypot(*follower.flat)
         dx, dy = -follower.flat[1] / length, follower.flat[0] / length
-        half = float(np.max(np.asarray(Curve(self.profile, "angle")(np.linspace(-np.pi, np.pi, 181)))))
+        half = float(np.max(np.asarray(Profile.of(self.profile, "angle").value(np.linspace(-np.pi, np.pi, 181)))))
         return [profile, [(1, (x - half * dx, y - half * dy)), (1, (x + half * dx, y + half * dy))]]
 
 
@@ -258,27 +258,27 @@ class Slot(FunctionJoint):
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         if self.curve.radius is not None:
-            radius = Curve(self.curve.radius, "angle")
+            radius = Profile.of(self.curve.radius, "angle")
             check_closed(radius, "curve.radius")
             return [PoseFunction(OnClosedCurve(radius))]
         assert self.curve.y is not None
-        return [PoseFunction(OnGraph(Curve(self.curve.y, "x")))]
+        return [PoseFunction(OnGraph(Profile.of(self.curve.y, "x")))]
 
     def lines(self, start: Pose) -> Lines:
         """Return the curve, or the part of it near the start."""
         if self.curve.radius is not None:
-            return [_closed_line(Curve(self.curve.radius, "angle"), self.points[0])]
+            return [_closed_line(Profile.of(self.curve.radius, "angle"), self.points[0])]
         assert self.curve.y is not None
-        height, (x0, y0) = Curve(self.curve.y, "x"), self.points[0]
+        height, (x0, y0) = Profile.of(self.curve.y, "x"), self.points[0]
         half = max(abs(float(start.x)), abs(float(start.y)), 0.1)
         first, last = getattr(self.curve.y, "span", (start.x - half, start.x + half))
         x = np.linspace(first, last, 61)
-        return [[(0, (x0 + float(a), y0 + float(b))) for a, b in zip(x, np.asarray(height(x)), strict=True)]]
+        return [[(0, (x0 + float(a), y0 + float(b))) for a, b in zip(x, np.asarray(height.value(x)), strict=True)]]
 
 
-def _closed_line(radius: Curve, center: tuple[float, float]) -> list[tuple[int, tuple[float, float]]]:
+def _closed_line(radius: Profile, center: tuple[float, float]) -> list[tuple[int, tuple[float, float]]]:
     angles = np.linspace(-np.pi, np.pi, 145)
-    values = np.asarray(radius(angles))
+    values = np.asarray(radius.value(angles))
     return [
         (0, (center[0] + float(r) * math.cos(s), center[1] + float(r) * math.sin(s)))
         for r, s in zip(values, angles, strict=True)

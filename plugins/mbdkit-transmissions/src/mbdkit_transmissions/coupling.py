@@ -4,40 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Any, Literal
 
-from pydantic import BeforeValidator
+from pydantic import field_validator
 
 from mbdkit.plugin import FunctionJoint, Pose, PoseFunction
-from mbdkit.plugin.mechanisms import function_of, value_of_program, with_numbers
+from mbdkit.plugin.mechanisms import Profile
 
 VARIABLES = ("x", "y", "angle", "first", "second", "t")
-NUMBER = "c"
-"""Prefix of the names of parameters, which are the numbers in the equation."""
 
 
 @dataclass(frozen=True)
 class Equation:
     """The left side of an equation ``f = 0``, as a function of the pose; its numbers are parameters."""
 
-    program: tuple[tuple[str, float], ...]
+    left: Profile
 
-    def __call__(self, pose: Pose, p: Mapping[str, object]) -> object:
+    def __call__(self, pose: Pose, p: Mapping[str, Any]) -> Any:
         """Return its value."""
-        own = (pose.x, pose.y, pose.angle, pose.first, pose.first + pose.angle, pose.t)
-        numbers = {name.removeprefix(NUMBER): number for name, number in p.items()}
-        return value_of_program(self.program, numbers | dict(zip(VARIABLES, own, strict=True)))
+        return self.left.value(pose.x, pose.y, pose.angle, pose.first, pose.first + pose.angle, pose.t, **p)
 
 
 class Coupling(FunctionJoint):
     """An equation between the relative coordinates of a pair of bodies, such as ``angle - 2*first`` = 0."""
 
     type: Literal["coupling"] = "coupling"
-    equation: Annotated[str, BeforeValidator(function_of(*VARIABLES))]
+    equation: str
     """Expression that is zero, of `x`, `y` [m] and `angle` [rad] of b in a's frame, of the angles `first` of a and
     `second` of b [rad], and of the time `t` [s]. The point of b, and the origin in a's frame, are `points`."""
     unit: Literal["rad", "m"] = "rad"
     """Unit of the expression."""
+
+    @field_validator("equation")
+    @classmethod
+    def _is_smooth(cls, equation: str) -> str:
+        Profile.of(equation, *VARIABLES)
+        return equation
 
     @property
     def rows(self) -> tuple[str, ...]:
@@ -51,5 +53,5 @@ class Coupling(FunctionJoint):
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
-        program, numbers = with_numbers(self.equation, VARIABLES)
-        return [PoseFunction(Equation(program), tuple((f"{NUMBER}{i}", x) for i, x in enumerate(numbers)))]
+        left, numbers = Profile.of(self.equation, *VARIABLES).with_numbers("c")
+        return [PoseFunction(Equation(left), numbers)]
