@@ -122,13 +122,13 @@ def functions_of_time(spec: RunSpec) -> list[tuple[str, Motion | Program]]:
     These are motions, loads and excitations, and the largest parts of expressions of the state that depend on t alone.
     """
     mechanism = spec.mechanism()
-    texts = [*mechanism.expressions(), *((f"events.{quoted(n)}.when", event.when) for n, event in spec.events.items())]
-    parts = [
-        (key, part)
-        for key, text in texts
+    programs = [
+        (key, state_program(text, mechanism)[0])
+        for key, text in mechanism.expressions()
         if _TIME.search(text) and not key.startswith("model.controllers.")  # sampled
-        for part in parts_of_time(state_program(text, mechanism)[0])
     ]
+    programs += [(f"events.{quoted(name)}.when", event.program) for name, event in spec.watched().items()]
+    parts = [(key, part) for key, program in programs for part in parts_of_time(program)]
     return [*mechanism.motions(), *parts]
 
 

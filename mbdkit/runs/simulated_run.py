@@ -168,15 +168,17 @@ class SimulatedRun:
         self._functionals = functionals
         self.failure: Failure | None = None
         self.begin_record(writer)
-        ends = self.integrals is not None and self.integrals.continuous is not None
-        tolerances, estimate, share = method.traits.tolerances, method.traits.local_error, None
-        if tolerances is not None and self.integrals is not None and self.integrals.needs_nodes:
-            # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
-            share = share_of_integrals(tolerances.rtol, 6.0 if estimate is None else estimate.order)
-        self.table = timetable(
-            spec, self.guards, nodes=self.keeps_nodes, ends=ends, share=share,
-            integrands=[functional.program for functional in functionals],
-        )  # fmt: skip
+        if self.integrals is not None:
+            tolerances, estimate, share = method.traits.tolerances, method.traits.local_error, None
+            if tolerances is not None and self.integrals.needs_nodes:
+                # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
+                share = share_of_integrals(tolerances.rtol, 6.0 if estimate is None else estimate.order)
+            self.table = timetable(
+                spec, self.guards, nodes=self.keeps_nodes, ends=self.integrals.continuous is not None, share=share,
+                integrands=[functional.program for functional in functionals],
+            )  # fmt: skip
+        elif self.keeps_nodes:
+            self.table = replace(self.table, nodes=True)
         #: When the wall time of the run is over (`time.perf_counter`).
         self.deadline = math.inf
         self.stepper: Advancing | None = None
