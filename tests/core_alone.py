@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit.archive.fingerprint import seal
 from mbdkit.base.errors import MissingPartError
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
@@ -108,6 +109,7 @@ def test_the_arrays_of_an_inverse_run_are_read_and_the_rest_is_refused(tmp_path)
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         spec = load_spec("pendulum").model_dump(mode="json") | {"motion": {"file": "gait.csv"}}
         file.attrs["spec"] = json.dumps(spec)
+        seal(file)
     run = mbdkit.load(tmp_path / "run.h5")
     assert run.time[0] == 0.0
     with pytest.raises(mbdkit.SpecError, match="needs mbdkit-biomech, a part of mbdkit that is not installed"):

@@ -26,7 +26,7 @@ out : (16,) receives `mbdkit_contact.contact_rows.QUANTITIES`
 # fmt: off
 from math import sqrt
 
-from mbdkit.kernels import subkernel
+from mbdkit.engine.native.functions import subkernel
 '''
 
 
