@@ -67,7 +67,7 @@ def mbdkit_items() -> Iterable[Item]:
         ),
         CriterionItem(
             name="locked-joints",
-            summary="Gears, couplings and other joints of this part that cannot move.",
+            summary="Gears, couplings and other joints of transmissions that hold each other still.",
             order=175,
             stage="rows",
             find=Target("mbdkit_transmissions.trains:watch_still_joints"),
