@@ -111,14 +111,14 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
   1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
 - **`check: true` with estimated parameters** (`parameters: {{from: fit.h5}}`) states the errors by the estimates as
   well. With K parameters, mbdkit makes 2 K more runs, at one standard deviation on either side of the estimates along
-  each column of the Cholesky factor of their covariance. The root of the sum of the squares of half the differences, times
-  1.96, is a bound of 95 % for normally distributed estimates, to first order in their deviations.
-  `run.accuracy.position_error_parameters` and `run.accuracy.reaction_error_parameters`, arrays of the group `accuracy`,
-  have the shapes of `position_error` and `reaction_error`. They are bounds at each time, not envelopes, and nan where
-  one of these runs stopped early or is not possible. The line `limited` of the summary compares both kinds of errors,
-  as in `positions by the data (0.0099 m from parameters, 3e-09 m from integration)`; measures have such a bound in
-  `run.measures.parameter_errors`. These errors do not count in the verdict. They include neither an error of the model
-  nor that of parameters that are not estimated.
+  each column of the Cholesky factor of their covariance. The root of the sum of the squares of half the differences,
+  times 1.96, is a bound of 95 % for normally distributed estimates, to first order in their deviations.
+  `run.accuracy.position_error_parameters` and `run.accuracy.reaction_error_parameters`, arrays of the group
+  `accuracy`, have the shapes of `position_error` and `reaction_error`. They are bounds at each time, not envelopes,
+  and nan where one of these runs stopped early or is not possible. The line `limited` of the summary compares both
+  kinds of errors, as in `positions by the data (0.0099 m from parameters, 3e-09 m from integration)`; measures have
+  such a bound in `run.measures.parameter_errors`. These errors do not count in the verdict. They include neither an
+  error of the model nor that of parameters that are not estimated.
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
   to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
   confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance
