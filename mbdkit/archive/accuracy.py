@@ -18,11 +18,10 @@ from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES
 from mbdkit.quantities.registered_kinds import kind_of_group
 
+#: Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
+#: all joints. Otherwise, an error that is negligible in the mechanism would be large in a joint that carries almost
+#: nothing.
 SMALL_FORCE = 1e-3
-"""Errors of the force of a joint are divided by its largest force, but at least by this share of the largest force of
-all joints. Otherwise, an error that is negligible in the mechanism would be large in a joint that carries almost
-nothing.
-"""
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,8 @@ from mbdkit.base.files import read_bytes, replace_file
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import TEXT, Array
 
+#: Largest size of a checkpoint [bytes]; those of long runs with many bodies have a few megabytes.
 LARGEST = 1 << 30
-"""Largest size of a checkpoint [bytes]; those of long runs with many bodies have a few megabytes."""
 
 _MAGIC = b"mbdkit checkpoint 2\n"
 _HEADER = len(_MAGIC) + hashlib.sha256().digest_size
@@ -41,8 +41,8 @@ _ARRAY = "array"
 _KINDS = frozenset({"<f8", "<i8", "<c16", "|u1"})
 
 
+#: State of a part of a run: nested mappings and lists of arrays, numbers, strings and None.
 StoredState = Mapping[str, Any]
-"""State of a part of a run: nested mappings and lists of arrays, numbers, strings and None."""
 
 
 @dataclass(frozen=True)

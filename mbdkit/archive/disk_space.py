@@ -13,14 +13,13 @@ from mbdkit.base.memory import available_memory, in_bytes
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of
 
-NEARLY_NOTHING = 2**20
-"""A disk with less free space than this is reported as full [bytes]."""
+NEARLY_NOTHING = 2**20  #: A disk with less free space than this is reported as full [bytes].
 
+#: Size from which an archive is taken for a mistake in the spec, because no disk has room for it [bytes].
 LARGEST = 2**50
-"""Size from which an archive is taken for a mistake in the spec, because no disk has room for it [bytes]."""
 
+#: For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms.
 SMALL = 2**22
-"""For archives in memory up to this size [bytes], free memory is not checked, because querying it takes 0.1 ms."""
 
 
 @lru_cache(maxsize=16)

@@ -22,14 +22,11 @@ from mbdkit.registry.use import use
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-MOST = 5
-"""Number of headlines of a run."""
+MOST = 5  #: Number of headlines of a run.
 
-MOST_DIGITS = 10
-"""Largest number of significant digits of a number with an error."""
+MOST_DIGITS = 10  #: Largest number of significant digits of a number with an error.
 
-DIGITS_ALONE = 6
-"""Number of significant digits of a number whose error was not estimated."""
+DIGITS_ALONE = 6  #: Number of significant digits of a number whose error was not estimated.
 
 #: The value between recorded rows is printed if the number misses more than this share of it: with a known error, and
 #: without one.
@@ -45,17 +42,15 @@ ROUND_OFF = 1e-10
 #: Largest number of joints or other elements that one line lists; the rest are only counted.
 JOINTS_NAMED = 4
 
+#: A text says that a largest value is that at the end of a run if it exceeds the value at the start by more than the
+#: first share of the range of the quantity, and the second one of its largest magnitude.
+#:
+#: At the end of a period, the values at start and end are equal, and in equilibrium almost so.
 AT_END, LEAST_RISE = 0.01, 1e-3
-"""A text says that a largest value is that at the end of a run if it exceeds the value at the start by more than the
-first share of the range of the quantity, and the second one of its largest magnitude.
-
-At the end of a period, the values at start and end are equal, and in equilibrium almost so.
-"""
 
 NOT_UNIQUE = " (not unique, of least norm)"
 
-MESH_ERROR = "the error of the mesh of beams"
-"""What error bars of runs with beams do not include."""
+MESH_ERROR = "the error of the mesh of beams"  #: What error bars of runs with beams do not include.
 
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12

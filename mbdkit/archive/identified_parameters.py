@@ -12,11 +12,10 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files_read import read_data
 
+#: Attributes `format` and `format_version` of the files that are read.
 FORMAT, VERSION = "mbdkit-identification", 1
-"""Attributes `format` and `format_version` of the files that are read."""
 
-LARGEST_FILE = 2**30
-"""Largest size of a file [bytes]."""
+LARGEST_FILE = 2**30  #: Largest size of a file [bytes].
 
 
 def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, list[str]]:

@@ -32,28 +32,24 @@ ROOT_ATTRIBUTES = (
     "spec_sha256",
     "data_sha256",
 )
+#: Root attribute with the values and units of the measures of a run, in JSON; absent without measures.
 MEASURES = "measures"
-"""Root attribute with the values and units of the measures of a run, in JSON; absent without measures."""
+#: Root attribute with the integrals over time and the extrema that the measures need, by expression, as JSON in SI
+#: units.
 INTEGRALS = "integrals"
-"""Root attribute with the integrals over time and the extrema that the measures need, by expression, as JSON in SI
-units.
-"""
+#: Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
 GRADIENTS = "gradients"
-"""Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
-"""
-MECHANISM = "mechanism"
-"""Root attribute with the mechanism that was run, in JSON."""
+MECHANISM = "mechanism"  #: Root attribute with the mechanism that was run, in JSON.
+#: Root attribute with name, size and SHA-256 of every file that was read for the run, in JSON; absent without files.
 FILES = "files"
-"""Root attribute with name, size and SHA-256 of every file that was read for the run, in JSON; absent without files."""
+#: Root attributes with the verdict on a run, its reasons and warnings; archives of crashed runs lack them.
 VERDICT_ATTRIBUTES = ("verdict", "verdict_reasons", "warnings")
-"""Root attributes with the verdict on a run, its reasons and warnings; archives of crashed runs lack them."""
 
-DATA_HASH = "data_sha256"
-"""Root attribute with the hash of all arrays except timings and estimated errors."""
+DATA_HASH = "data_sha256"  #: Root attribute with the hash of all arrays except timings and estimated errors.
+#: Root attribute with the hash of all contents that `data_sha256` does not cover; archives of crashed runs lack it.
 ATTRIBUTES_HASH = "attributes_sha256"
-"""Root attribute with the hash of all contents that `data_sha256` does not cover; archives of crashed runs lack it."""
+#: Root attribute with the line of each array that the hashes cover, so that an array can be verified by itself.
 ARRAY_HASHES = "array_hashes"
-"""Root attribute with the line of each array that the hashes cover, so that an array can be verified by itself."""
 
 COUNTERS = (
     "steps",
@@ -65,11 +61,11 @@ COUNTERS = (
     "newton_iterations",
     "projections",
 )
+#: Counters that only runs of methods in Python have: evaluations by mbdkit itself, for work and integrals over time.
 SOME_COUNTERS = ("host_evaluations",)
-"""Counters that only runs of methods in Python have: evaluations by mbdkit itself, for work and integrals over time."""
 TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
+#: Times that only some runs have: those with integrals over the continuous motion, and those that are checked.
 SOME_TIMINGS = ("integrals_s", "check_s")
-"""Times that only some runs have: those with integrals over the continuous motion, and those that are checked."""
 
 FORMAT_VERSION = "1.0"
 

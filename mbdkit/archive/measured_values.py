@@ -8,18 +8,16 @@ from collections.abc import Mapping
 
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 
+#: Integrals over time of numbers or vectors, and extrema, by expression, in SI units; nan where undefined.
 Integrals = Mapping[str, float | tuple[float, ...]]
-"""Integrals over time of numbers or vectors, and extrema, by expression, in SI units; nan where undefined."""
 
 
-ERROR = "_error"
-"""Suffix of the column with the estimated error of a measure in tables of studies."""
+ERROR = "_error"  #: Suffix of the column with the estimated error of a measure in tables of studies.
 
+#: Values of expressions in comparison runs, in SI units, for error estimates; nan where unknown.
+#:
+#: Each expression has its values in two runs of increasing accuracy and in one run of another method.
 ComparedMeasures = Mapping[str, tuple[float, ...]]
-"""Values of expressions in comparison runs, in SI units, for error estimates; nan where unknown.
-
-Each expression has its values in two runs of increasing accuracy and in one run of another method.
-"""
 
 
 def compared_json(compared: ComparedMeasures) -> str:

@@ -147,8 +147,8 @@ class View:
         return f"<{type(self).__name__} {self.name}>" if self.name else f"<{type(self).__name__}>"
 
 
+#: Classes of histories by group; a kind without such a class gets one when it is first read.
 VIEWS: dict[str, type[View]] = {}
-"""Classes of histories by group; a kind without such a class gets one when it is first read."""
 
 
 @lru_cache(maxsize=32)

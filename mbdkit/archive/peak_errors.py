@@ -21,21 +21,19 @@ from mbdkit.trust.measure_error import measure_error
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Safety factors for interpolated peaks: for a parabola through three rows, and for a cubic spline through all rows.
+#:
+#: Each factor multiplies the height by which the interpolation exceeds the rows. For random sums of three sines, the
+#: larger of the two heights covers the true peak in 93 % of the cases with 4 rows per period of the highest frequency,
+#: in 99 % with 6, and in all cases with 10.
 PARABOLA, SPLINE = 2.0, 1.5
-"""Safety factors for interpolated peaks: for a parabola through three rows, and for a cubic spline through all rows.
 
-Each factor multiplies the height by which the interpolation exceeds the rows. For random sums of three sines, the
-larger of the two heights covers the true peak in 93 % of the cases with 4 rows per period of the highest frequency, in
-99 % with 6, and in all cases with 10.
-"""
-
+#: Error of the part of a peak that the ends of steps miss, as a share of this part.
+#:
+#: It adds to the largest error of the method in the rows, because forces between the ends of coarse steps may have
+#: larger errors than at these ends. In 14 packaged examples with 10 to 20 times their steps, the sum covers all of 66
+#: loads with a share of 0.5, and 50 without any.
 BETWEEN = 1.0
-"""Error of the part of a peak that the ends of steps miss, as a share of this part.
-
-It adds to the largest error of the method in the rows, because forces between the ends of coarse steps may have larger
-errors than at these ends. In 14 packaged examples with 10 to 20 times their steps, the sum covers all of 66 loads with
-a share of 0.5, and 50 without any.
-"""
 
 _ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
 

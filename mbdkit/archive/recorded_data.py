@@ -27,8 +27,8 @@ KEEP_BYTES = 1 << 28
 
 T = TypeVar("T")
 
+#: Constraint rows of drivers; no other joint has exactly one of these rows.
 _ROWS_OF_DRIVERS = (["angle"], ["x"], ["y"])
-"""Constraint rows of drivers; no other joint has exactly one of these rows."""
 
 
 class evaluated(cached_property[T]):  # noqa: N801

@@ -15,8 +15,7 @@ from mbdkit.archive.layout import is_hashed
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.registered_kinds import groups
 
-_ROLE, _IS_TABLE = "role", "table"
-"""Attribute of a group that holds a table, and its value."""
+_ROLE, _IS_TABLE = "role", "table"  #: Attribute of a group that holds a table, and its value.
 
 
 class TableColumn(NamedTuple):

@@ -81,8 +81,8 @@ _MAPPINGS = ("model", "integrator", "time", "output")
 #: Sections of a spec that may also be null.
 _OPTIONAL_MAPPINGS = ("limits", "events")
 
+#: Longest name that is read [characters]. Some names, such as those of constraints, are composed of several names.
 LONGEST = 4 * LONGEST_NAME
-"""Longest name that is read [characters]. Some names, such as those of constraints, are composed of several names."""
 
 
 def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:

@@ -15,8 +15,7 @@ from mbdkit.registry.manager import registry
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-Names = str | Sequence[str] | None
-"""Names of the elements to draw; None for those with the largest values."""
+Names = str | Sequence[str] | None  #: Names of the elements to draw; None for those with the largest values.
 Gap = Literal["position", "velocity", "angle"]
 Components = Literal["magnitude", "global", "body", "x", "y", "axial", "shear"]
 BeamForce = Literal["moment", "shear", "axial"]

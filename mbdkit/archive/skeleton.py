@@ -25,14 +25,12 @@ from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of
 
-LARGEST = 1 << 20
-"""Skeletons are cached if their arrays over time have at most this total size [bytes]."""
+LARGEST = 1 << 20  #: Skeletons are cached if their arrays over time have at most this total size [bytes].
 
 _IN_MEMORY = itertools.count(1)
 
 
-_VARYING = "assembly"
-"""Attribute of the provenance that differs between the runs of a process."""
+_VARYING = "assembly"  #: Attribute of the provenance that differs between the runs of a process.
 
 
 @dataclass(frozen=True)

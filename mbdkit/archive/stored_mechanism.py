@@ -34,8 +34,8 @@ _ASSEMBLY = TypeAdapter(Assembly)
 _SECTIONS = ("bodies", "beams", *ELEMENTS)
 _LAST_SECTIONS = ("coordinates", "states", "inputs", "controllers")
 _OTHERS = frozenset({"name", "title", "gravity", "assembly"})
+#: Finds the force laws of mbdkit itself: those of plugins are not called when an archive is read.
 _OWN = RegistryLookup(lambda: registry().only("mbdkit"))
-"""Finds the force laws of mbdkit itself: those of plugins are not called when an archive is read."""
 
 
 @dataclass(frozen=True)

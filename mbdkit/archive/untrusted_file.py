@@ -22,34 +22,28 @@ from mbdkit.base.errors import ArchiveError, ResourceError, file_error
 from mbdkit.base.files import check_regular
 from mbdkit.base.text import shown
 
-OBJECTS = 2_000
-"""Largest number of groups and arrays; an archive has about 60."""
+OBJECTS = 2_000  #: Largest number of groups and arrays; an archive has about 60.
 
-DEPTH = 8
-"""Deepest nesting of groups; an archive has one level."""
+DEPTH = 8  #: Deepest nesting of groups; an archive has one level.
 
-ATTRIBUTES = 10_000
-"""Largest number of attributes of a group or an array."""
+ATTRIBUTES = 10_000  #: Largest number of attributes of a group or an array.
 
+#: Largest ratio of the unpacked size of all compressed arrays, beyond `FREE`, to the size of the file.
+#:
+#: Compression reduces results to about 85 % of their size.
 UNPACKED = 50
-"""Largest ratio of the unpacked size of all compressed arrays, beyond `FREE`, to the size of the file.
 
-Compression reduces results to about 85 % of their size.
-"""
-
+#: Compressed arrays may always unpack to this total size [bytes], and smaller files are not searched for holes.
 FREE = 1 << 26
-"""Compressed arrays may always unpack to this total size [bytes], and smaller files are not searched for holes."""
 
+#: Largest uncompressed size of one chunk [bytes]; a chunk is decompressed in memory as a whole.
 CHUNK = 1 << 28
-"""Largest uncompressed size of one chunk [bytes]; a chunk is decompressed in memory as a whole."""
 
-TEXT = 1 << 30
-"""Largest estimate of the total size of the strings of an attribute [bytes]."""
+TEXT = 1 << 30  #: Largest estimate of the total size of the strings of an attribute [bytes].
 
+#: Longest string of fixed length [bytes]. Other programs may add such strings; those of an archive have variable
+#: length.
 FIXED = 1 << 12
-"""Longest string of fixed length [bytes]. Other programs may add such strings; those of an archive have variable
-length.
-"""
 
 _FEW = 64  # strings of an attribute that are read without an estimate of their size
 _DEFLATE = 1032  # largest ratio of deflate

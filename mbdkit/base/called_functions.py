@@ -18,11 +18,10 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import did_you_mean, listed, one_line
 
-GROUP = "mbdkit.controllers"
-"""Group of the entry points with functions of controllers."""
+GROUP = "mbdkit.controllers"  #: Group of the entry points with functions of controllers.
 
+#: Values that functions returned at their calls, one after another, by the name of what calls them.
 Returned = Mapping[str, Sequence[Sequence[float]]]
-"""Values that functions returned at their calls, one after another, by the name of what calls them."""
 
 _ALLOWED: ContextVar[bool] = ContextVar("allowed", default=False)
 _RETURNED: ContextVar[Returned | None] = ContextVar("returned", default=None)

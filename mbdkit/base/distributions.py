@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import Distribution, EntryPoint, EntryPoints
 
-MBDKIT = "mbdkit"
-"""The distribution of the core and of its own plugins."""
+MBDKIT = "mbdkit"  #: The distribution of the core and of its own plugins.
 
-_OWN = "mbdkit.builtin_plugin"
-"""Value of the entry point that only mbdkit itself has."""
+_OWN = "mbdkit.builtin_plugin"  #: Value of the entry point that only mbdkit itself has.
 
 
 @dataclass(frozen=True)

@@ -153,8 +153,8 @@ def blaming(what: str, *expected: type[Exception]) -> Iterator[None]:
         raise PluginError(f"{what}: {with_place(error)}") from error
 
 
+#: Packages that are not plugins, but that call plugins or are called by them.
 _NO_PLUGINS = {*OWN_PACKAGES, "pluggy", "pydantic", "pydantic_core", "numpy", "scipy", "sympy", "numba", "h5py"}
-"""Packages that are not plugins, but that call plugins or are called by them."""
 
 
 def with_place(error: BaseException) -> str:

@@ -16,11 +16,10 @@ from types import ModuleType
 
 IS_WINDOWS = sys.platform == "win32"
 
+#: Flags with which `open_file` refuses symbolic links, and does not wait for a writer to a pipe.
 NO_LINKS = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""Flags with which `open_file` refuses symbolic links, and does not wait for a writer to a pipe."""
 
-_PAUSE = 0.02
-"""Time between two attempts to lock a file on Windows [s]."""
+_PAUSE = 0.02  #: Time between two attempts to lock a file on Windows [s].
 
 
 def _windows() -> ModuleType:

@@ -18,11 +18,10 @@ from pathlib import Path
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError, file_error
 
-PATIENCE = 2.0
-"""Time for which Windows is asked again to rename a file that another program has open [s]."""
+PATIENCE = 2.0  #: Time for which Windows is asked again to rename a file that another program has open [s].
 
+#: Errors of Windows if a file is open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION.
 _OPEN_ELSEWHERE = (5, 32, 33)
-"""Errors of Windows if a file is open: ERROR_ACCESS_DENIED, ERROR_SHARING_VIOLATION, ERROR_LOCK_VIOLATION."""
 
 
 def check_path(path: str | Path) -> None:
@@ -74,14 +73,13 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     return target
 
 
+#: File names that Windows does not allow, or takes for devices or, after a colon, for streams of another file.
+#:
+#: See "Naming Files, Paths, and Namespaces" in Microsoft's documentation.
 _REFUSED_BY_WINDOWS = re.compile(
     r'.*[<>:"|?*\x00-\x1f].*|.*[. ]|(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9\u00b9\u00b2\u00b3]) *(\..*)?',
     re.IGNORECASE | re.DOTALL,
 )
-"""File names that Windows does not allow, or takes for devices or, after a colon, for streams of another file.
-
-See "Naming Files, Paths, and Namespaces" in Microsoft's documentation.
-"""
 
 
 def check_name_of_file(name: str) -> None:

@@ -21,17 +21,15 @@ from mbdkit.base.text import listed, shown
 
 Path = tuple[str | int, ...]
 
-DEEPEST = 100
-"""Largest number of nested mappings and lists in a spec."""
+DEEPEST = 100  #: Largest number of nested mappings and lists in a spec.
 
-LONGEST_TITLE = 10_000
-"""Largest number of characters of a title; drawing longer titles would take minutes."""
+LONGEST_TITLE = 10_000  #: Largest number of characters of a title; drawing longer titles would take minutes.
 
+#: Largest number of characters of the name of an element; pictures with much longer names would take minutes.
 LONGEST_NAME = 255
-"""Largest number of characters of the name of an element; pictures with much longer names would take minutes."""
 
+#: Largest magnitude of a whole number in a spec: the largest number in double precision.
 LARGEST_NUMBER = int(sys.float_info.max)
-"""Largest magnitude of a whole number in a spec: the largest number in double precision."""
 
 
 @contextmanager
@@ -46,8 +44,8 @@ def without_collection() -> Iterator[None]:
             gc.enable()
 
 
+#: Characters with a special meaning in key paths or assignments; keys that contain one are quoted.
 _MEANT = re.compile(r"[.\[\]\"=\\]")
-"""Characters with a special meaning in key paths or assignments; keys that contain one are quoted."""
 QUOTED = r'"(?:[^"\\]|\\.)*+"'
 _PART = re.compile(rf"({QUOTED})(?=[.\[]|$)|\[(\d{{1,9}})\]|(?:[^.\[]++|\[(?!\d{{1,9}}\]))+")
 

@@ -12,12 +12,9 @@ from typing import Protocol
 
 from mbdkit.base.text import counted, shown
 
-PATIENCE = 0.5
-"""A bar appears if a run takes longer than this [s]."""
-_PAUSE = 0.1
-"""Smallest time between two updates of a bar in a notebook [s]."""
-LINES_EVERY = 10.0
-"""If there is no terminal: smallest time before the first line, and between two lines [s]."""
+PATIENCE = 0.5  #: A bar appears if a run takes longer than this [s].
+_PAUSE = 0.1  #: Smallest time between two updates of a bar in a notebook [s].
+LINES_EVERY = 10.0  #: If there is no terminal: smallest time before the first line, and between two lines [s].
 
 
 class _Bar(Protocol):

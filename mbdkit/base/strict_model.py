@@ -31,10 +31,9 @@ if TYPE_CHECKING:
 with suppress(Exception):
     TypeAdapter(int)
 
+#: Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert
+#: text or booleans to numbers.
 STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-"""Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert
-text or booleans to numbers.
-"""
 
 
 def _accept_lists(schema: object, owner: type[BaseModel]) -> None:
@@ -55,8 +54,8 @@ def _not_a_truth_value(value: object) -> object:
     return value
 
 
+#: Version of the format of specs. Pydantic's ``Literal[1]`` alone also accepts True, which equals 1.
 FormatVersion = Annotated[Literal[1], BeforeValidator(_not_a_truth_value)]
-"""Version of the format of specs. Pydantic's ``Literal[1]`` alone also accepts True, which equals 1."""
 
 
 class StrictModel(BaseModel):

@@ -147,8 +147,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
     command.callback = guarded
 
 
-_OF_FILES = ("output", "resume")
-"""Options whose values are names of files."""
+_OF_FILES = ("output", "resume")  #: Options whose values are names of files.
 
 
 def _files(command: Any, options: Mapping[str, Any]) -> Iterator[str]:

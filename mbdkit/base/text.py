@@ -129,8 +129,8 @@ def _is_number(word: str) -> bool:
     return True
 
 
+#: Characters with which formulas in spreadsheets begin; some spreadsheets also accept their full-width forms.
 _FORMULAS = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")
-"""Characters with which formulas in spreadsheets begin; some spreadsheets also accept their full-width forms."""
 
 
 def csv_cell(text: str) -> str:

@@ -14,8 +14,7 @@ from functools import cache
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 
-Exponents = tuple[Fraction, Fraction, Fraction]
-"""Exponents of metre, kilogram and second."""
+Exponents = tuple[Fraction, Fraction, Fraction]  #: Exponents of metre, kilogram and second.
 
 _NONE: Exponents = (Fraction(0), Fraction(0), Fraction(0))
 _BASE = ("m", "kg", "s")
@@ -77,6 +76,7 @@ def _exponents(m: int = 0, kg: int = 0, s: int = 0) -> Exponents:
 
 _FORCE, _ENERGY, _POWER = _exponents(1, 1, -2), _exponents(2, 1, -2), _exponents(2, 1, -3)
 _PRESSURE = _exponents(-1, 1, -2)
+#: Exponents and SI factor of each symbol.
 _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "m": (_exponents(m=1), 1.0),
     "km": (_exponents(m=1), 1e3),
@@ -109,12 +109,12 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "kW": (_POWER, 1e3),
     "mW": (_POWER, 1e-3),
 }
-"""Exponents and SI factor of each symbol."""
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
 _RPM = re.compile(r"(/\s*)?\brpm\b((?:\^|\*\*)-?\d{1,2}(?:\.5)?)?")
+#: SI symbols of the units for which removing the prefix does not give the SI symbol.
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
-"""SI symbols of the units for which removing the prefix does not give the SI symbol."""
 
+#: Usual names of SI units with several base units.
 _NAMED = {
     exponents: text
     for text, exponents in {
@@ -128,16 +128,14 @@ _NAMED = {
         "J s": _exponents(2, 1, -1),
     }.items()
 }
-"""Usual names of SI units with several base units."""
 
 NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
-QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*$"
-"""Pattern of a number with a unit."""
+QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*$"  #: Pattern of a number with a unit.
 PERCENT = rf"^\s*{NUMBER}\s+%$"
 _QUANTITY = re.compile(rf"\s*({NUMBER}(?:,[0-9]+)?)(\s*)((?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*)")
 _LONGEST = 100
+#: The unit of pure numbers, which may also be given in percent.
 PLAIN = Unit("1", counts=(Fraction(0), Fraction(0), Fraction(1)))
-"""The unit of pure numbers, which may also be given in percent."""
 
 _PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}(?:\.5)?))?")
 

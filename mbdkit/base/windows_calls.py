@@ -67,6 +67,7 @@ class _MemoryStatus(ctypes.Structure):
 
 
 _POINTER = ctypes.c_void_p
+#: Types of the result and of the arguments. Without them, ctypes would pass handles as integers of 32 bits.
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "CreateFileW": (
         wintypes.HANDLE,
@@ -81,7 +82,6 @@ _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "CloseHandle": (wintypes.BOOL, (wintypes.HANDLE,)),
     "GlobalMemoryStatusEx": (wintypes.BOOL, (_POINTER,)),
 }
-"""Types of the result and of the arguments. Without them, ctypes would pass handles as integers of 32 bits."""
 
 
 @cache

@@ -22,8 +22,8 @@ from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, 
 from mbdkit.cli.common_options import PLAIN, Debug
 from mbdkit.cli.registered_commands import MainCommands
 
+#: Modules of mbdkit, its parts and what they compute with, whose warnings refer to lines of code.
 QUIET = rf"({'|'.join(OWN_PACKAGES)}|numpy|scipy)\b"
-"""Modules of mbdkit, its parts and what they compute with, whose warnings refer to lines of code."""
 
 app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)
 

@@ -83,8 +83,7 @@ def examples_copy(
         show(target)
 
 
-HITS = 12
-"""Largest number of sections that a search of the guide prints."""
+HITS = 12  #: Largest number of sections that a search of the guide prints.
 
 
 def guide(

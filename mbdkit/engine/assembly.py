@@ -19,18 +19,16 @@ from mbdkit.mechanism.joints import Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Motion, Table
 
-NOISE = 1e-9
-"""Changes below this are not reported [m, rad, m/s, rad/s]."""
+NOISE = 1e-9  #: Changes below this are not reported [m, rad, m/s, rad/s].
 
+#: After a correction, velocity residuals are accepted up to this multiple of the tolerance.
+#:
+#: If velocities change by much more than their own size, round-off leaves residuals above the tolerance.
 MUCH_CHANGED = 1e3
-"""After a correction, velocity residuals are accepted up to this multiple of the tolerance.
 
-If velocities change by much more than their own size, round-off leaves residuals above the tolerance.
-"""
-
+#: Residuals count as round-off below this times the largest coordinate or, for velocities, below this times the largest
+#: velocity times the largest lever arm.
 ROUND_OFF = 8 * np.finfo(float).eps
-"""Residuals count as round-off below this times the largest coordinate or, for velocities, below this times the largest
-velocity times the largest lever arm."""
 
 
 @dataclass(frozen=True)

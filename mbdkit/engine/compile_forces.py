@@ -38,12 +38,11 @@ from mbdkit.registry.seam import OwnSeam
 
 Numbers = tuple[float, ...]
 
+#: Kernel code of each kind of load.
 LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
-"""Kernel code of each kind of load."""
 
 
-FRICTION = 200
-"""Kinds of elements of lower order are compiled before the friction in joints."""
+FRICTION = 200  #: Kinds of elements of lower order are compiled before the friction in joints.
 
 
 def table(entries: Sequence[tuple[int, ...]], columns: tuple[int, ...]) -> np.ndarray:

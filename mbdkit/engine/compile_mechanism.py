@@ -44,12 +44,12 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
 from mbdkit.registry.seam import OwnSeam
 
+#: Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate.
 WELL_SCALED = 1e6
-"""Largest ratio of masses, and of inertias over squared lever arms, for which the Schur complement is accurate."""
 
 
+#: Largest number of distances between points of a body that are computed at once, to limit memory.
 MOST_DISTANCES = 1 << 16
-"""Largest number of distances between points of a body that are computed at once, to limit memory."""
 
 
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:

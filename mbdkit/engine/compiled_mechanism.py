@@ -23,11 +23,10 @@ from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.values import Motion
 from mbdkit.registry.element_items import ElementKind
 
+#: Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.
+#:
+#: Above this limit, the Schur complement is denser than the whole system, and the pivoted solver is used.
 MOST_COUPLINGS = 60
-"""Limit of a ratio: the sum of the squared numbers of pairs of rows on each body, by the number of all pairs of rows.
-
-Above this limit, the Schur complement is denser than the whole system, and the pivoted solver is used.
-"""
 
 
 def with_ground(x: np.ndarray) -> np.ndarray:

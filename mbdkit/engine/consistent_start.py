@@ -112,8 +112,7 @@ def _with_states_at(mechanism: Mechanism, compiled: CompiledMechanism, q: np.nda
     return replace(compiled, topology=compiled.topology._replace(law_parameters=parameters))
 
 
-MOST_MECHANISMS = 8
-"""Largest number of compiled mechanisms in the cache."""
+MOST_MECHANISMS = 8  #: Largest number of compiled mechanisms in the cache.
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,26 +12,25 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.schur import Schur
 from mbdkit.engine.linear_systems import SparseFactors
 
+#: Orderings of the columns in order of preference, each with its threshold for diagonal pivots, relative to the largest
+#: entry of the column: the natural order, and that by minimum degree in the graph of A + A^T and of A^T A.
 PIVOT_STRATEGIES = (("natural", 1e-3), ("symmetric", 1e-3), ("columns", 0.1), ("columns", 1.0))
-"""Orderings of the columns in order of preference, each with its threshold for diagonal pivots, relative to the largest
-entry of the column: the natural order, and that by minimum degree in the graph of A + A^T and of A^T A.
-"""
 
+#: Pivots are accepted if the residual of a trial solution, relative to the right-hand side, is at most this.
 ACCURATE = 1e-11
-"""Pivots are accepted if the residual of a trial solution, relative to the right-hand side, is at most this."""
 
+#: If the factors have at most this many times the entries of the matrix, no further strategy is tried.
 LITTLE_FILL = 4
-"""If the factors have at most this many times the entries of the matrix, no further strategy is tried."""
 
+#: For matrices with at least so many unknowns, this limit of the fill replaces `LITTLE_FILL`, because more strategies
+#: take minutes if the mechanism is a net.
 MANY_UNKNOWNS, MUCH_FILL = 5000, 40
-"""For matrices with at least so many unknowns, this limit of the fill replaces `LITTLE_FILL`, because more strategies
-take minutes if the mechanism is a net."""
 
+#: 1-norm condition number of the equilibrated matrix below which no further scaling is tried.
 GOOD_CONDITION = 1e8
-"""1-norm condition number of the equilibrated matrix below which no further scaling is tried."""
 
+#: 1-norm condition number of the equilibrated matrix from which the matrix counts as singular.
 WORST_CONDITION = 1e13
-"""1-norm condition number of the equilibrated matrix from which the matrix counts as singular."""
 
 
 class SingularSystemError(Exception):

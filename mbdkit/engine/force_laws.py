@@ -25,6 +25,7 @@ from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
 from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw, LawState, TracedLaw
 from mbdkit.mechanism.law_parameters import law_parameters
 
+#: The packaged laws, which have their own machine code.
 _STORED: Mapping[ForceLaw, LawFunction] = {
     exponential.LAW: law_kernels.exponential,
     gas_spring.LAW: law_kernels.gas_spring,
@@ -32,10 +33,9 @@ _STORED: Mapping[ForceLaw, LawFunction] = {
     one_sided.LAW: law_kernels.one_sided,
     tabulated.LAW: law_programs.table,
 }
-"""The packaged laws, which have their own machine code."""
 
+#: Laws compiled by this process; keys are a law and the names of its parameters.
 _COMPILED: dict[tuple[ForceLaw | NativeLaw, tuple[str, ...]], CompiledLaw] = {}
-"""Laws compiled by this process; keys are a law and the names of its parameters."""
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ Level = Literal["position", "velocity", "acceleration"]
 
 FormulationName = Literal["index-1", "index-2", "index-3", "ggl", "joint-coordinates"]
 
+#: Names of the ways to impose the constraints of cut joints in joint coordinates.
 LoopsName = Literal["index-1", "index-2", "index-3", "ggl"]
-"""Names of the ways to impose the constraints of cut joints in joint coordinates."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ _HOLDS: dict[LoopsName, tuple[Level, ...]] = {
     "ggl": ("position", "velocity"),
 }
 
+#: All formulations by name. The stage equations of each are those of `mbdkit.integrators.stages.collocation`.
 FORMULATIONS: dict[str, Formulation] = {
     formulation.name: formulation
     for formulation in (
@@ -60,7 +61,6 @@ FORMULATIONS: dict[str, Formulation] = {
         *(Formulation(formulation_name("joint-coordinates", name), holds, "joint") for name, holds in _HOLDS.items()),
     )
 }
-"""All formulations by name. The stage equations of each are those of `mbdkit.integrators.stages.collocation`."""
 
+#: Formulations whose equations are ordinary differential equations.
 ORDINARY = tuple(name for name, formulation in FORMULATIONS.items() if not formulation.solves_multipliers)
-"""Formulations whose equations are ordinary differential equations."""

@@ -21,13 +21,12 @@ from mbdkit.mechanism.pathways import Segment
 if TYPE_CHECKING:
     from mbdkit.expressions.recorded import Recorded
 
+#: Names of the law parameters for the multipliers of the first rows of the joint; kernels update their values.
 REACTIONS = ("reaction_0", "reaction_1")
-"""Names of the law parameters for the multipliers of the first rows of the joint; kernels update their values."""
+#: Names of additional parameters, 1 or -1, of the laws of friction in runs with derivatives
+#: (`mbdkit_gradients.law_corners`): whether the slip velocity is above the transition speed, whether it is below its
+#: negative, and, for slides, the signs of the normal forces at both ends.
 SIDES = tuple(f"mbdkit_side_{i}" for i in range(4))
-"""Names of additional parameters, 1 or -1, of the laws of friction in runs with derivatives
-(`mbdkit_gradients.law_corners`): whether the slip velocity is above the transition speed, whether it is below its
-negative, and, for slides, the signs of the normal forces at both ends.
-"""
 
 
 @dataclass(frozen=True)
@@ -129,8 +128,7 @@ class FollowingForce:
         return {REACTIONS[0]: 0.0, "ratio": self.side.ratio}
 
 
-TINY = 1e-300
-"""Square of a reaction that counts as none [N^2]."""
+TINY = 1e-300  #: Square of a reaction that counts as none [N^2].
 
 
 def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
@@ -172,8 +170,8 @@ def _against(normal: Recorded, slip: Recorded, p: Mapping[str, Recorded]) -> Rec
 
 
 PIN = TracedLaw(lambda length, rate, time, p: _pin(rate, p), lambda one: one.numbers, passive=True)
+#: Laws of the friction of pins and of slides.
 SLIDE = TracedLaw(lambda length, rate, time, p: _slide(rate, p), lambda one: one.numbers, passive=True)
-"""Laws of the friction of pins and of slides."""
 
 
 def friction_forces(mechanism: Mechanism) -> list[FrictionForce]:

@@ -10,10 +10,10 @@ from mbdkit.base.errors import PluginError
 from mbdkit.engine.kernels.law_programs import OPCODES, REGISTERS
 from mbdkit.expressions.recorded import UFUNCS, Recorded, Recorder, Term
 
+#: Numbers of operands that are values; operations that cannot be recorded have at most two.
 _VALUES = {"select": 3, "power_of_integer": 1, "table": 1} | {
     name: function.nin for function, name in UFUNCS.items() if name in OPCODES
 }
-"""Numbers of operands that are values; operations that cannot be recorded have at most two."""
 
 
 class Assembler:

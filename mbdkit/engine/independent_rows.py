@@ -16,13 +16,11 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.engine.kernels.table_rows import PAIR
 
+#: A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,
+#: relative to the largest component. If no pair satisfies this, the one that comes closest is used.
 WELL_HELD = 0.1
-"""A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,
-relative to the largest component. If no pair satisfies this, the one that comes closest is used.
-"""
 
-SAME_FRAME = 1e-6
-"""Deviation (1 - cosine) below which a direction counts as fixed in the frame of a body."""
+SAME_FRAME = 1e-6  #: Deviation (1 - cosine) below which a direction counts as fixed in the frame of a body.
 
 
 @dataclass(frozen=True)

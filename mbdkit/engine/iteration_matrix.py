@@ -87,14 +87,11 @@ def classes_of(workspace: Workspace) -> np.ndarray:
 class Pivots:
     """Pivots for all matrices whose terms have the same classes, and storage for these matrices."""
 
-    shape: tuple[int, int]
-    """Numbers of coordinates and of multipliers, (n, m)."""
+    shape: tuple[int, int]  #: Numbers of coordinates and of multipliers, (n, m).
     pattern: Pattern
     scatter: np.ndarray
-    reference: np.ndarray
-    """(n + m,) sizes of the pivots when they were chosen."""
-    free: list[Storage] = field(default_factory=list)
-    """Storage of matrices that are no longer in use."""
+    reference: np.ndarray  #: (n + m,) sizes of the pivots when they were chosen.
+    free: list[Storage] = field(default_factory=list)  #: Storage of matrices that are no longer in use.
 
     def take(self, dtype: np.dtype) -> Storage:
         """Return storage for a matrix, reusing that of an earlier one if possible."""
@@ -119,8 +116,7 @@ class Storage:
         self.solve = RepeatedCall(solve, address, self.force, self.rows, self.x, self.mu)
 
 
-INDEX_1_MATRIX = coefficients_of({})
-"""Coefficients of the matrix of the index-1 system."""
+INDEX_1_MATRIX = coefficients_of({})  #: Coefficients of the matrix of the index-1 system.
 
 
 def chosen_pivots(workspace: Workspace, classes: np.ndarray, coefficients: np.ndarray) -> Pivots:

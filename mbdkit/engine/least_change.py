@@ -16,21 +16,19 @@ from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import new_scratch
 
-Entries = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A sparse matrix as (row, column, value)."""
+Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  #: A sparse matrix as (row, column, value).
 
 MOST_ITERATIONS = 60
 MOST_DESCENTS = 30
 
-REGULAR = 1e-13
-"""Regularisation of redundant rows, relative to the diagonal of ``J M^-1 J^T``."""
+REGULAR = 1e-13  #: Regularisation of redundant rows, relative to the diagonal of ``J M^-1 J^T``.
 
+#: Diagonal of the scaled mass matrix. With 1, errors of the coordinates are as large as those of the multipliers.
 HELD = 2.0**-7
-"""Diagonal of the scaled mass matrix. With 1, errors of the coordinates are as large as those of the multipliers."""
 
+#: Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of the column; see
+#: `mbdkit.engine.linear_systems`.
 LEAST_PIVOT = 0.01
-"""Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of the column; see
-`mbdkit.engine.linear_systems`."""
 
 
 class LeastChange:

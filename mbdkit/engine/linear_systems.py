@@ -24,8 +24,7 @@ from mbdkit.engine.kernels.orthogonal import rotate_to_singular_rows
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import least_norms
 
-ROOM = 4
-"""Initial number of entries of each factor, relative to those of the matrix."""
+ROOM = 4  #: Initial number of entries of each factor, relative to those of the matrix.
 
 
 class SparseFactors:

@@ -26,8 +26,7 @@ from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES
 from mbdkit.engine.kernels.table_rows import BODIES, COUPLING, INTERACTION, LOAD, PAIR, SECTION, SLOPE, SPARE, SPRING
 
-CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)
-"""Classes of factors: 1, h mu, -h mu and (h mu)^2."""
+CONSTANT, RATE, MINUS_RATE, RATE_SQUARED = range(4)  #: Classes of factors: 1, h mu, -h mu and (h mu)^2.
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,7 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, MOST_ITERATIONS, STAGNANT
 
-ROUND_OFF = FEW_ROUNDINGS * EPS
-"""Relative change of the coordinates that counts as rounding error."""
+ROUND_OFF = FEW_ROUNDINGS * EPS  #: Relative change of the coordinates that counts as rounding error.
 
 
 class MeasuredSystem(Protocol):

@@ -16,29 +16,28 @@ from collections.abc import Iterator, Sequence
 
 from mbdkit.engine.elimination_order import minimum_degree
 
+#: Nested dissection is tried if there are at least this many nodes, and if the factorization in order of minimum degree
+#: takes at least this many products of blocks per node. In smaller nets it gains nothing.
 FEWEST_NODES, MUCH_FILL = 300, 30
-"""Nested dissection is tried if there are at least this many nodes, and if the factorization in order of minimum degree
-takes at least this many products of blocks per node. In smaller nets it gains nothing."""
 
+#: Mean number of adjacent nodes above which nested dissection is not tried: the joints of a body with hundreds of
+#: joints cannot be separated.
 MOST_NEIGHBOURS = 30
-"""Mean number of adjacent nodes above which nested dissection is not tried: the joints of a body with hundreds of
-joints cannot be separated."""
 
+#: Parts with at most this many nodes are not divided, which would save a few per cent of the products but take long.
 SMALLEST_PART = 100
-"""Parts with at most this many nodes are not divided, which would save a few per cent of the products but take long."""
 
+#: Shares of the nodes that are tried for the first of two parts.
 SHARES = (0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65)
-"""Shares of the nodes that are tried for the first of two parts."""
 
+#: A separator whose parts have sizes of 2:1 counts as longer than an even one by a third of this share. The value was
+#: found on nets of 700 to 4000 bodies.
 UNEVENNESS = 0.25
-"""A separator whose parts have sizes of 2:1 counts as longer than an even one by a third of this share. The value was
-found on nets of 700 to 4000 bodies."""
 
+#: Largest share of the nodes that a part may have; otherwise separators would move to the corners.
 LARGEST_PART = 0.7
-"""Largest share of the nodes that a part may have; otherwise separators would move to the corners."""
 
-Division = tuple[set[int], set[int], set[int]]
-"""A separator, and the two parts that it leaves."""
+Division = tuple[set[int], set[int], set[int]]  #: A separator, and the two parts that it leaves.
 
 
 def sparse_order(adjacent: Sequence[set[int]]) -> tuple[list[int], list[set[int]]]:

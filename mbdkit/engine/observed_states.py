@@ -14,8 +14,8 @@ from mbdkit.engine.redundant_joints import share_evenly, unexplained_gaps
 from mbdkit.engine.singularity import new_vectors
 from mbdkit.engine.workspace import Workspace
 
+#: Largest size of the buffer for self-stresses [bytes]. They are needed only to distribute redundant reactions.
 SELF_STRESS_BYTES = 1 << 25
-"""Largest size of the buffer for self-stresses [bytes]. They are needed only to distribute redundant reactions."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from mbdkit.base.called_functions import Returned
 from mbdkit.base.text import listed, one_line, shortened, shown
 from mbdkit.engine.compiled_mechanism import SampledController
 
+#: Larger integers, with which `math.isfinite` raises an exception, are no numbers of a run either.
 LARGEST = sys.float_info.max
-"""Larger integers, with which `math.isfinite` raises an exception, are no numbers of a run either."""
 
 
 class PythonControllers:

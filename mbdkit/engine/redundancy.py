@@ -25,39 +25,33 @@ from mbdkit.engine.least_change import LeastChange
 from mbdkit.engine.self_stress import SMALL, looped_rows, scaled_matrix, self_stresses
 from mbdkit.engine.workspace import Workspace
 
+#: Displacements from the start at which redundancy is tested, relative to the characteristic length and to 1 rad.
 MOVES = (1e-4, 1e-2, 0.1)
-"""Displacements from the start at which redundancy is tested, relative to the characteristic length and to 1 rad."""
 
+#: At least one of the displacements up to this size is possible from every position that is not singular.
+#:
+#: It is also the time after the start [s] up to which drivers must be consistent.
 SMALL_MOVE = 1e-2
-"""At least one of the displacements up to this size is possible from every position that is not singular.
 
-It is also the time after the start [s] up to which drivers must be consistent.
-"""
-
+#: Times after the start at which drivers are checked: for each pair, the smaller of a time [s] and a fraction of the
+#: run.
 LATER = ((1e-3, 1e-3), (1e-2, 1e-2), (0.1, 0.1))
-"""Times after the start at which drivers are checked: for each pair, the smaller of a time [s] and a fraction of the
-run.
-"""
 
+#: Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
+#:
+#: Half of the positions lie on each side of the start. With drivers, the same number of times of the run is added.
 FAR, FAR_MOVE = 40, 0.2
-"""Number of distant positions, and the displacement from one to the next. Together they cover a full rotation.
 
-Half of the positions lie on each side of the start. With drivers, the same number of times of the run is added.
-"""
-
+#: Limit on the total number of coordinates of the distant positions; large mechanisms have fewer positions.
 FAR_COORDINATES = 12_000
-"""Limit on the total number of coordinates of the distant positions; large mechanisms have fewer positions."""
 
-CLOSED = 1e-11
-"""Largest residual of a position that counts as consistent, relative to the largest coordinate."""
+CLOSED = 1e-11  #: Largest residual of a position that counts as consistent, relative to the largest coordinate.
 
+#: Rows are inconsistent if the accelerations that they require differ by more than this, relative to the size of the
+#: terms.
 CONTRADICTION = 1e-7
-"""Rows are inconsistent if the accelerations that they require differ by more than this, relative to the size of the
-terms.
-"""
 
-INVOLVED = 1e-6
-"""The reaction of a joint is not unique if its component in a self-stress is above this."""
+INVOLVED = 1e-6  #: The reaction of a joint is not unique if its component in a self-stress is above this.
 
 
 @dataclass(frozen=True)

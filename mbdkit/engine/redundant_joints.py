@@ -17,8 +17,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.orthogonal import solve_each_least_squares
 from mbdkit.engine.kernels.table_rows import SPARE
 
-DEPENDENT = 1e-14
-"""Self-stresses whose reactions depend on those of others to this share are rounding errors."""
+DEPENDENT = 1e-14  #: Self-stresses whose reactions depend on those of others to this share are rounding errors.
 
 
 def units_of_pairs(mechanism: CompiledMechanism) -> np.ndarray:

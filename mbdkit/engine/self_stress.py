@@ -21,29 +21,25 @@ if TYPE_CHECKING:
 
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
+#: Singular values of the scaled Jacobian below this count as zero. Round-off causes values of 1e-15 to 1e-11.
 SMALL = 1e-9
-"""Singular values of the scaled Jacobian below this count as zero. Round-off causes values of 1e-15 to 1e-11."""
 
+#: Combinations of rows below this relative size are examined for self-stresses. The triangular decomposition that finds
+#: them can miss a singular value only if it is smaller by the ratio of both, which does not occur for such matrices.
 CANDIDATE = 1e-5
-"""Combinations of rows below this relative size are examined for self-stresses. The triangular decomposition that finds
-them can miss a singular value only if it is smaller by the ratio of both, which does not occur for such matrices.
-"""
 
-MOST_DENSE = 300
-"""Largest number of rows for which dense matrices are used."""
+MOST_DENSE = 300  #: Largest number of rows for which dense matrices are used.
 
+#: Regularisation of the sparse solves.
+#:
+#: Each iteration suppresses components whose singular values are far above the square root of this value.
 TRACE = 1e-12
-"""Regularisation of the sparse solves.
-
-Each iteration suppresses components whose singular values are far above the square root of this value.
-"""
 
 
+#: The coordinates are eliminated first only if computing J J^T takes at most this many multiplications per row of J.
+#:
+#: If a body has hundreds of joints, J J^T has too many entries to be factorized.
 MOST_PRODUCTS = 100
-"""The coordinates are eliminated first only if computing J J^T takes at most this many multiplications per row of J.
-
-If a body has hundreds of joints, J J^T has too many entries to be factorized.
-"""
 
 
 def looped_rows(compiled: CompiledMechanism) -> np.ndarray:

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.workspace import Workspace
 
-NEAR = 0.05
-"""Distance below which a failure is attributed to a singular position."""
+NEAR = 0.05  #: Distance below which a failure is attributed to a singular position.
 
 
 def new_vectors(mechanism: CompiledMechanism) -> np.ndarray:

@@ -17,13 +17,12 @@ from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import COLUMNS, PLACE, TURN
 
+#: Kinds of constraints that determine the position of a body, and the number of its coordinates that they leave
+#: free.
 _PLACING = {KINDS["revolute"]: 0, KINDS["moving_center"]: 0, KINDS["point_on_line"]: 1}
-"""Kinds of constraints that determine the position of a body, and the number of its coordinates that they leave
-free.
-"""
 _TURNING = (KINDS["fixed_angle"], KINDS["driver_angle"])
+#: Number of rows of each kind of constraint that does not have 2 rows.
 _ROWS = {KINDS["point_on_line"]: 1, KINDS["fixed_angle"]: 1, KINDS["driver_angle"]: 1}
-"""Number of rows of each kind of constraint that does not have 2 rows."""
 
 
 def spanning_tree(top: Topology) -> np.ndarray:

@@ -20,15 +20,15 @@ from mbdkit.engine.linear_systems import factors_of
 from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.workspace import Workspace
 
+#: Step of a central difference as a share of its argument; it balances truncation and rounding errors.
 SHARE = float(np.finfo(float).eps ** (1 / 3))
-"""Step of a central difference as a share of its argument; it balances truncation and rounding errors."""
+#: Smaller arguments [m, rad, m/s, rad/s, or the unit of a state] count as this large: tendons are short and stiff.
 LEAST = 0.1
-"""Smaller arguments [m, rad, m/s, rad/s, or the unit of a state] count as this large: tendons are short and stiff."""
+#: Step of a difference by time [s]; the relative error with motions of frequency f is about ``(6 f TIME_STEP)^2``.
 TIME_STEP = 1e-5
-"""Step of a difference by time [s]; the relative error with motions of frequency f is about ``(6 f TIME_STEP)^2``."""
 
+#: Accelerations (n,), multipliers (m,) and rates of first-order states (Z,).
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Accelerations (n,), multipliers (m,) and rates of first-order states (Z,)."""
 
 
 def time_difference(values: Callable[[float], np.ndarray], t: float, sides: np.ndarray) -> np.ndarray:

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     from mbdkit.mechanism.mechanism import Mechanism
 
-STATE_INPUT = -1
-"""Code of an input that is a first-order state."""
+STATE_INPUT = -1  #: Code of an input that is a first-order state.
 POSITIONS = {"x": 0, "y": 1, "angle": 2}
 VELOCITIES = {"vx": 0, "vy": 1, "angular_velocity": 2}
 

@@ -18,8 +18,8 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
+#: Parts of a solver that change during a run; all others are constant or scratch arrays.
 _PIVOTED = ("pivoted", "pattern", "factors", "scatter")
-"""Parts of a solver that change during a run; all others are constant or scratch arrays."""
 
 
 def stored(bundle: Any) -> dict[str, object]:

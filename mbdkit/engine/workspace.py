@@ -64,20 +64,18 @@ class Workspace:
     v0: np.ndarray
     formulation: str = "index-1"
     stabilization: Stabilization = NONE
+    #: Values of the inputs of the mechanism during the run; without schedules, inputs keep their initial values.
     schedules: tuple[InputSchedule, ...] = ()
-    """Values of the inputs of the mechanism during the run; without schedules, inputs keep their initial values."""
+    #: Calls the functions of controllers in Python; None if they are not called, so that their outputs are 0.
     python: PythonControllers | None = None
-    """Calls the functions of controllers in Python; None if they are not called, so that their outputs are 0."""
+    #: Topology of the integrated equations, with Baumgarte's terms if the run is stabilized by them.
+    #:
+    #: Recorded accelerations are computed without these terms.
     stepping_topology: Topology = field(init=False)
-    """Topology of the integrated equations, with Baumgarte's terms if the run is stabilized by them.
-
-    Recorded accelerations are computed without these terms.
-    """
     scratch: Scratch = field(init=False)
     solver: Solver = field(init=False)
     _offsets: dict[str, int] = field(init=False, repr=False)
-    pivotings: int = field(init=False, default=0)
-    """Number of times that pivots have been chosen."""
+    pivotings: int = field(init=False, default=0)  #: Number of times that pivots have been chosen.
 
     def __post_init__(self) -> None:
         self.scratch, self._offsets = new_scratch(self.mechanism)

@@ -9,27 +9,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count, groupby, pairwise
 
-ACCURACY = 1e-13
-"""Accuracy of the time of a crossing, relative to the larger of the time and 1 s."""
+ACCURACY = 1e-13  #: Accuracy of the time of a crossing, relative to the larger of the time and 1 s.
 
+#: A sign change between two points of a step may be at a pole if the scalar at the sign change is more than this many
+#: times as large as at one of the points.
 POLE = 100.0
-"""A sign change between two points of a step may be at a pole if the scalar at the sign change is more than this many
-times as large as at one of the points.
-"""
 
+#: It is at a pole if the scalar grows by this factor `GROWTH` as the distance decreases by `WIDER`.
 WIDER, GROWTH = 30.0, 2.0
-"""It is at a pole if the scalar grows by this factor `GROWTH` as the distance decreases by `WIDER`."""
 
+#: The extremum of a parabola through three points is examined if it is below this share of the middle one.
 LOW = 0.1
-"""The extremum of a parabola through three points is examined if it is below this share of the middle one."""
 
+#: Share of the step at whose distance from an end the scalar is evaluated if it has no finite value there.
 BESIDE = 1e-9
-"""Share of the step at whose distance from an end the scalar is evaluated if it has no finite value there."""
 
+#: Parameters n0 and kappa1 (relative to the first interval) of ITP; kappa2 is 2. Larger values of n0 leave more room to
+#: interpolation, which then needs fewer evaluations for smooth functions.
 SLACK, TRUNCATION = 8, 0.2
-"""Parameters n0 and kappa1 (relative to the first interval) of ITP; kappa2 is 2. Larger values of n0 leave more room to
-interpolation, which then needs fewer evaluations for smooth functions.
-"""
 
 _ROUNDING = 2.0**-52
 

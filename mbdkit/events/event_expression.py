@@ -37,14 +37,14 @@ from mbdkit.quantities.registered_kinds import added_kinds, item_of_group, kind_
 from mbdkit.quantities.table import KINDS
 from mbdkit.registry.accessors import accessors
 
+#: Kinds of the core that have quantities in expressions.
 _WORDS = tuple(kind.word for kind in KINDS if kind.example)
-"""Kinds of the core that have quantities in expressions."""
+#: Kinds of elements whose quantities may be written without the kind, as NAME.ATTRIBUTE.
 _BARE = tuple(kind.word for kind in KINDS if kind.example and kind.is_bare)
-"""Kinds of elements whose quantities may be written without the kind, as NAME.ATTRIBUTE."""
 _ANGLES = ("angle", "angular_velocity", "angular_acceleration")
 
+#: A function of the time and the quantities in an expression: numbers, or arrays.
 Function = Callable[[Sequence[Any]], Any]
-"""A function of the time and the quantities in an expression: numbers, or arrays."""
 
 
 class CompiledExpression(NamedTuple):

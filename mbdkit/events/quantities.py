@@ -17,8 +17,7 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 
-MOST_KEPT = 8
-"""Largest number of states whose buffers are kept for the next evaluation."""
+MOST_KEPT = 8  #: Largest number of states whose buffers are kept for the next evaluation.
 
 
 @dataclass(frozen=True)

@@ -31,37 +31,31 @@ import numpy as np
 from mbdkit.engine.linear_systems import inverse_of, product
 from mbdkit.events.crossing import UndefinedError, bracket_root, sign
 
-INSIDE = (0.25, 0.5, 0.75)
-"""Relative positions in a step at which dense output is evaluated first."""
+INSIDE = (0.25, 0.5, 0.75)  #: Relative positions in a step at which dense output is evaluated first.
 
+#: Accuracy of the positions of kinks, and largest distance of two kinks between which no samples are added, as shares
+#: of the step.
 KINK, SHORTEST = 1e-13, 1e-12
-"""Accuracy of the positions of kinks, and largest distance of two kinks between which no samples are added, as shares
-of the step.
-"""
 
+#: Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples.
 LARGEST_TURN = 1.0
-"""Largest change of the argument of a periodic function between two samples [rad]; a period has at least 6 samples."""
 
-MOST_SAMPLES = 2000
-"""Largest number of samples of one event in a step."""
+MOST_SAMPLES = 2000  #: Largest number of samples of one event in a step.
 
+#: Largest number of refinements of the same five samples; otherwise, a scalar that touches zero would be refined
+#: forever.
 DEEPEST = 10
-"""Largest number of refinements of the same five samples; otherwise, a scalar that touches zero would be refined
-forever.
-"""
 
+#: Values of the scalar below this share of its largest value so far count as rounding errors. No samples are added
+#: between five samples with such values.
 NOISE = 1e-12
-"""Values of the scalar below this share of its largest value so far count as rounding errors. No samples are added
-between five samples with such values.
-"""
 
+#: Safety factor of the estimated errors of a polynomial, and weight of the second estimate (degree 3 against degree 2).
+#:
+#: With these values, crossings are missed for 6 of 1000 polynomials of degree 5 to 7 with roots distributed evenly over
+#: 1.6 steps. With a factor of 2 and without the second estimate, crossings are missed for 47 of them, and the number of
+#: samples is three quarters of that with these values.
 SAFETY, LOWER_SHARE = 4.0, 0.1
-"""Safety factor of the estimated errors of a polynomial, and weight of the second estimate (degree 3 against degree 2).
-
-With these values, crossings are missed for 6 of 1000 polynomials of degree 5 to 7 with roots distributed evenly over
-1.6 steps. With a factor of 2 and without the second estimate, crossings are missed for 47 of them, and the number of
-samples is three quarters of that with these values.
-"""
 
 Values = Sequence[float]
 Scalar = Callable[[Values], float]

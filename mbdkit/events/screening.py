@@ -22,8 +22,8 @@ from mbdkit.quantities.quantity import Quantity
 
 _PLACES = (0.0, *INSIDE, 1.0)
 
+#: Relative margin of comparisons, which covers the different rounding errors of arrays and numbers.
 MARGIN = 1e-6
-"""Relative margin of comparisons, which covers the different rounding errors of arrays and numbers."""
 
 
 def _control_points() -> np.ndarray:
@@ -39,8 +39,7 @@ def _control_points() -> np.ndarray:
 
 
 _CONTROL_POINTS = _control_points()
-_ERRORS = interpolation(_PLACES)[1][::2]
-"""(2, 5) matrix that yields the estimated errors of the polynomial."""
+_ERRORS = interpolation(_PLACES)[1][::2]  #: (2, 5) matrix that yields the estimated errors of the polynomial.
 
 
 class Screen:

@@ -40,21 +40,18 @@ from mbdkit.quantities.quantity import Quantity
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
+#: After a jump of the state, values of an expression below this share of its value before the jump, and of its median
+#: in the next step, count as zero.
 ZERO = 1e-12
-"""After a jump of the state, values of an expression below this share of its value before the jump, and of its median
-in the next step, count as zero.
-"""
 
+#: After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
+#:
+#: The next crossing is then found, however soon it follows.
 CLOSER = 0.1
-"""After an event has set states, its expression is sampled at shares of the step that decrease by this factor.
-
-The next crossing is then found, however soon it follows.
-"""
 
 
+#: Largest number of steps that are taken at once, and that are taken one by one before several are taken at once again.
 MOST_AHEAD, MOST_SINGLE = 256, 16
-"""Largest number of steps that are taken at once, and that are taken one by one before several are taken at once again.
-"""
 
 
 @dataclass(frozen=True)

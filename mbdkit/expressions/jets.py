@@ -38,8 +38,7 @@ class Switch:
     The operation ``atan2`` has a jump at such a point only if its second operand is not positive.
     """
 
-    level: int
-    """Depth of nesting of switches; 1 if no operand of this operation contains a switch."""
+    level: int  #: Depth of nesting of switches; 1 if no operand of this operation contains a switch.
     argument: Jet
 
 

@@ -24,14 +24,13 @@ if TYPE_CHECKING:
     import sympy
 
 MAX_LENGTH = 10_000
-MOST_TOLD = 6
-"""Largest number of parameters whose values are stated in a message."""
+MOST_TOLD = 6  #: Largest number of parameters whose values are stated in a message.
 MAX_NESTING = 100
 MAX_INTEGER_POWER = 1_000_000
 
-Code = list[Instruction]
-"""A program that is being compiled."""
+Code = list[Instruction]  #: A program that is being compiled.
 
+#: Name of the operation of each Python operator.
 OPERATORS: dict[type[ast.operator], str] = {
     ast.Add: "add",
     ast.Sub: "sub",
@@ -39,10 +38,9 @@ OPERATORS: dict[type[ast.operator], str] = {
     ast.Div: "div",
     ast.Pow: "pow",
 }
-"""Name of the operation of each Python operator."""
 
+#: Hints on names that other software uses for the time.
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
-"""Hints on names that other software uses for the time."""
 
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
 

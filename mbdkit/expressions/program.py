@@ -7,16 +7,14 @@ from typing import Any, TypeVar
 
 from mbdkit.expressions.operations import OPERATIONS, arity_of
 
+#: Name of an operation, and a number.
+#:
+#: ``const`` pushes the number and ``t`` the argument; all other operations replace their operands by their result. For
+#: ``powi``, the number is the exponent, which is an integer; other operations do not use it.
 Instruction = tuple[str, float]
-"""Name of an operation, and a number.
-
-``const`` pushes the number and ``t`` the argument; all other operations replace their operands by their result. For
-``powi``, the number is the exponent, which is an integer; other operations do not use it.
-"""
 Program = tuple[Instruction, ...]
 
-MAX_DEPTH = 32
-"""Largest number of operands on the stack of a program that is compiled."""
+MAX_DEPTH = 32  #: Largest number of operands on the stack of a program that is compiled.
 
 Value = TypeVar("Value")
 

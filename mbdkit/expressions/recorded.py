@@ -18,6 +18,7 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import PluginError
 from mbdkit.expressions.program import Program, value_of
 
+#: Operations that can be recorded, by functions of NumPy; `numpy.where` is the operation ``select``.
 UFUNCS: Mapping[Any, str] = {
     np.add: "add", np.subtract: "subtract", np.multiply: "multiply", np.divide: "divide", np.power: "power",
     np.remainder: "remainder", np.negative: "negate", np.absolute: "abs", np.sqrt: "sqrt", np.exp: "exp",
@@ -27,15 +28,13 @@ UFUNCS: Mapping[Any, str] = {
     np.less_equal: "less_equal", np.greater: "greater", np.greater_equal: "greater_equal", np.equal: "equal",
     np.not_equal: "not_equal",
 }  # fmt: skip
-"""Operations that can be recorded, by functions of NumPy; `numpy.where` is the operation ``select``."""
 
+#: Functions that evaluate operations on constants.
 _OF_NUMBERS: Mapping[str, Callable[..., Any]] = {name: function for function, name in UFUNCS.items()} | {
     UFUNCS[own.ufunc]: own for own in elementary.FUNCTIONS.values() if own.ufunc in UFUNCS
 }
-"""Functions that evaluate operations on constants."""
 _COMMUTATIVE = ("add", "multiply")
-_LARGEST_EXPONENT = 1 << 30
-"""Larger integer exponents are ordinary numbers."""
+_LARGEST_EXPONENT = 1 << 30  #: Larger integer exponents are ordinary numbers.
 
 
 class Term(NamedTuple):

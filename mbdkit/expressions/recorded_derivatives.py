@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit.base.errors import PluginError
 from mbdkit.expressions.recorded import Recorded, Term
 
+#: Derivatives with respect to each operand; f is the value of the operation.
 _SLOPES: Mapping[str, tuple[Callable[..., Any], ...]] = {
     "add": (lambda f, x, y: 1.0, lambda f, x, y: 1.0),
     "subtract": (lambda f, x, y: 1.0, lambda f, x, y: -1.0),
@@ -40,12 +41,11 @@ _SLOPES: Mapping[str, tuple[Callable[..., Any], ...]] = {
     "hypot": (lambda f, x, y: x / f, lambda f, x, y: y / f),
     "table": (lambda f, x: _slope_of_table(f, x),),
 }
-"""Derivatives with respect to each operand; f is the value of the operation."""
 
+#: Operations whose derivatives are 0.
 _CONSTANT = frozenset(
     ("input", "constant", "detached", "less", "less_equal", "greater", "greater_equal", "equal", "not_equal")
 )
-"""Operations whose derivatives are 0."""
 
 _NOT_SMOOTH = {
     "abs": "has no derivative where its operand is 0",

@@ -50,8 +50,8 @@ def compiled_method(method: Method, workspace: Workspace) -> tuple[CompiledMetho
     return method.traits.compiled()(method, workspace, control), control
 
 
+#: What takes the steps of a run, or a function that makes it of a method in machine code.
 Steps = StepMethod | ExternalMethod | Callable[[CompiledMethod], CompiledMethod]
-"""What takes the steps of a run, or a function that makes it of a method in machine code."""
 
 
 @Seam

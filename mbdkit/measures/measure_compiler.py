@@ -25,14 +25,11 @@ from mbdkit.spec.sections import QUANTITIES
 PLAIN = read_unit("1")
 _RADIAN = read_unit("rad")
 _SECOND = read_unit("s")
-_END: Program = (("t", 0.0), (REDUCE + "final", 0.0))
-"""The end of a run, ``final(t)``."""
+_END: Program = (("t", 0.0), (REDUCE + "final", 0.0))  #: The end of a run, ``final(t)``.
+#: Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
+#: apply them first.
 ALONG: Mapping[str, str] = {"max": "along_max", "min": "along_min"}
-"""Functions that return the largest or smallest value of a quantity along a beam at each time, by the reductions that
-apply them first.
-"""
-_OF_VECTORS = ("mean", "final", "integral", *VALUES)
-"""Reductions that apply to each component of a vector."""
+_OF_VECTORS = ("mean", "final", "integral", *VALUES)  #: Reductions that apply to each component of a vector.
 
 
 @dataclass(frozen=True)
@@ -63,8 +60,8 @@ class _Code(list[tuple[str, float]]):
         self.value = value
 
 
+#: Which operands of an operation may be vectors.
 _VECTORS_OF = {"neg": ([True],), "mul": ([True, False], [False, True]), "div": ([True, False],)}
-"""Which operands of an operation may be vectors."""
 _HAS_ELEMENTS = (
     "has a value in each element of a beam; name an element, as in beams.NAME.moment[0], or use along_max or along_min "
     "of it"

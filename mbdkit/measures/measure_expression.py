@@ -34,11 +34,10 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 
+#: A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity.
 BEYOND = 1e-6
-"""A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity."""
 
-AT_END_OF_RUN = "{} at the end of the run"
-"""The remark on an extremum at the end of a run."""
+AT_END_OF_RUN = "{} at the end of the run"  #: The remark on an extremum at the end of a run.
 
 
 @dataclass(frozen=True)

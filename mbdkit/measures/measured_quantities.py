@@ -17,15 +17,15 @@ from mbdkit.spec.model_spec import ModelSpec
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Functions that compute the quantities of an event from the times of its crossings.
 _EVENTS: Mapping[str, tuple[str, Callable[[np.ndarray], float]]] = {
     "time": ("s", lambda times: float(times[0]) if len(times) else np.nan),
     "last_time": ("s", lambda times: float(times[-1]) if len(times) else np.nan),
     "count": ("1", lambda times: float(len(times))),
 }
-"""Functions that compute the quantities of an event from the times of its crossings."""
 
+#: Names of the quantities of each kind of element.
 ATTRIBUTES: Mapping[str, Sequence[str]] = WordsOfKinds(lambda kind: tuple(kind.attributes), {"events": tuple(_EVENTS)})
-"""Names of the quantities of each kind of element."""
 
 
 def unit_of(quantity: Quantity, spec: ModelSpec) -> Unit | None:

@@ -33,6 +33,10 @@ def _mean(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.trapezoid(values, time, axis=-1) / duration if duration > 0 else values[..., 0]
 
 
+#: Reductions: functions of times (T,) and values (..., T) that return one value for all rows, (...).
+#:
+#: ``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. Where possible, measures use
+#: integrals and extrema of the continuous motion instead, which are computed during the run; see `Functional`.
 REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "max": lambda time, values: np.max(values, axis=-1),
     "min": lambda time, values: np.min(values, axis=-1),
@@ -41,11 +45,9 @@ REDUCTIONS: Mapping[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "final": lambda time, values: values[..., -1],
     "integral": lambda time, values: np.trapezoid(values, time, axis=-1),
 }
-"""Reductions: functions of times (T,) and values (..., T) that return one value for all rows, (...).
-
-``mean``, ``rms`` and ``integral`` use the trapezoidal rule on the recorded rows. Where possible, measures use integrals
-and extrema of the continuous motion instead, which are computed during the run; see `Functional`.
-"""
+#: Reductions as functions of the value of a `Functional` and of the duration [s].
+#:
+#: For ``rms``, the functional is the integral of the square.
 OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "mean": lambda integral, duration: integral / duration,
     "rms": lambda integral, duration: np.sqrt(integral / duration),
@@ -54,19 +56,14 @@ OF_FUNCTIONAL: Mapping[str, Callable[[np.ndarray, float], np.ndarray]] = {
     "min": lambda extremum, duration: extremum,
     "at": lambda value, duration: value,
 }
-"""Reductions as functions of the value of a `Functional` and of the duration [s].
-
-For ``rms``, the functional is the integral of the square.
-"""
 EXTREMA = ("max", "min")
 INTEGRALS = ("mean", "rms", "integral")
+#: Values at one time: before a discontinuity there, and after it. In programs, both are ``at``; the `Functional` tells
+#: which one it is.
 VALUES = ("at", "after")
-"""Values at one time: before a discontinuity there, and after it. In programs, both are ``at``; the `Functional` tells
-which one it is.
-"""
 
+#: Function that returns a quantity of an event, such as the time of its first crossing.
 EventTimes = Callable[[Quantity], float]
-"""Function that returns a quantity of an event, such as the time of its first crossing."""
 
 
 def from_functional(name: str, value: float | tuple[float, ...], duration: float, values: np.ndarray) -> np.ndarray:

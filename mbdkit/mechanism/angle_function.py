@@ -66,8 +66,8 @@ def _angle_function(value: object) -> object:
     return number_or_table(value, AngleTable, WANTED)
 
 
+#: A function of a relative angle [rad]: a number, an expression of `angle`, or a table.
 AngleFunction = Annotated[Number | str | AngleTable, BeforeValidator(_angle_function)]
-"""A function of a relative angle [rad]: a number, an expression of `angle`, or a table."""
 
 
 class Center(StrictModel):

@@ -11,11 +11,11 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.quadrature import gauss_legendre
 
+#: Number of Gauss points for computing the arc length of a curve between two neighbouring given points.
 QUADRATURE = 16
-"""Number of Gauss points for computing the arc length of a curve between two neighbouring given points."""
 
+#: Number of Newton steps for the position of a node on a curve; the initial guess is close to the solution.
 NEWTON_STEPS = 8
-"""Number of Newton steps for the position of a node on a curve; the initial guess is close to the solution."""
 
 
 class Place(NamedTuple):
@@ -46,28 +46,25 @@ def _quadratic(x: float) -> IntegrationPoint:
     )
 
 
+#: Integration points of elements by their number of nodes.
+#:
+#: There is one point fewer than needed for exact integration of the shear energy, which prevents slender elements from
+#: being too stiff in bending (shear locking).
 INTEGRATION = {
     2: (IntegrationPoint((0.5, 0.5), (-1.0, 1.0), 1.0),),
     3: (_quadratic(-1.0 / math.sqrt(3.0)), _quadratic(1.0 / math.sqrt(3.0))),
 }
-"""Integration points of elements by their number of nodes.
 
-There is one point fewer than needed for exact integration of the shear energy, which prevents slender elements from
-being too stiff in bending (shear locking).
-"""
-
+#: Shares of the mass and load of an element that are assigned to its nodes, by the number of nodes.
+#:
+#: Elements with two nodes follow the trapezoidal rule, elements with three nodes Simpson's rule.
 NODE_SHARES = {2: (0.5, 0.5), 3: (1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0)}
-"""Shares of the mass and load of an element that are assigned to its nodes, by the number of nodes.
 
-Elements with two nodes follow the trapezoidal rule, elements with three nodes Simpson's rule.
-"""
-
+#: Corrections of the trapezoidal rule at the first three nodes, and in reverse order at the last three nodes.
+#:
+#: They are given as shares of the length of an element. The corrected rule is Gregory's rule with second differences,
+#: which integrates cubic functions exactly. For two elements it equals Simpson's rule, and for three the 3/8 rule.
 END_CORRECTIONS = (-1.0 / 8.0, 1.0 / 6.0, -1.0 / 24.0)
-"""Corrections of the trapezoidal rule at the first three nodes, and in reverse order at the last three nodes.
-
-They are given as shares of the length of an element. The corrected rule is Gregory's rule with second differences,
-which integrates cubic functions exactly. For two elements it equals Simpson's rule, and for three the 3/8 rule.
-"""
 
 
 def straight(a: Sequence[float], b: Sequence[float], count: int) -> list[Place]:

@@ -19,10 +19,9 @@ from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce
 from mbdkit.mechanism.values import Motion, MotionPair, NotNegative, Number, Point, Positive, Table, sequence
 
+#: In a beam with ``shear: none``, shear causes this share of the deflection of a cantilever that carries a force at
+#: its end.
 SHEAR_SHARE = 1e-6
-"""In a beam with ``shear: none``, shear causes this share of the deflection of a cantilever that carries a force at
-its end.
-"""
 
 MOST_ELEMENTS = 20_000
 
@@ -357,8 +356,8 @@ class Beam(StrictModel):
                 yield BeamSection(element, names[some], point.shape, slope, point.weight * length, reference)
 
 
+#: Suffix of the name by which a spec refers to the last node of a beam, whatever its number of elements.
 LAST = ".last"
-"""Suffix of the name by which a spec refers to the last node of a beam, whatever its number of elements."""
 
 
 def last_nodes(beams: Mapping[str, Beam]) -> dict[str, str]:

@@ -21,13 +21,12 @@ from mbdkit.mechanism.values import BodyPair, Motion, Number, Point, Points, Pos
 
 GROUND = "ground"
 
+#: A global point counts as the position of a point mass if their distance, relative to the largest of their
+#: coordinates (at least 1 mm), does not exceed this.
 ON_POINT_MASS = 1e-9
-"""A global point counts as the position of a point mass if their distance, relative to the largest of their
-coordinates (at least 1 mm), does not exceed this.
-"""
 
+#: Key in the spec, body name, and point in the body's frame [m].
 Attachment = tuple[str, str, tuple[float, float]]
-"""Key in the spec, body name, and point in the body's frame [m]."""
 
 
 class Body(StrictModel):

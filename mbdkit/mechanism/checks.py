@@ -17,15 +17,13 @@ from mbdkit.mechanism.mechanism_data import NO_BODY, Assembly
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.values import Motion, Table
 
+#: A run may extend beyond a table by this share of the longer of both spans, because the end of a run is a sum of
+#: rounded steps.
 ROUNDING = 1e-9
-"""A run may extend beyond a table by this share of the longer of both spans, because the end of a run is a sum of
-rounded steps.
-"""
 
+#: Two points coincide if their distance [m] is at most this; if a coordinate exceeds 1 m, the tolerance is this times
+#: the largest coordinate.
 COINCIDENT = 1e-12
-"""Two points coincide if their distance [m] is at most this; if a coordinate exceeds 1 m, the tolerance is this times
-the largest coordinate.
-"""
 
 
 def check_mechanism(

@@ -16,8 +16,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, with_slope
 from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
 
-_COORDINATE = "coordinate:"
-"""Prefix of the instructions that push a coordinate."""
+_COORDINATE = "coordinate:"  #: Prefix of the instructions that push a coordinate.
 
 
 class CoordinateExpressionError(ExpressionError):
@@ -85,8 +84,8 @@ def _function(value: object) -> object:
 
 WANTED = "a number, an expression of coordinates, or {table: [[coordinate, ...], [value, ...]], of: COORDINATE}"
 
+#: A number, an expression of named coordinates, or a table of one named coordinate.
 CoordinateFunction = Annotated[Number | str | CoordinateTable, BeforeValidator(_function)]
-"""A number, an expression of named coordinates, or a table of one named coordinate."""
 
 
 def names_of(function: CoordinateFunction) -> list[str]:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 if TYPE_CHECKING:
     import sympy
 
+#: Arguments of every law: length s [m or rad], rate s' [m/s or rad/s] and time t [s].
 ARGUMENTS = ("length", "rate", "time")
-"""Arguments of every law: length s [m or rad], rate s' [m/s or rad/s] and time t [s]."""
 
+#: Lowest and highest value for some arguments of a law, by name; other arguments may have any value.
 Ranges = Mapping[str, tuple[float, float]]
-"""Lowest and highest value for some arguments of a law, by name; other arguments may have any value."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,5 +172,5 @@ class PointForce(AtPoint):
 
 
 # Each law has its own subclass of `Law`, whose fields are the options; SerializeAsAny includes these fields in dumps.
+#: A force element; `type` selects its class.
 Force = Annotated[SpringDamper | TorsionSpring | Torque | PointForce | SerializeAsAny[Law], Field(discriminator="type")]
-"""A force element; `type` selects its class."""

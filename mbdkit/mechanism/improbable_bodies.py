@@ -17,41 +17,37 @@ from mbdkit.mechanism.extent import points_of_elements, size_if_below, smaller_u
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.values import Point
 
+#: An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the
+#: mechanism.
+#:
+#: Inertias that are given in kg mm^2 are too large by a factor of 1e6, and those in kg cm^2 by 1e4. The mass is that of
+#: the heaviest body, because bodies of little mass may stand for gears and rotors. In all packaged examples, 5 sizes
+#: would be enough.
 FAR_MASS = 10.0
-"""An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the
-mechanism.
 
-Inertias that are given in kg mm^2 are too large by a factor of 1e6, and those in kg cm^2 by 1e4. The mass is that of
-the heaviest body, because bodies of little mass may stand for gears and rotors. In all packaged examples, 5 sizes
-would be enough.
-"""
-
+#: The radius of gyration of a body is improbable if it exceeds this many sizes of the mechanism, and if the mass of the
+#: body is at least a share of `STAND_IN` of the heaviest body, so that it does not stand for a gear or a rotor.
+#:
+#: In all packaged examples, radii of gyration are at most 1.0 sizes.
 WIDE, STAND_IN = 1.5, 0.01
-"""The radius of gyration of a body is improbable if it exceeds this many sizes of the mechanism, and if the mass of the
-body is at least a share of `STAND_IN` of the heaviest body, so that it does not stand for a gear or a rotor.
 
-In all packaged examples, radii of gyration are at most 1.0 sizes.
-"""
-
+#: A body is improbable if its joints are this many times as far from its centre of mass as any point of the other
+#: bodies from theirs, or as their radii of gyration and the lengths of beams.
+#:
+#: A length in mm is too large by a factor of 1000. In all packaged examples, the ratio is at most 10.
 OUTSIZE = 300.0
-"""A body is improbable if its joints are this many times as far from its centre of mass as any point of the other
-bodies from theirs, or as their radii of gyration and the lengths of beams.
 
-A length in mm is too large by a factor of 1000. In all packaged examples, the ratio is at most 10.
-"""
-
+#: A rigid body longer than `LONG` [m] is improbable if its mass divided by the square of its length is below `LIGHT`
+#: [kg/m^2], unless at least `LINKS` bodies have the same mass and length.
+#:
+#: A steel bar of 100 m and 5 kg has a diameter of 2.8 mm and cannot be rigid. The limit depends on the square of the
+#: length because longer bars must be thicker to be equally rigid. Ropes and tethers are lighter, and may consist of
+#: equal links. A length in mm divides this ratio by 1e6, so that links of 80 mm are found up to 3.2 kg. The lightest
+#: long body of the packaged examples is an ideal rod of 20 m and 1 kg, at 5 times the limit.
 LONG, LIGHT, LINKS = 10.0, 5e-4, 3
-"""A rigid body longer than `LONG` [m] is improbable if its mass divided by the square of its length is below `LIGHT`
-[kg/m^2], unless at least `LINKS` bodies have the same mass and length.
 
-A steel bar of 100 m and 5 kg has a diameter of 2.8 mm and cannot be rigid. The limit depends on the square of the
-length because longer bars must be thicker to be equally rigid. Ropes and tethers are lighter, and may consist of equal
-links. A length in mm divides this ratio by 1e6, so that links of 80 mm are found up to 3.2 kg. The lightest long body
-of the packaged examples is an ideal rod of 20 m and 1 kg, at 5 times the limit.
-"""
-
+#: Body heights [m] and body masses [kg] of people outside these ranges are improbable.
 HEIGHTS, MASSES = (0.3, 3.0), (2.0, 400.0)
-"""Body heights [m] and body masses [kg] of people outside these ranges are improbable."""
 
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:

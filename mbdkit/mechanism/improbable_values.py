@@ -14,51 +14,45 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Coordinate
 
+#: A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
+#: and percentages are usually larger.
 ROUGHEST = 5.0
-"""A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
-and percentages are usually larger.
-"""
 
+#: A Young's modulus [Pa] below `SOFTEST`, that of the softest tissues, is improbable, and so is one below `SOFT`, that
+#: of soft rubber, if the density [kg/m^3] is above `METAL`.
+#:
+#: Moduli of hard materials in GPa are at most 1200, and those of metals in MPa at most 4.1e5. A beam of E = 7e5 and
+#: 5540 kg/m^3 is a common test of flexible pendulums.
 SOFTEST, SOFT, METAL = 1e3, 5e5, 2500.0
-"""A Young's modulus [Pa] below `SOFTEST`, that of the softest tissues, is improbable, and so is one below `SOFT`, that
-of soft rubber, if the density [kg/m^3] is above `METAL`.
 
-Moduli of hard materials in GPa are at most 1200, and those of metals in MPa at most 4.1e5. A beam of E = 7e5 and 5540
-kg/m^3 is a common test of flexible pendulums.
-"""
-
+#: A density below this [kg/m^3] is improbable. Light foams have about 30, and all metals less than 23 g/cm^3.
 LIGHTEST = 20.0
-"""A density below this [kg/m^3] is improbable. Light foams have about 30, and all metals less than 23 g/cm^3."""
 
+#: A cross-section is improbable if it is deeper than the beam is long, or this many times as wide as the beam is long,
+#: or wider than the beam is long and `THINNEST` times as wide as deep.
+#:
+#: Flexure hinges may be wide and short. An area in mm^2 makes the width of a rectangle of given I wrong by a factor of
+#: 1e9, and an area in cm^2 by 1e6.
 WIDEST = 100.0
-"""A cross-section is improbable if it is deeper than the beam is long, or this many times as wide as the beam is long,
-or wider than the beam is long and `THINNEST` times as wide as deep.
 
-Flexure hinges may be wide and short. An area in mm^2 makes the width of a rectangle of given I wrong by a factor of
-1e9, and an area in cm^2 by 1e6.
-"""
-
+#: If an improbable cross-section is more than this many times as deep as wide, its I has another unit, if it is more
+#: than this many times as wide as deep, its A, and otherwise both.
+#:
+#: A wrong unit of I alone or A alone changes the ratio of width to depth by a factor of 1e8 or more.
 THINNEST = 1e4
-"""If an improbable cross-section is more than this many times as deep as wide, its I has another unit, if it is more
-than this many times as wide as deep, its A, and otherwise both.
 
-A wrong unit of I alone or A alone changes the ratio of width to depth by a factor of 1e8 or more.
-"""
-
+#: The free length of a spring is improbable if it exceeds this many lengths of the spring at the start, and `LARGE`
+#: sizes of the mechanism.
+#:
+#: Free lengths in cm are too large by a factor of 100. In all packaged examples, free lengths are at most 1.3 times the
+#: length at the start.
 LONGEST = 10.0
-"""The free length of a spring is improbable if it exceeds this many lengths of the spring at the start, and `LARGE`
-sizes of the mechanism.
 
-Free lengths in cm are too large by a factor of 100. In all packaged examples, free lengths are at most 1.3 times the
-length at the start.
-"""
-
+#: Lengths of elements (`Element.lengths_to_check`), and the deflection at the start of a one-sided spring along a
+#: coordinate, are improbable if they exceed this many sizes of the mechanism.
+#:
+#: In all packaged examples, such lengths are at most 0.21 sizes.
 LARGE = 3.0
-"""Lengths of elements (`Element.lengths_to_check`), and the deflection at the start of a one-sided spring along a
-coordinate, are improbable if they exceed this many sizes of the mechanism.
-
-In all packaged examples, such lengths are at most 0.21 sizes.
-"""
 
 
 def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from mbdkit.expressions.recorded import Recorded
 
+#: Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or none.
 Mark = Literal["pin", "slide", "weld", "bar", "none"]
-"""Plot symbol of a joint: a pin at its point, a guide along its axis, a weld, a bar between its points, or none."""
 
 
 class Pose(NamedTuple):
@@ -65,10 +65,8 @@ class RecordedFunction(NamedTuple):
     """A `PoseFunction` as a graph of terms."""
 
     value: Recorded
-    pose: tuple[Recorded, ...]
-    """The inputs that are the entries of the `Pose`; the last one is the time."""
-    parameters: dict[str, Recorded]
-    """The inputs that are parameters."""
+    pose: tuple[Recorded, ...]  #: The inputs that are the entries of the `Pose`; the last one is the time.
+    parameters: dict[str, Recorded]  #: The inputs that are parameters.
 
 
 def record_function(function: Function, parameters: Sequence[str], joint: str) -> RecordedFunction:
@@ -119,8 +117,8 @@ class Constraint:
     function: PoseFunction | None = None
 
 
+#: The line of a slide: a's point in a's frame and b's point in b's frame [m], unit vector in a's frame; each (x, y).
 Travel = tuple[float, float, float, float, float, float]
-"""The line of a slide: a's point in a's frame and b's point in b's frame [m], unit vector in a's frame; each (x, y)."""
 
 
 class JointBase(Between):

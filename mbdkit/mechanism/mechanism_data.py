@@ -107,10 +107,9 @@ def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> N
         raise SpecError(f"'{one.relative_to}' is not another body", key=key)
 
 
+#: Kinds of elements of the core: keys of the model, and attributes of `Mechanism`. A canonical spec always has the
+#: first two keys; it has the last one, and those of further kinds, only if they have elements.
 ELEMENTS = ("joints", "forces", "markers")
-"""Kinds of elements of the core: keys of the model, and attributes of `Mechanism`. A canonical spec always has the
-first two keys; it has the last one, and those of further kinds, only if they have elements.
-"""
 
 NO_BODY = "a mechanism needs at least one body or beam"
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 
-GROUND = -1
-"""Value that stands for the ground where the index of a body is expected."""
+GROUND = -1  #: Value that stands for the ground where the index of a body is expected.
 
 AXES = ("x", "y", "angle")
 

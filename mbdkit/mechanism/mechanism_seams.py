@@ -9,8 +9,8 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.seam import OwnSeam, Seam
 
+#: Bodies and points in their frames [m], in the order in which a line joins them.
 Line = Sequence[tuple[str, tuple[float, float]]]
-"""Bodies and points in their frames [m], in the order in which a line joins them."""
 
 
 @OwnSeam

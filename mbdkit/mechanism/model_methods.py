@@ -15,6 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from mbdkit.base.strict_model import description
 
+#: Descriptions of arguments that are not fields.
 TEXTS = {
     "name": "Name of the element.",
     "a": "First body.",
@@ -24,7 +25,6 @@ TEXTS = {
     "point in b's frame) [m]; by default, b's origin.",
     "options": "Options of the force law; ``mbdkit plugins show LAW`` lists them.",
 }
-"""Descriptions of arguments that are not fields."""
 
 
 def of_models(*models: type[BaseModel]) -> Callable[[Callable[..., object]], Any]:

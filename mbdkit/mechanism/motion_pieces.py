@@ -20,52 +20,44 @@ from mbdkit.expressions.jets import EPS, jet_and_switches
 from mbdkit.expressions.program import Program
 from mbdkit.mechanism.switching_times import seeds_of
 
-NODES = 9
-"""Number of points of a polynomial."""
+NODES = 9  #: Number of points of a polynomial.
 
+#: Largest deviation from the polynomial, as a share of the range of the function in the piece, and over the run.
 LOCAL, FLOOR = 1e-2, 1e-6
-"""Largest deviation from the polynomial, as a share of the range of the function in the piece, and over the run."""
 
+#: Shares of a piece over which further polynomials determine the limits at a seed.
+#:
+#: A piece is represented up to `LOCAL`, and the first share 16^9 times better. Over the others, a jump has to persist.
 SCALES = 16.0 ** -np.arange(1.0, 5.0)
-"""Shares of a piece over which further polynomials determine the limits at a seed.
 
-A piece is represented up to `LOCAL`, and the first share 16^9 times better. Over the others, a jump has to persist.
-"""
+LOOKS = 2000  #: Number of samples over a run that the polynomials have to predict.
 
-LOOKS = 2000
-"""Number of samples over a run that the polynomials have to predict."""
-
+#: Number of bisections after which a piece is not divided any further; the function practically jumps in it.
 LEVELS = 34
-"""Number of bisections after which a piece is not divided any further; the function practically jumps in it."""
 
-MOST_PIECES = 20_000
-"""If there are more pieces than this, they are not divided any further."""
+MOST_PIECES = 20_000  #: If there are more pieces than this, they are not divided any further.
 
-SMOOTH = 4
-"""A function whose Chebyshev coefficients from this degree on are negligible does not limit steps."""
+SMOOTH = 4  #: A function whose Chebyshev coefficients from this degree on are negligible does not limit steps.
 
-SHARE = 0.5
-"""Largest step, as a share of the length over which a polynomial represents a function."""
+SHARE = 0.5  #: Largest step, as a share of the length over which a polynomial represents a function.
 
+#: Factor of `share_of_integrals`: the quadrature of a sine then has an error of one to seven times the tolerance.
 OF_INTEGRALS = 1.5
-"""Factor of `share_of_integrals`: the quadrature of a sine then has an error of one to seven times the tolerance."""
 
+#: Largest ratio of this length to that of a piece, whose polynomial would also represent the function farther away.
 FARTHEST = 16.0
-"""Largest ratio of this length to that of a piece, whose polynomial would also represent the function farther away."""
 
-ALIKE = 4.0
-"""Successive pieces that limit steps to sizes within this factor have one limit."""
+ALIKE = 4.0  #: Successive pieces that limit steps to sizes within this factor have one limit.
 
 _ANGLES = np.pi * (np.arange(NODES) + 0.5) / NODES
-UNIT_NODES = 0.5 - 0.5 * elementary.cos(_ANGLES)
-"""Chebyshev points between 0 and 1, without the ends."""
+UNIT_NODES = 0.5 - 0.5 * elementary.cos(_ANGLES)  #: Chebyshev points between 0 and 1, without the ends.
 _TO_COEFFICIENTS = 2.0 / NODES * elementary.cos(np.outer(np.pi - _ANGLES, np.arange(NODES)))
 _TO_COEFFICIENTS[:, 0] *= 0.5
 _K = np.arange(NODES, dtype=float)
+#: (NODES, 3) weights of the values at `UNIT_NODES` in value, rate and acceleration of the polynomial at 0.
 AT_START = (_TO_COEFFICIENTS * (-1.0) ** _K) @ np.stack(
     [_K**0, -2.0 * _K**2, 4.0 * _K**2 * (_K**2 - 1.0) / 3.0], axis=1
 )
-"""(NODES, 3) weights of the values at `UNIT_NODES` in value, rate and acceleration of the polynomial at 0."""
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordi
 from mbdkit.mechanism.parameters import with_expressions
 from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
 
+#: Type of the elements of each kind of the core: each key of the model `mechanism` with elements by name.
 _KINDS = {
     kind: get_args(field.annotation)[1]
     for kind, field in MechanismData.model_fields.items()
     if get_origin(field.annotation) is dict
 }
-"""Type of the elements of each kind of the core: each key of the model `mechanism` with elements by name."""
 
 AnyPlaced = TypeVar("AnyPlaced", bound=Element)
 

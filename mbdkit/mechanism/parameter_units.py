@@ -10,10 +10,9 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
 
 _SECOND = read_unit("s")
-_NUMBER = Unit("1")
-"""Unit of pure numbers and of angles in radians."""
+_NUMBER = Unit("1")  #: Unit of pure numbers and of angles in radians.
+#: Functions whose value is a pure number or an angle.
 _PURE = frozenset({"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "log", "sign"})
-"""Functions whose value is a pure number or an angle."""
 _OF_ANGLE = frozenset({"sin", "cos", "tan"})
 _LIKE_OPERANDS = frozenset({"abs", "min", "max"})
 

@@ -48,8 +48,8 @@ class ParameterValues(dict[str, float]):
         self.units = dict(units)
 
 
-Written = dict[Path, "WrittenText"]
-"""Expressions by key path."""
+Written = dict[Path, "WrittenText"]  #: Expressions by key path.
+#: Kind of a value; functions of variables have the names of these.
 Kind = (
     tuple[str, ...]
     | Literal[
@@ -57,7 +57,6 @@ Kind = (
         "function of coordinates",
     ]
 )  # fmt: skip
-"""Kind of a value; functions of variables have the names of these."""
 
 
 class WrittenText(str):
@@ -92,13 +91,12 @@ _KINDS: tuple[tuple[type[ExpressionError], Kind], ...] = (
 
 RESERVED = frozenset({"t", "pi", *FUNCTIONS})
 
-FROM = "from"
-"""Reserved key among named parameters: the file from which further parameters are taken."""
+FROM = "from"  #: Reserved key among named parameters: the file from which further parameters are taken.
 
 _NUMBER = re.compile(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)(,\d+)?([eE][-+]?\d+)?\s*")
 _NAME = re.compile(r"(?<![\w.])[A-Za-z_]\w*")
+#: A name that is not part of a quantity such as ``bodies.leg.angle``. Quoted names match, too, but are not changed.
 _NAME_ALONE = re.compile(r"\"[^\"]*\"|'[^']*'|(?<![\w.])[A-Za-z_]\w*(?![\w]|\s*[.\[])")
-"""A name that is not part of a quantity such as ``bodies.leg.angle``. Quoted names match, too, but are not changed."""
 
 
 def parameter_values(given: object) -> ParameterValues:

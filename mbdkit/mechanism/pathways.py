@@ -214,5 +214,5 @@ def path_ends(segments: tuple[Segment, ...]) -> tuple[str, str]:
     return segments[0].bodies[0], segments[-1].bodies[1]
 
 
+#: A pathway of an element of type ``law``; `type` selects its class.
 Pathway = Annotated[TwoPoints | RelativeAngle | Coordinate | JointAngles, Field(discriminator="type")]
-"""A pathway of an element of type ``law``; `type` selects its class."""

@@ -53,8 +53,8 @@ def _value(given: object) -> object:
     return given
 
 
+#: A function of time, or an expression of the state such as ``"-20*bodies.leg.angle"``.
 Value = Annotated[Number | str | Table, BeforeValidator(_value)]
-"""A function of time, or an expression of the state such as ``"-20*bodies.leg.angle"``."""
 ValuePair = Annotated[tuple[Value, Value], BeforeValidator(pair("two numbers, expressions or tables [x, y]"))]
 
 
@@ -67,8 +67,8 @@ def _rate(given: object) -> object:
     return repr(float(given))
 
 
+#: An expression of the state, or a number.
 Expression = Annotated[str, BeforeValidator(_rate, json_schema_input_type=str | float)]
-"""An expression of the state, or a number."""
 
 
 class FirstOrderState(StrictModel):
@@ -85,8 +85,7 @@ class FirstOrderState(StrictModel):
     """Unit of the state."""
 
 
-ELECTRICAL = ("A", "V")
-"""SI units of inputs that are not units of mechanics."""
+ELECTRICAL = ("A", "V")  #: SI units of inputs that are not units of mechanics.
 
 
 class Input(StrictModel):
@@ -150,8 +149,8 @@ def _output(given: object) -> object:
     return given if isinstance(given, Mapping | PythonOutput) else _rate(given)
 
 
+#: An output of a controller: an expression of the state, or that of a Python function.
 AnyOutput = Annotated[str | PythonOutput, BeforeValidator(_output, json_schema_input_type=str | float | PythonOutput)]
-"""An output of a controller: an expression of the state, or that of a Python function."""
 
 _FUNCTION = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*|[A-Za-z_][\w.-]*")
 

@@ -17,23 +17,19 @@ from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.program import Program, execute
 
-SAMPLES = 10_000
-"""Number of samples over the span of a run; fewer for long expressions."""
+SAMPLES = 10_000  #: Number of samples over the span of a run; fewer for long expressions.
 
-MOST_OPERATIONS = 50_000_000
-"""Largest number of operations that one sampling of an argument may take."""
+MOST_OPERATIONS = 50_000_000  #: Largest number of operations that one sampling of an argument may take.
 
-BISECTIONS = 80
-"""Number of bisections; sufficient to reduce any interval to adjacent floating-point numbers."""
+BISECTIONS = 80  #: Number of bisections; sufficient to reduce any interval to adjacent floating-point numbers.
 
+#: Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
+#: ``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand: of the denominator, the base, or, for ``tan``, its
+#: cosine.
 SHARP = frozenset({"div", "pow", "powi", "tan", "asin", "acos", "atan", "exp", "log", "sqrt", "tanh"})
-"""Operations that may have a corner, a pole, or a feature far shorter than those of their operand, such as the pulse
-``exp(-(t/1e-6)**2)``, at zeros and extrema of the operand: of the denominator, the base, or, for ``tan``, its cosine.
-"""
+#: Integer exponents up to this one, from 0 on, lead to no features shorter than those of the base.
 LARGEST_POWER = 8
-"""Integer exponents up to this one, from 0 on, lead to no features shorter than those of the base."""
-MANY_ZEROS = 100
-"""If this many samples of an operand are zero, it is constant there, and they are no seeds."""
+MANY_ZEROS = 100  #: If this many samples of an operand are zero, it is constant there, and they are no seeds.
 
 
 @lru_cache(maxsize=256)

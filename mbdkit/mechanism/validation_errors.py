@@ -43,6 +43,7 @@ BOUNDS = {
     "less_than": "less than {:g}",
     "less_than_equal": "at most {:g}",
 }
+#: Section of a mechanism and type of element that a user probably means by a wrong key (without its plural s).
 ELEMENTS = {
     "spring": ("forces", "spring-damper"),
     "damper": ("forces", "spring-damper"),
@@ -59,11 +60,9 @@ ELEMENTS = {
     "rod": ("bodies", ""),
     "point": ("markers", ""),
 }
-"""Section of a mechanism and type of element that a user probably means by a wrong key (without its plural s)."""
+#: Sections of a run spec whose numbers cannot be expressions.
 OUTSIDE_MODEL = frozenset({("time",), ("output",), ("limits",), ("integrator",)})
-"""Sections of a run spec whose numbers cannot be expressions."""
-EXPLAINED = 12
-"""Largest number of problems that a message explains; further ones are only counted."""
+EXPLAINED = 12  #: Largest number of problems that a message explains; further ones are only counted.
 PYDANTIC_KINDS = frozenset(get_args(ErrorType))
 
 

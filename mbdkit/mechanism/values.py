@@ -212,13 +212,12 @@ class Table(StrictModel):
         return self.span[1] - self.span[0] if self.ends == "periodic" else 0.0
 
 
+#: Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the
+#: condition. SciPy knows the other conditions by name.
 QUINTIC_ENDS = {
     "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
     "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
 }
-"""Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the
-condition. SciPy knows the other conditions by name.
-"""
 
 
 @lru_cache(maxsize=64)
@@ -244,6 +243,6 @@ def curve_of(table: Table) -> Any:
     return PPoly(curve.c[:, 5:-5], curve.x[5:-5], extrapolate=beyond)
 
 
+#: A function of time: a number, an expression of t, or a table.
 Motion = Annotated[Number | str | Table, BeforeValidator(motion)]
-"""A function of time: a number, an expression of t, or a table."""
 MotionPair = Annotated[tuple[Motion, Motion], BeforeValidator(pair("two numbers, expressions of t or tables [x, y]"))]

@@ -21,8 +21,7 @@ from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_
 if TYPE_CHECKING:
     from mbdkit.expressions.recorded import Recorded
 
-_VARIABLE = "variable:"
-"""Prefix of the instructions that push a variable."""
+_VARIABLE = "variable:"  #: Prefix of the instructions that push a variable.
 
 
 class VariableExpressionError(ExpressionError):
@@ -78,10 +77,10 @@ def _smooth_program(text: str, variables: tuple[str, ...]) -> Program:
     return program
 
 
+#: Largest last change of a root by Newton's method, relative to the root or 1.
+#:
+#: The error of the root is about its square before the last step, and its fourth power after it.
 CONVERGED = 1e-8
-"""Largest last change of a root by Newton's method, relative to the root or 1.
-
-The error of the root is about its square before the last step, and its fourth power after it."""
 
 
 @dataclass(frozen=True)

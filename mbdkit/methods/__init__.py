@@ -11,6 +11,8 @@ from mbdkit.registry.items import IntegratorPlugin, StepControl
 from mbdkit.registry.target import Target
 
 # fmt: off
+#: The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
+#: within a family by order of convergence, then by name.
 INTEGRATORS = (
     IntegratorPlugin(
         name="rk-gill", summary="Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
@@ -86,9 +88,7 @@ INTEGRATORS = (
         references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_LSODA"), dense_output=True, order=120,
     ),
 )
-"""The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
-within a family by order of convergence, then by name.
-"""
+#: The built-in controllers of adaptive steps.
 STEP_CONTROLS = (
     StepControl(
         name="deadbeat", summary="Elementary controller: the error of the last step alone chooses the next.",
@@ -132,4 +132,3 @@ STEP_CONTROLS = (
     ),
 )
 # fmt: on
-"""The built-in controllers of adaptive steps."""

@@ -18,8 +18,8 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.methods.kinds import Method
 from mbdkit.registry.items import Claims
 
+#: Function from the step size [s] to the growth factor of an error in a step, or in an iteration.
 Growth = Callable[[float], float]
-"""Function from the step size [s] to the growth factor of an error in a step, or in an iteration."""
 
 
 def stiff_baumgarte(

@@ -25,6 +25,7 @@ _C = (
     0.2816496580927726032732428025, 0.3333333333333333333333333333, 0.25, 0.3076923076923076923076923077,
     0.6512820512820512820512820513, 0.6, 0.8571428571428571428571428571, 1, 1, 0.1, 0.2, 0.7777777777777777777777777778,
 )
+#: Coefficients of each stage, row by row; the entries of the 13th row are the weights b of the step.
 _A: tuple[dict[int, float], ...] = (
     {},
     {0: 0.05260015195876773187855875445},
@@ -78,16 +79,16 @@ _A: tuple[dict[int, float], ...] = (
         13: 2.947514789152772338955627215, 14: -9.150958472179870010818701871,
     },
 )
-"""Coefficients of each stage, row by row; the entries of the 13th row are the weights b of the step."""
 
+#: Weights of the formula of order 3; its difference from b is the second error estimate.
 _B3 = {0: 0.244094488188976377952755905512, 8: 0.733846688281611857341361741547, 11: 0.0220588235294117647058823529412}
-"""Weights of the formula of order 3; its difference from b is the second error estimate."""
 
 _E5 = {
     0: 0.01312004499419488073250102996, 5: -1.225156446376204440720569753, 6: -0.4957589496572501915214079952,
     7: 1.664377182454986536961530415, 8: -0.350328848749973681688648729, 9: 0.3341791187130174790297318841,
     10: 0.08192320648511571246570742613, 11: -0.02235530786388629525884427845,
 }
+#: Weights of the stages, by index, in the last four parts of dense output; see `nested_polynomials`.
 _D: tuple[dict[int, float], ...] = (
     {
         0: -8.428938276109012865135349114, 5: 0.5667149535193777696253178359, 6: -3.068949945949891691279730473,
@@ -115,7 +116,6 @@ _D: tuple[dict[int, float], ...] = (
     },
 )
 # fmt: on
-"""Weights of the stages, by index, in the last four parts of dense output; see `nested_polynomials`."""
 
 
 def _matrix(rows: tuple[dict[int, float], ...], columns: int) -> np.ndarray:

@@ -18,14 +18,14 @@ from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import Claims, integrator_claims
 
+#: Drift of methods in fixed steps on the index-1 equations.
 ORDER_DRIFT = "only accelerations satisfy the constraints; drift has the order of the method and grows with time"
-"""Drift of methods in fixed steps on the index-1 equations."""
 
+#: Drift of methods in adaptive steps on the index-1 equations.
 TOLERANCE_DRIFT = "only accelerations satisfy the constraints; drift depends on the tolerance and grows with time"
-"""Drift of methods in adaptive steps on the index-1 equations."""
 
+#: Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`.
 OF_TREES = "; with joint-coordinates, the joints of the spanning tree stay closed up to rounding errors"
-"""Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`."""
 
 HAIRER_NORSETT_WANNER = """@book{hairer1993,
   author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
@@ -37,8 +37,7 @@ HAIRER_WANNER = """@book{hairer1996,
   title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
   edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
 
-MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None
-"""Largest step [s]; None for no limit."""
+MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None  #: Largest step [s]; None for no limit.
 
 
 class Options(StrictModel):

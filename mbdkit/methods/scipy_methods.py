@@ -38,8 +38,7 @@ class AdaptiveOptions(Options):
     """Largest step [s]; unlimited by default."""
 
 
-ATOL = 1e-10
-"""Default of `AdaptiveOptions.atol`."""
+ATOL = 1e-10  #: Default of `AdaptiveOptions.atol`.
 
 
 def _solver(solver: str, jacobian: bool, options: AdaptiveOptions) -> SciPySolver:

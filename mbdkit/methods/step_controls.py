@@ -140,8 +140,7 @@ def h321(options: StepControlOptions) -> StepFilter:
     return options.filter((1 / 3, 1 / 18, -5 / 18), (-5 / 6, -1 / 6))
 
 
-KEY = "integrator.step_control"
-"""The key of a run spec that chooses a controller."""
+KEY = "integrator.step_control"  #: The key of a run spec that chooses a controller.
 
 
 def controlled(method: Method, options: BaseModel, name: str) -> Method:

@@ -17,10 +17,9 @@ from mbdkit.methods.kinds import Method, Tolerances, Traits
 if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
 
+#: Why a step begins anew: at the start of the run, at a discontinuity of a motion or load, after an event that has set
+#: states, after an impulse, or after a projection.
 Why = Literal["start", "stop", "event", "impact", "projection"]
-"""Why a step begins anew: at the start of the run, at a discontinuity of a motion or load, after an event that has set
-states, after an impulse, or after a projection.
-"""
 Dense = Callable[[float], "tuple[np.ndarray, ...]"]
 
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import sympy as sp
 
 
+#: An exact number (text such as ``"1/4 - sqrt(3)/6"``, int, Fraction, SymPy or mpmath number) or a rounded float.
 Coefficient = int | float | Fraction | str | Any
-"""An exact number (text such as ``"1/4 - sqrt(3)/6"``, int, Fraction, SymPy or mpmath number) or a rounded float."""
 
 _DIGITS = 60
 _EXACT = mpmath.mpf(10) ** -50

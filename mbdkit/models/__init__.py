@@ -6,6 +6,7 @@ from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.target import Target
 
 # fmt: off
+#: The built-in models, in the order in which `mbdkit plugins list` shows them.
 MODELS = (
     ModelPlugin(
         name="single-pendulum", summary="One rod attached to the ground by a revolute joint.",
@@ -35,4 +36,3 @@ MODELS = (
     ),
 )
 # fmt: on
-"""The built-in models, in the order in which `mbdkit plugins list` shows them."""

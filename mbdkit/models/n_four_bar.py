@@ -35,8 +35,8 @@ WINDOWS = """@article{bayo1994singularity,
 }"""
 REFERENCES = (BENCHMARK, WINDOWS)
 
+#: Memory needed to compile one window of the mechanism (two rods and three joints) [bytes].
 BYTES_PER_WINDOW = 40_000
-"""Memory needed to compile one window of the mechanism (two rods and three joints) [bytes]."""
 
 
 class NFourBarOptions(StrictModel):

@@ -21,12 +21,12 @@ INTEGER = "<i8"
 TEXT = "utf-8"
 MIXED = "mixed"
 
+#: Units along the axis ``coordinate``, by the name of the array with this axis.
 COORDINATE_UNITS: Mapping[str, tuple[str, ...]] = {
     "row_units": ("m", "m", "rad"),
     "velocity_row_units": ("m/s", "m/s", "rad/s"),
     "acceleration_row_units": ("m/s^2", "m/s^2", "rad/s^2"),
 }
-"""Units along the axis ``coordinate``, by the name of the array with this axis."""
 
 #: Axes that grow during a run: recorded rows, intervals between them, events, impacts, settings of inputs, and samples
 #: of controllers in Python.

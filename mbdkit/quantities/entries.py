@@ -18,19 +18,18 @@ if TYPE_CHECKING:
 RATE_UNITS = {"m": "m/s", "rad": "rad/s"}
 MULTIPLIER_UNITS = {"m": "N", "rad": "N m"}
 
+#: Units of quantities, by the name of the array of units, and by the unit of the length or angle of the element.
+#:
+#: In arrays of units that are not listed, each unit is that of the element itself.
 UNITS_OF_ELEMENT: Mapping[str, Mapping[str, str]] = {
     "rate_row_units": RATE_UNITS,
     "velocity_row_units": RATE_UNITS,
     "value_row_units": MULTIPLIER_UNITS,
     "multiplier_row_units": MULTIPLIER_UNITS,
 }
-"""Units of quantities, by the name of the array of units, and by the unit of the length or angle of the element.
 
-In arrays of units that are not listed, each unit is that of the element itself.
-"""
-
+#: Groups of quantities that can be selected by `output.quantities`.
 ChosenGroup = Literal["beams", "constraints", "energy", "forces", "joints", "markers"]
-"""Groups of quantities that can be selected by `output.quantities`."""
 
 
 def quantity_group(group: str, *arrays: Array, optional: bool = False, **more: Any) -> Kind:

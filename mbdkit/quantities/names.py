@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
-Nested: TypeAlias = "str | Sequence[Nested]"
-"""A text, or sequences of texts, nested to any depth."""
+Nested: TypeAlias = "str | Sequence[Nested]"  #: A text, or sequences of texts, nested to any depth.
 
 COORDINATES = ("x", "y", "theta")
 AXES = ("x", "y")

@@ -60,6 +60,7 @@ def _length_unit(mechanism: Mechanism, name: str) -> str:
 
 
 # fmt: off
+#: The kinds of the core, in the order of the groups of the archive; those of plugins come after them.
 KINDS = (
     quantity_group(
         "trajectory",
@@ -331,7 +332,6 @@ KINDS = (
     ),
 )
 # fmt: on
-"""The kinds of the core, in the order of the groups of the archive; those of plugins come after them."""
 
 
 def quantities_of_events() -> str:

@@ -16,14 +16,14 @@ from mbdkit.registry.feature_items import FEATURES
 from mbdkit.registry.item import Item, Plugin
 from mbdkit.registry.items import ITEM_CLASSES
 
-Kind = str
-"""Kind of a plugin: a key of `KINDS`."""
+Kind = str  #: Kind of a plugin: a key of `KINDS`.
 
 _CLASSES: tuple[type[Item], ...] = (*ITEM_CLASSES, *FEATURES, ElementKind, JointKind, ModelKey, QuantityKind)
+#: The item class of each kind.
 KINDS: dict[Kind, type[Item]] = {item_class.kind: item_class for item_class in _CLASSES}
-"""The item class of each kind."""
 
 
+#: Names of models and integrators in the distributions that are published with mbdkit but installed separately.
 SEPARATE = {
     "mbdkit-generalized-alpha": ("generalized-alpha",),
     "mbdkit-lobatto": ("lobatto-iiia", "lobatto-iiib", "lobatto-iiic", "lobatto-iiid"),
@@ -32,7 +32,6 @@ SEPARATE = {
     "mbdkit-sundials": ("sundials-cvode", "sundials-ida"),
     "mbdkit-walker": ("walker",),
 }
-"""Names of models and integrators in the distributions that are published with mbdkit but installed separately."""
 
 
 @dataclass(frozen=True)

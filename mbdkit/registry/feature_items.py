@@ -536,6 +536,7 @@ class HeadlineItem(Feature):
     excluded: Target | None = None
 
 
+#: The kinds of items of this file.
 FEATURES: tuple[type[Feature], ...] = (
     SpecKind,
     Example,
@@ -551,4 +552,3 @@ FEATURES: tuple[type[Feature], ...] = (
     Treatment,
     HeadlineItem,
 )
-"""The kinds of items of this file."""

@@ -18,12 +18,11 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 
+#: Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names.
 LAW_KEYS = ("type", "law", "pathway", "name", "a", "b", "along", "from_", "to", "points")
-"""Keys of every element of type ``law``, and arguments of `Mechanism.law`; options of a law must have other names."""
 
 
-CONSERVED = ("energy", "linear-momentum", "angular-momentum")
-"""What an integrator may claim to conserve."""
+CONSERVED = ("energy", "linear-momentum", "angular-momentum")  #: What an integrator may claim to conserve.
 
 
 class Orders(NamedTuple):
@@ -480,6 +479,7 @@ class Command(Item):
             raise PluginError(f"its summary is {self.summary!r}, and its docstring begins with {paragraph!r}")
 
 
+#: The kinds of items, in the order in which they are listed.
 ITEM_CLASSES: tuple[type[Item], ...] = (
     ModelPlugin,
     IntegratorPlugin,
@@ -489,4 +489,3 @@ ITEM_CLASSES: tuple[type[Item], ...] = (
     MeasurePlugin,
     Command,
 )
-"""The kinds of items, in the order in which they are listed."""

@@ -11,20 +11,18 @@ from mbdkit.base.distributions import normalized_name, own_version
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 
+#: Version of the plugin API: of the hooks, of their return values, and of the arguments of methods, laws and models.
+#:
+#: The version is increased when existing plugins would stop working, but not when features are added.
 API = 1
-"""Version of the plugin API: of the hooks, of their return values, and of the arguments of methods, laws and models.
 
-The version is increased when existing plugins would stop working, but not when features are added.
-"""
+OLDEST_API = 1  #: The oldest version of the plugin API that is still supported.
 
-OLDEST_API = 1
-"""The oldest version of the plugin API that is still supported."""
-
+#: Name of the variable in which a plugin module declares the API version that it was written for.
 API_NAME = "mbdkit_api"
-"""Name of the variable in which a plugin module declares the API version that it was written for."""
 
+#: Distribution and name of the entry point that cannot be left out: without it, mbdkit has no models.
 CORE = ("mbdkit", "builtin")
-"""Distribution and name of the entry point that cannot be left out: without it, mbdkit has no models."""
 
 ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STRICT_PLUGINS"
 

@@ -27,27 +27,23 @@ from mbdkit.mechanism.values import Table
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 
+#: Angles above one turn that are computed from parameters are assumed to be degrees if they have at most this many
+#: decimals; radians rarely have so few. Angles given as numbers may have any number of decimals.
 DIGITS = 3
-"""Angles above one turn that are computed from parameters are assumed to be degrees if they have at most this many
-decimals; radians rarely have so few. Angles given as numbers may have any number of decimals.
-"""
 
-TABLE_DIGITS = 1
-"""As `DIGITS`, for all values of a table, one of which is above one turn."""
+TABLE_DIGITS = 1  #: As `DIGITS`, for all values of a table, one of which is above one turn.
 
+#: Numbers of times and of values of sines and cosines for the swing of an oscillation, and of times for positions at
+#: rest.
 TIMES, PHASES, SAMPLES = 20, 32, 1000
-"""Numbers of times and of values of sines and cosines for the swing of an oscillation, and of times for positions at
-rest.
-"""
 
+#: The golden angle [rad]: its multiples are spread evenly over a turn.
 GOLDEN = math.pi * (3.0 - math.sqrt(5.0))
-"""The golden angle [rad]: its multiples are spread evenly over a turn."""
 
-AT_REST = 1e-9
-"""A motion is at rest if its rate is at most this share of its largest rate."""
+AT_REST = 1e-9  #: A motion is at rest if its rate is at most this share of its largest rate.
 
+#: Rotations from rest to rest by a larger number of radians are not taken for degrees; they may be those of a motor.
 MOST_DEGREES = 360.0
-"""Rotations from rest to rest by a larger number of radians are not taken for degrees; they may be those of a motor."""
 
 _ANGLE = re.compile(r"\[(m or )?rad\]")
 

@@ -20,14 +20,12 @@ from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.reading import read_text
 from mbdkit.spec.yaml_reader import write_yaml
 
-SAME = 1e-9
-"""Largest relative difference of two numbers of mechanisms that count as the same."""
+SAME = 1e-9  #: Largest relative difference of two numbers of mechanisms that count as the same.
 
+#: Keys of points that are given in the global frame at the initial positions, and the place of their body.
 _ENDS = {"at": 0, "from": 0, "to": 1}
-"""Keys of points that are given in the global frame at the initial positions, and the place of their body."""
 
-_Edit = tuple[int, int, str]
-"""Start and end of a part of a text, and the text that replaces it."""
+_Edit = tuple[int, int, str]  #: Start and end of a part of a text, and the text that replaces it.
 
 
 def assembled_text(spec: RunSpec, start: AssembledState, text: str) -> tuple[str, bool]:

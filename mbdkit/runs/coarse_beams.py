@@ -20,68 +20,61 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
+#: Largest angle [rad] by which bending may turn a node relative to its neighbour without a warning.
+#:
+#: Measured at clamped cantilevers with a force across their tip: the moment at the clamp has errors of 1 % (elements of
+#: two nodes) and 1.5 % (three nodes) at this angle, and of 2 % and 4 % at 1 rad.
 TURN = 0.75
-"""Largest angle [rad] by which bending may turn a node relative to its neighbour without a warning.
 
-Measured at clamped cantilevers with a force across their tip: the moment at the clamp has errors of 1 % (elements of
-two nodes) and 1.5 % (three nodes) at this angle, and of 2 % and 4 % at 1 rad.
-"""
-
+#: Recommended distance between nodes, relative to ``sqrt(EI / F)`` for a bending stiffness EI and a force F, by the
+#: number of nodes of an element.
+#:
+#: A force F bends a beam within about this length. At a distance of 0.7, a strongly bent cantilever turns by `TURN`
+#: between two nodes; at 0.39, the estimated error of two-node elements is `VARIATION`.
 SPACING = {2: 0.39, 3: 0.7}
-"""Recommended distance between nodes, relative to ``sqrt(EI / F)`` for a bending stiffness EI and a force F, by the
-number of nodes of an element.
 
-A force F bends a beam within about this length. At a distance of 0.7, a strongly bent cantilever turns by `TURN`
-between two nodes; at 0.39, the estimated error of two-node elements is `VARIATION`.
-"""
-
+#: Largest estimated relative error, in bending or in tension, without a warning.
+#:
+#: Two-node elements have constant strains. In bending, their estimate is the share of the strain energy that is due to
+#: variations of the moment within elements. It is the relative error of the deflection of a cantilever under a force at
+#: its tip, 1/(4 n^2) with n elements; for large deflections, it is 1 to 3 times the largest error of deflections and
+#: moments. In tension, `TENSION` times this share is the estimate. For three-node elements, see `CURVED`.
 VARIATION = 0.01
-"""Largest estimated relative error, in bending or in tension, without a warning.
 
-Two-node elements have constant strains. In bending, their estimate is the share of the strain energy that is due to
-variations of the moment within elements. It is the relative error of the deflection of a cantilever under a force at
-its tip, 1/(4 n^2) with n elements; for large deflections, it is 1 to 3 times the largest error of deflections and
-moments. In tension, `TENSION` times this share is the estimate. For three-node elements, see `CURVED`.
-"""
-
+#: Ratio of the error of moments to the square root of a share of the strain energy, in three-node elements.
+#:
+#: Their moments vary linearly. The share is that of the parabola q x (h - x) / 2 which a load per length q adds to the
+#: moment within an element of length h: q^2 h^5 / 120 of the integral of M^2. In a cantilever of n elements under its
+#: own weight, this share is n^-4 / 6, and the error of the moment in the middle of an element is q h^2 / 24, 1/(12 n^2)
+#: of the moment at the clamp, which defines the ratio.
+#:
+#: Measured at damped cantilevers of 1 to 4 elements that move under a sudden or growing force at the tip, a suddenly
+#: applied weight or a sudden motion of the clamp, or that begin to rotate: the largest one of the errors of the largest
+#: deflection, moment, and torque of the clamp is 0.4 to 3.7 times the estimate, and up to 1.4 times from 3 elements on.
 CURVED = math.sqrt(6.0) / 12.0
-"""Ratio of the error of moments to the square root of a share of the strain energy, in three-node elements.
 
-Their moments vary linearly. The share is that of the parabola q x (h - x) / 2 which a load per length q adds to the
-moment within an element of length h: q^2 h^5 / 120 of the integral of M^2. In a cantilever of n elements under its own
-weight, this share is n^-4 / 6, and the error of the moment in the middle of an element is q h^2 / 24, 1/(12 n^2) of the
-moment at the clamp, which defines the ratio.
-
-Measured at damped cantilevers of 1 to 4 elements that move under a sudden or growing force at the tip, a suddenly
-applied weight or a sudden motion of the clamp, or that begin to rotate: the largest one of the errors of the largest
-deflection, moment, and torque of the clamp is 0.4 to 3.7 times the estimate, and up to 1.4 times from 3 elements on.
-"""
-
+#: Ratio of the error in tension to the share of the strain energy.
+#:
+#: Measured at rods that rotate about one end, with 2 to 8 elements: the estimate lies between the relative errors of
+#: the largest axial force, 1/(4 n^2), and of the elongation, 1/(2 n^2).
 TENSION = 2.0
-"""Ratio of the error in tension to the share of the strain energy.
 
-Measured at rods that rotate about one end, with 2 to 8 elements: the estimate lies between the relative errors of the
-largest axial force, 1/(4 n^2), and of the elongation, 1/(2 n^2).
-"""
-
+#: Tension and bending are only judged if they have more than this share of the strain energy of a beam.
 SMALL = 1e-3
-"""Tension and bending are only judged if they have more than this share of the strain energy of a beam."""
 
+#: Ratio of the recommended number of elements to the one with which the present estimate would be acceptable.
+#:
+#: Coarse elements underestimate the needed number, because they lack peaks of curvature and higher modes. At
+#: cantilevers of 1 to 6 two-node or 1 to 4 three-node elements with the loads of `CURVED`, the needed number was up to
+#: 1.3 times the one that follows from the estimate.
 MARGIN = 1.25
-"""Ratio of the recommended number of elements to the one with which the present estimate would be acceptable.
 
-Coarse elements underestimate the needed number, because they lack peaks of curvature and higher modes. At cantilevers
-of 1 to 6 two-node or 1 to 4 three-node elements with the loads of `CURVED`, the needed number was up to 1.3 times the
-one that follows from the estimate.
-"""
-
+#: Largest number of elements that is recommended. If more are needed, a stiffness or a load is probably wrong.
 MOST_ADVISED = 200
-"""Largest number of elements that is recommended. If more are needed, a stiffness or a load is probably wrong."""
 
+#: Axial and shear strains up to this value, and curvatures up to this value divided by the length of an element, are
+#: assumed to be rounding errors of the coordinates.
 ROUND_OFF = 1e-12
-"""Axial and shear strains up to this value, and curvatures up to this value divided by the length of an element, are
-assumed to be rounding errors of the coordinates.
-"""
 
 
 class CoarseBeams:

@@ -26,12 +26,11 @@ if TYPE_CHECKING:
     from mbdkit.trust.energy_record import EnergyRecord
 
 
+#: The direction of a force reverses if the cosine of the angle by which it turns in a step is below this (150 degrees).
+#:
+#: Measured at a mass that passes the anchor of a spring at distances of 0.1 to 30 mm: steps that an adaptive method
+#: accepted at tolerances of 1e-6 turn the direction by at most 145 degrees, and the motion remains accurate.
 REVERSED = -0.866
-"""The direction of a force reverses if the cosine of the angle by which it turns in a step is below this (150 degrees).
-
-Measured at a mass that passes the anchor of a spring at distances of 0.1 to 30 mm: steps that an adaptive method
-accepted at tolerances of 1e-6 turn the direction by at most 145 degrees, and the motion remains accurate.
-"""
 
 
 class CoincidentEnds:

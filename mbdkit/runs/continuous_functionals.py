@@ -24,12 +24,11 @@ from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
+#: Number of steps in a block; they are evaluated together. The number is fixed for the reason given in
+#: `integrals.BLOCK`.
 BLOCK = 256
-"""Number of steps in a block; they are evaluated together. The number is fixed for the reason given in
-`integrals.BLOCK`.
-"""
+#: Number of step ends before and after a block that its polynomials use.
 BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
-"""Number of step ends before and after a block that its polynomials use."""
 
 
 @dataclass
@@ -43,11 +42,9 @@ class _Ends:
     q: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)
     z: list[np.ndarray] = field(default_factory=list)
-    begin: float = -math.inf
-    """Earliest time at which motions and loads are evaluated [s]."""
+    begin: float = -math.inf  #: Earliest time at which motions and loads are evaluated [s].
     end: float = math.inf
-    done: int = 0
-    """Number of steps that have been evaluated."""
+    done: int = 0  #: Number of steps that have been evaluated.
 
     def add(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the states (T, ...) at times (T,)."""

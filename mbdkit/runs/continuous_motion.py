@@ -26,47 +26,39 @@ from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.states import States
 from mbdkit.runs.step_interpolation import StepEnds
 
+#: Number of nodes of Gauss-Legendre quadrature in a step, or in each piece of a step that such points divide.
+#:
+#: The order of this quadrature, 16, suffices for steps of a quarter of a period.
 POINTS = 8
-"""Number of nodes of Gauss-Legendre quadrature in a step, or in each piece of a step that such points divide.
-
-The order of this quadrature, 16, suffices for steps of a quarter of a period.
-"""
 _NODES, _WEIGHTS = gauss_on_unit(POINTS)
+#: Times at which quantities are sampled in a step, from 0 at its start to 1 at its end (shares of the step).
 _PLACES = np.array([0.0, *_NODES, 1.0])
-"""Times at which quantities are sampled in a step, from 0 at its start to 1 at its end (shares of the step)."""
 _INNER = slice(1, -1)
 
+#: Accuracy, as a share of the step, to which a point at which an operation changes its form is located.
 AT_ROOT = 1e-14
-"""Accuracy, as a share of the step, to which a point at which an operation changes its form is located."""
+#: Largest number of iterations of this search; regula falsi with bisection needs about ten.
 MOST_ITERATIONS = 60
-"""Largest number of iterations of this search; regula falsi with bisection needs about ten."""
 
+#: Largest possible rise of a quantity within a step above its values at both ends.
+#:
+#: It is a multiple of the second differences of the values at ends: four times the rise of a parabola.
 POTENTIAL = 0.5
-"""Largest possible rise of a quantity within a step above its values at both ends.
-
-It is a multiple of the second differences of the values at ends: four times the rise of a parabola.
-"""
+#: Largest possible rise within a step above the samples, as a multiple of their second differences: twice the rise of a
+#: parabola.
 RISE = 0.25
-"""Largest possible rise within a step above the samples, as a multiple of their second differences: twice the rise of a
-parabola.
-"""
-NOISE = 1e-12
-"""Second differences below this share of the values count as rounding errors."""
-EQUAL = 1e-9
-"""Two extrema that differ by less than this share of the range of a quantity count as equal."""
-MANY = 64
-"""Quantities at more times than this are kept for the next functional."""
+NOISE = 1e-12  #: Second differences below this share of the values count as rounding errors.
+EQUAL = 1e-9  #: Two extrema that differ by less than this share of the range of a quantity count as equal.
+MANY = 64  #: Quantities at more times than this are kept for the next functional.
+#: If there are at most this many steps, all are searched for an extremum, whatever the second differences.
 FEW = 64
-"""If there are at most this many steps, all are searched for an extremum, whatever the second differences."""
+#: Accuracy of the time of an extremum in the first search, as a share of the step.
+#:
+#: The time is then refined as the root of the derivative of a polynomial through `PEAK_POINTS` values up to `AROUND`
+#: steps away, which is exact up to rounding errors. A search for the largest value would give only half of the digits.
 PEAK = 1e-3
-"""Accuracy of the time of an extremum in the first search, as a share of the step.
-
-The time is then refined as the root of the derivative of a polynomial through `PEAK_POINTS` values up to `AROUND` steps
-away, which is exact up to rounding errors. A search for the largest value would give only half of the digits.
-"""
 AROUND, PEAK_POINTS = 0.02, 7
-SAME = 1e-14
-"""Two neighbouring values count as equal if their relative difference is below this."""
+SAME = 1e-14  #: Two neighbouring values count as equal if their relative difference is below this.
 
 
 @dataclass(frozen=True)
@@ -340,8 +332,8 @@ def steps_of_extremum(
     return np.flatnonzero(may_exceed), best
 
 
+#: Function that returns a scalar at shares of steps (G,) from the indices of the steps (G,) and the shares (G,).
 _At = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Function that returns a scalar at shares of steps (G,) from the indices of the steps (G,) and the shares (G,)."""
 
 
 def _beside(share: np.ndarray) -> np.ndarray:

@@ -28,25 +28,22 @@ if TYPE_CHECKING:
 
 _TIME = re.compile(r"\bt\b")
 
+#: If a motion has more points or discontinuities than this, steps do not end there, except at impacts of drivers.
 MOST_STOPS = 5000
-"""If a motion has more points or discontinuities than this, steps do not end there, except at impacts of drivers."""
 
+#: A point of a table with continuous acceleration is not a stop if it is close to the end of a fixed step.
+#:
+#: Its distance from this end may be at most this share of the step.
 ON_GRID = 1e-4
-"""A point of a table with continuous acceleration is not a stop if it is close to the end of a fixed step.
 
-Its distance from this end may be at most this share of the step.
-"""
+QUINTIC_ORDER = 4  #: Highest order of methods whose fixed steps may cross the points of a quintic spline.
 
-QUINTIC_ORDER = 4
-"""Highest order of methods whose fixed steps may cross the points of a quintic spline."""
-
+#: Largest error of a rate beside a corner at which drivers have impacts, relative to the rates there.
 ACCURATE = 1e-4
-"""Largest error of a rate beside a corner at which drivers have impacts, relative to the rates there."""
 
+#: A warning is issued if the spline of a table overshoots the range of its values by more than this share of the
+#: range.
 OVERSHOOT = 0.1
-"""A warning is issued if the spline of a table overshoots the range of its values by more than this share of the
-range.
-"""
 
 
 @dataclass(frozen=True)

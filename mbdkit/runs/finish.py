@@ -29,8 +29,8 @@ from mbdkit.spec.model_spec import ModelSpec
 
 _LOG = logger_of("mbdkit.runs.simulation")
 
+#: Function that evaluates the measures of a run, which is otherwise complete.
 Measured = Callable[[Run], MeasuredValues]
-"""Function that evaluates the measures of a run, which is otherwise complete."""
 
 
 def finish(

@@ -20,23 +20,20 @@ from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec.run_spec import RunSpec
 
+#: Coordinates of bodies and markers, by the name of their velocity.
 RATES = {"vx": "x", "vy": "y", "angular_velocity": "angle"}
-"""Coordinates of bodies and markers, by the name of their velocity."""
+#: Largest change of a given value in one iteration: angles in rad, lengths as a share of the length of the mechanism.
+#:
+#: The given values are approached in small steps, so that closed loops stay in their configuration.
 LONGEST = 0.2
-"""Largest change of a given value in one iteration: angles in rad, lengths as a share of the length of the mechanism.
-
-The given values are approached in small steps, so that closed loops stay in their configuration.
-"""
+#: A quantity is independent of others if its gradient deviates from theirs by more than this share.
 INDEPENDENT = 1e-6
-"""A quantity is independent of others if its gradient deviates from theirs by more than this share."""
-DEPENDENT = 1e-12
-"""Rows that depend on others to this share are redundant."""
+DEPENDENT = 1e-12  #: Rows that depend on others to this share are redundant.
 
 MOST_ITERATIONS = 30
+#: Residuals of given values and joints [m, rad, m/s, rad/s] up to this share of the largest coordinate or velocity,
+#: or of 1 if it is smaller, count as zero.
 MET = 1e-12
-"""Residuals of given values and joints [m, rad, m/s, rad/s] up to this share of the largest coordinate or velocity,
-or of 1 if it is smaller, count as zero.
-"""
 
 
 def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:

@@ -36,21 +36,18 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.spec import RunSpec
 
+#: Largest number of joints whose largest forces are determined between rows if every step is recorded.
+#:
+#: Each force is searched for separately, which takes a time proportional to the number of joints: for a chain of 150
+#: rods with 150 steps, these searches take longer than the rest of the check.
 MOST_JOINTS = 100
-"""Largest number of joints whose largest forces are determined between rows if every step is recorded.
 
-Each force is searched for separately, which takes a time proportional to the number of joints: for a chain of 150 rods
-with 150 steps, these searches take longer than the rest of the check.
-"""
+MOST_COMPARED = 4  #: Largest number of elements of a kind whose largest forces have errors.
 
-MOST_COMPARED = 4
-"""Largest number of elements of a kind whose largest forces have errors."""
-
+#: Number of nodes that are summed together.
+#:
+#: It is fixed, because sums must not depend on the number of steps between two calls, which varies with wall time.
 BLOCK = 1024
-"""Number of nodes that are summed together.
-
-It is fixed, because sums must not depend on the number of steps between two calls, which varies with wall time.
-"""
 
 
 def expressions_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[str, ...]:

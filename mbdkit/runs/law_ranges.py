@@ -32,19 +32,16 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.spec import RunSpec
 
-ROUNDING = 1e-9
-"""An argument may exceed a bound by this share of the bound with the larger magnitude."""
+ROUNDING = 1e-9  #: An argument may exceed a bound by this share of the bound with the larger magnitude.
 
+#: Limit for extremes of a length or rate within a step, which are found by interpolation.
+#:
+#: An extreme counts as outside of a bound only if it exceeds the bound by more than this share of its difference from
+#: the values at the ends of the step, of which the closer value counts. A smaller excess may be an error of the cubic
+#: interpolation, which is of order 4 in the step.
 BULGE = 0.02
-"""Limit for extremes of a length or rate within a step, which are found by interpolation.
 
-An extreme counts as outside of a bound only if it exceeds the bound by more than this share of its difference from the
-values at the ends of the step, of which the closer value counts. A smaller excess may be an error of the cubic
-interpolation, which is of order 4 in the step.
-"""
-
-UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)
-"""Bounds of a law that holds everywhere."""
+UNBOUNDED = ((-math.inf, math.inf),) * len(ARGUMENTS)  #: Bounds of a law that holds everywhere.
 
 
 def steps_are_rows(spec: RunSpec) -> bool:

@@ -18,8 +18,8 @@ from mbdkit.spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.finding import Finding
 
+#: Share of the duration of a table, without constant values at its end, that a run covers without a note.
 COVERED = 0.5
-"""Share of the duration of a table, without constant values at its end, that a run covers without a note."""
 
 
 @spec_criterion

@@ -29,11 +29,11 @@ def _versions() -> dict[str, str]:
     return {"mbdkit": own_version(), **{name: version(name) for name in packages}, "machine_code": code_id()}
 
 
+#: Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical.
 DECIDE_LAST_BITS = ("mbdkit", "numpy", "scipy", "machine_code", "processor")
-"""Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical."""
 
+#: Environment variables that make libraries use code for another processor.
 _EMULATING = ("NPY_DISABLE_CPU_FEATURES", "OPENBLAS_CORETYPE", "NUMBA_CPU_NAME")
-"""Environment variables that make libraries use code for another processor."""
 
 
 @cache

@@ -35,11 +35,9 @@ if TYPE_CHECKING:
 
 _LOG = logger_of(__name__)
 
-INTERVAL = 5.0
-"""Smallest wall time between two checkpoints [s]."""
+INTERVAL = 5.0  #: Smallest wall time between two checkpoints [s].
 
-SHARE = 0.01
-"""Largest share of the wall time that checkpoints may take."""
+SHARE = 0.01  #: Largest share of the wall time that checkpoints may take.
 
 TIMES = ("setup_s", "wall_s", "cpu_s", "integrals_s")
 

@@ -30,25 +30,22 @@ from mbdkit.trust.criteria import rounding
 from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
 
+#: Share of the mechanism's size by which assembly may change the initial positions without a warning.
 FAR = 0.1
-"""Share of the mechanism's size by which assembly may change the initial positions without a warning."""
 
-TURNED = 0.5
-"""Angle [rad] by which assembly may turn a body without a warning."""
+TURNED = 0.5  #: Angle [rad] by which assembly may turn a body without a warning.
 
+#: Share of a given velocity by which assembly may change it without a warning: more than the rounding of a value to
+#: three digits, which is at most 0.005 of it.
 CHANGED = 0.01
-"""Share of a given velocity by which assembly may change it without a warning: more than the rounding of a value to
-three digits, which is at most 0.005 of it.
-"""
 
-FEWEST_PER_PERIOD = 2
-"""Smallest number of steps per period that resolves an oscillation."""
+FEWEST_PER_PERIOD = 2  #: Smallest number of steps per period that resolves an oscillation.
 
+#: Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`.
 LONGEST_TURN = 0.2
-"""Angle [rad] by which a stiff beam may turn in an implicit step; measured, see the page `beams`."""
 
+#: A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error.
 REGAINED = 10.0
-"""A decrease of the dissipated energy up to this multiple of the largest energy balance may be an integration error."""
 
 
 @spec_criterion

@@ -82,8 +82,8 @@ def treatment_guards(method: Method, /) -> Mapping[str, int]:
     raise NotImplementedError
 
 
+#: Function that is called with the time reached and the time at the end of a run [s].
 Progress = Callable[[float, float], None]
-"""Function that is called with the time reached and the time at the end of a run [s]."""
 
 
 @OwnSeam

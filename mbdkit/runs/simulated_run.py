@@ -70,8 +70,8 @@ if TYPE_CHECKING:
 
 _LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
+#: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
-"""Failures that smaller steps cannot avoid."""
 
 
 class _Reporter:

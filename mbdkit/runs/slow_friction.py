@@ -21,19 +21,15 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
 
-MISSING = 0.1
-"""Share of the work of Coulomb friction that may be missing without a warning."""
+MISSING = 0.1  #: Share of the work of Coulomb friction that may be missing without a warning.
 
+#: Angle of a pin [rad], or path as a share of the mechanism's size, up to which slip below the transition speed counts
+#: as rest.
 TURN, SHARE = 0.05, 0.01
-"""Angle of a pin [rad], or path as a share of the mechanism's size, up to which slip below the transition speed counts
-as rest.
-"""
 
-MATTERS = 1e-3
-"""Missing work up to this share of the largest kinetic energy has no effect worth a warning."""
+MATTERS = 1e-3  #: Missing work up to this share of the largest kinetic energy has no effect worth a warning.
 
-RESOLVED = 0.1
-"""The recommended transition speed, as a share of the mean speed of the motion, at most."""
+RESOLVED = 0.1  #: The recommended transition speed, as a share of the mean speed of the motion, at most.
 
 
 class FrictionElement(NamedTuple):

@@ -21,22 +21,18 @@ from mbdkit.integrators.interface import SAME_TIME
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-NODES = 4
-"""Number of step ends that determine one polynomial; fewer next to a discontinuity of a motion."""
+NODES = 4  #: Number of step ends that determine one polynomial; fewer next to a discontinuity of a motion.
+#: Number of step ends that determine one polynomial if accelerations are not used; its degree is also 11.
 NODES_WITHOUT_ACCELERATIONS = 6
-"""Number of step ends that determine one polynomial if accelerations are not used; its degree is also 11."""
+#: Smallest distance between two ends used by a polynomial, as a share of the step for which it is computed.
+#:
+#: The two ends of the step itself are always used. Rounding errors grow with the inverse of this share to the power of
+#: five. At a share of 1e-4, as for a last step that is cut by an event, they reach 1e-6 of the accelerations; at 1e-7,
+#: no digit is right.
 LEAST_DISTANCE = 0.05
-"""Smallest distance between two ends used by a polynomial, as a share of the step for which it is computed.
 
-The two ends of the step itself are always used. Rounding errors grow with the inverse of this share to the power of
-five. At a share of 1e-4, as for a last step that is cut by an event, they reach 1e-6 of the accelerations; at 1e-7, no
-digit is right.
-"""
-
-FEW = 16
-"""Largest number of steps in a call whose polynomials are kept."""
-MOST_KEPT = 2**22
-"""Largest number of coefficients that are kept (32 MB)."""
+FEW = 16  #: Largest number of steps in a call whose polynomials are kept.
+MOST_KEPT = 2**22  #: Largest number of coefficients that are kept (32 MB).
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,14 +184,14 @@ class StepEnds:
         return nodes, np.array(newton)
 
 
+#: Coefficients of Hermite's polynomials over a unit step, lowest power first: of position, velocity and acceleration at
+#: its start, and of those at its end.
 QUINTIC = np.array(
     [[1, 0, 0, -10, 15, -6], [0, 1, 0, -6, 8, -3], [0, 0, 0.5, -1.5, 1.5, -0.5],
      [0, 0, 0, 10, -15, 6], [0, 0, 0, -4, 7, -3], [0, 0, 0, 0.5, -1, 0.5]]
 )  # fmt: skip
-"""Coefficients of Hermite's polynomials over a unit step, lowest power first: of position, velocity and acceleration at
-its start, and of those at its end."""
+#: The same without accelerations.
 CUBIC = np.array([[1, 0, -3, 2], [0, 1, -2, 1], [0, 0, 3, -2], [0, 0, -1, 1]], dtype=float)
-"""The same without accelerations."""
 
 
 def over_single_steps(

@@ -130,6 +130,7 @@ def _blaming(item: Registered, schema: CoreSchema) -> CoreSchema:
     return core_schema.no_info_wrap_validator_function(validate, schema)
 
 
+#: Type and field of the key `step_control`, which every integrator has.
 STEP_CONTROL = (
     Annotated[BaseModel | None, Choice("step-control", optional=True)],
     Field(
@@ -138,7 +139,6 @@ STEP_CONTROL = (
         "have a proportional-integral controller, and implicit ones an elementary one.",
     ),
 )
-"""Type and field of the key `step_control`, which every integrator has."""
 
 
 def choice_of(root: type[BaseModel], kind: Kind) -> Choice:

@@ -16,10 +16,9 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.parameters import FROM, names_in
 from mbdkit.spec.sections import Section
 
+#: Pivots of the Cholesky factorization below this share of the variance count as zero: the estimates before determine
+#: this one.
 SINGULAR = 1e-12
-"""Pivots of the Cholesky factorization below this share of the variance count as zero: the estimates before determine
-this one.
-"""
 
 
 class Estimated(NamedTuple):

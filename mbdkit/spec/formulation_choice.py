@@ -31,6 +31,7 @@ def _plainly(options: FormulationOptions) -> FormulationOptions | str:
     return options.name if options.loops == "index-1" else options
 
 
+#: Type of the key `formulation` of a spec; its value is a name, or a model with options.
 FormulationChoice = Annotated[
     FormulationOptions,
     BeforeValidator(lambda given: named(given, NAMES, "formulation")),
@@ -38,11 +39,9 @@ FormulationChoice = Annotated[
     PlainSerializer(canonical),
     OrName(NAMES),
 ]
-"""Type of the key `formulation` of a spec; its value is a name, or a model with options."""
 
 
-BY_ACCELERATIONS: Any = INDEX_1.name
-"""Default value of the key `formulation`."""
+BY_ACCELERATIONS: Any = INDEX_1.name  #: Default value of the key `formulation`.
 
 
 def name_of(given: object) -> str:

@@ -118,11 +118,10 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     return document
 
 
+#: Characters by which the values of a document are counted: there is at least one of them for each value.
+#:
+#: In YAML, the characters are commas and line breaks, and this is true for ordinary documents only.
 _SEPARATORS = {".json": ",:[{", ".toml": ",=[{."}
-"""Characters by which the values of a document are counted: there is at least one of them for each value.
-
-In YAML, the characters are commas and line breaks, and this is true for ordinary documents only.
-"""
 
 
 def _check_size(text: str, suffix: str, file: str) -> None:
@@ -184,8 +183,8 @@ def _json(text: str) -> object:
 
 
 _WORD = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
+#: A dotted key with too many parts; time and memory for reading it would be quadratic in its length.
 _DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPEST}}}")
-"""A dotted key with too many parts; time and memory for reading it would be quadratic in its length."""
 
 
 def _toml(text: str) -> object:

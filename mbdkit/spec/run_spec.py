@@ -62,17 +62,17 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
 
 
+#: Limits of `accuracy`: below the first, rounding errors dominate; above the second, no digit is correct.
 SMALLEST_ACCURACY, LARGEST_ACCURACY = 1e-12, 0.1
-"""Limits of `accuracy`: below the first, rounding errors dominate; above the second, no digit is correct."""
 
+#: Method tried first for `accuracy` if the spec names none. For stiff mechanisms, another one is chosen later.
 FIRST_EXPLICIT: Mapping[str, object] = {"name": "dop853", "adaptive": True}
-"""Method tried first for `accuracy` if the spec names none. For stiff mechanisms, another one is chosen later."""
 
+#: Method tried first for formulations that solve for multipliers, which explicit methods do not support.
 FIRST_IMPLICIT: Mapping[str, object] = {"name": "radau-iia", "stages": 5, "adaptive": True}
-"""Method tried first for formulations that solve for multipliers, which explicit methods do not support."""
 
+#: Method tried first with symmetric projection, which needs fixed steps.
 FIRST_SYMMETRIC: Mapping[str, object] = {"name": "gauss", "stages": 3}
-"""Method tried first with symmetric projection, which needs fixed steps."""
 
 
 def _with_accuracy(data: Mapping[str, object]) -> dict[str, Any]:
@@ -102,8 +102,7 @@ def _first_method(data: Mapping[str, object]) -> Mapping[str, object]:
     return FIRST_IMPLICIT if formulation is None or formulation.solves_multipliers else FIRST_EXPLICIT
 
 
-_CHOSEN: tuple[Kind, ...] = ("model", "integrator")
-"""Kinds of plugin that a run spec selects by name."""
+_CHOSEN: tuple[Kind, ...] = ("model", "integrator")  #: Kinds of plugin that a run spec selects by name.
 
 
 class RunSpec(ModelSpec):

@@ -21,8 +21,8 @@ from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit.spec.spec_kinds import spec_kinds, spec_schema
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
+#: Pattern that distinguishes an expression, or a number with a unit, from a number in quotes.
 EXPRESSION = "[-+*/(A-Za-z%]"
-"""Pattern that distinguishes an expression, or a number with a unit, from a number in quotes."""
 LOCAL = "#/$defs/"
 HOME = "https://raw.githubusercontent.com/mbdkit/mbdkit/main/schemas/{}.schema.json"
 

@@ -196,8 +196,7 @@ class Limits(Section):
     the verdict `doubtful`; `stop` stops it with the reason `out-of-range`."""
 
 
-ALPHA = 5.0
-"""Default value of Baumgarte's alpha [1/s]."""
+ALPHA = 5.0  #: Default value of Baumgarte's alpha [1/s].
 
 
 class NoStabilization(Section):
@@ -294,6 +293,7 @@ def _plainly(chosen: object) -> object:
     return "none" if isinstance(chosen, NoStabilization) else chosen
 
 
+#: Type of the key `stabilization` of a spec; its value is the string ``none``, or a model with options.
 StabilizationChoice = Annotated[
     NoStabilization | Baumgarte | Projection,
     Field(discriminator="name"),
@@ -302,11 +302,9 @@ StabilizationChoice = Annotated[
     PlainSerializer(canonical),
     OrName(NAMES),
 ]
-"""Type of the key `stabilization` of a spec; its value is the string ``none``, or a model with options."""
 
 
-UNSTABILIZED: Any = "none"
-"""Default value of the key `stabilization`."""
+UNSTABILIZED: Any = "none"  #: Default value of the key `stabilization`.
 
 
 def stabilization_of(choice: object) -> Stabilization:

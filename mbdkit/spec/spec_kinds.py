@@ -18,8 +18,8 @@ from mbdkit.registry.manager import registry
 from mbdkit.registry.seam import Seam
 from mbdkit.spec.reading import Document
 
+#: A file, the name of an example, plain data, or a document.
 Source = str | Path | Mapping[str, object] | Document
-"""A file, the name of an example, plain data, or a document."""
 
 
 def spec_kinds() -> list[SpecKind]:

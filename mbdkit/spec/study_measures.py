@@ -22,11 +22,10 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 
+#: What a built-in measure may need in addition to the run.
+#:
+#: Measures that need a second run are computed only if a study lists them.
 REFERENCE, SECOND_RUN = "reference", "second run"
-"""What a built-in measure may need in addition to the run.
-
-Measures that need a second run are computed only if a study lists them.
-"""
 
 
 def built_in_measures() -> Mapping[str, str]:
@@ -203,8 +202,8 @@ _DEFINITIONS: dict[str, Any] = {
     },
 }
 
+#: The value of `measures` of a run spec: plain data that has been checked.
 RunMeasures = Annotated[dict[str, Any], BeforeValidator(_check_definitions), WithJsonSchema(_DEFINITIONS)]
-"""The value of `measures` of a run spec: plain data that has been checked."""
 
 
 class _MeasuresSchema:
@@ -214,5 +213,5 @@ class _MeasuresSchema:
         return {"anyOf": [{"const": "all"}, {"type": "array", "items": named}, _DEFINITIONS]}
 
 
+#: The value of `measures`: plain data that has been checked.
 Measures = Annotated[Any, BeforeValidator(_check), _MeasuresSchema]
-"""The value of `measures`: plain data that has been checked."""

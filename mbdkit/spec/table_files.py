@@ -14,8 +14,7 @@ from mbdkit.base.files_read import read_data
 from mbdkit.base.text import counted, did_you_mean, listed, shortened, shown
 from mbdkit.base.units import NUMBER
 
-LARGEST_FILE = 16 * 2**20
-"""Largest size of a file [bytes]."""
+LARGEST_FILE = 16 * 2**20  #: Largest size of a file [bytes].
 
 
 def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) -> list[list[float]]:

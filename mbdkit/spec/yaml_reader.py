@@ -42,11 +42,11 @@ OTHER_BASE = re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+")
 NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
+#: Hints by the character at which the text cannot be read. The words of libyaml change from version to version.
 HINTS = {
     ":": " (is the line indented too far, or does a text with a colon need quotes?)",
     **dict.fromkeys("@`%", " (put the text in quotes)"),
 }
-"""Hints by the character at which the text cannot be read. The words of libyaml change from version to version."""
 
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _DUMPER: Any = yaml.SafeDumper

@@ -14,6 +14,7 @@ from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.expressions.recorded_derivatives import derivatives
 from mbdkit.mechanism.joint_base import PoseFunction, record_function
 
+#: Functions of SymPy for operations of recorded functions without data.
 _OPERATIONS: Mapping[str, Callable[..., sp.Basic]] = {
     "add": sp.Add, "subtract": lambda x, y: x - y, "multiply": sp.Mul, "divide": lambda x, y: x / y, "power": sp.Pow,
     "negate": lambda x: -x, "remainder": sp.Mod, "abs": sp.Abs, "floor": sp.floor, "ceil": sp.ceiling,
@@ -23,7 +24,6 @@ _OPERATIONS: Mapping[str, Callable[..., sp.Basic]] = {
     "greater": sp.Gt, "greater_equal": sp.Ge, "equal": sp.Eq, "not_equal": sp.Ne,
     "select": lambda condition, x, y: sp.Piecewise((x, condition), (y, True)), "detached": lambda x: x,
 }  # fmt: skip
-"""Functions of SymPy for operations of recorded functions without data."""
 
 
 def symbolic_function(

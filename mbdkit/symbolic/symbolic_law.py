@@ -15,11 +15,11 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw
 
 LENGTH, RATE, T = (sp.Symbol(name, real=True) for name in ARGUMENTS)
 
+#: Prefix of parameters that select one side of each discontinuity of a law (`mbdkit_gradients.law_corners`).
+#:
+#: The potential of a law with such parameters is not checked, because it belongs to the force on the selected side
+#: only.
 SIDE = "mbdkit_side_"
-"""Prefix of parameters that select one side of each discontinuity of a law (`mbdkit_gradients.law_corners`).
-
-The potential of a law with such parameters is not checked, because it belongs to the force on the selected side only.
-"""
 
 _CORNERED = (sp.Abs, sp.Min, sp.Max, sp.Heaviside, sp.sign)
 

@@ -14,11 +14,10 @@ from typing import Literal
 
 Level = Literal["good", "unknown", "doubtful", "bad"]
 
-LEVELS: tuple[Level, ...] = ("good", "unknown", "doubtful", "bad")
-"""All levels, from the best to the worst."""
+LEVELS: tuple[Level, ...] = ("good", "unknown", "doubtful", "bad")  #: All levels, from the best to the worst.
 
+#: Reason shown with the level ``unknown`` if the verdict has no other reason.
 NOTHING_SUSPICIOUS = "nothing suspicious seen; error not estimated"
-"""Reason shown with the level ``unknown`` if the verdict has no other reason."""
 
 
 @dataclass(frozen=True)
@@ -38,46 +37,41 @@ class Limits:
         return f"doubtful above {self.doubtful:g}, bad above {self.bad:g}"
 
 
+#: Limits of the largest misalignment, as a share of the mechanism's size; for angles, in radians.
+#:
+#: Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages. A
+#: joint force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of the doubtful runs, in 7 % of
+#: the runs with misalignments of 1e-5 to 1e-4, and in no run with smaller misalignments.
 MISALIGNMENT = Limits(1e-4, 1e-3)
-"""Limits of the largest misalignment, as a share of the mechanism's size; for angles, in radians.
 
-Measured in 246 runs of 2 to 3 s (eight mechanisms, seven methods, five steps) against Gauss with five stages. A joint
-force was wrong by more than 5 % of its peak in 64 % of the bad runs, in 11 % of the doubtful runs, in 7 % of the runs
-with misalignments of 1e-5 to 1e-4, and in no run with smaller misalignments.
-"""
-
+#: Limits of the largest absolute energy balance, as a share of the largest kinetic energy.
+#:
+#: In the 246 runs measured for `MISALIGNMENT`, a joint force was wrong by more than 5 % of its peak in 97 % of the bad
+#: runs, in 35 % of the doubtful runs, in 3 % of the runs with energy balances of 1e-4 to 1e-3, and in no run with
+#: smaller ones.
 ENERGY = Limits(1e-3, 0.05)
-"""Limits of the largest absolute energy balance, as a share of the largest kinetic energy.
 
-In the 246 runs measured for `MISALIGNMENT`, a joint force was wrong by more than 5 % of its peak in 97 % of the bad
-runs, in 35 % of the doubtful runs, in 3 % of the runs with energy balances of 1e-4 to 1e-3, and in no run with smaller
-ones.
-"""
-
+#: A run is bad if the energy balance changes in one step by more than this share of the largest kinetic energy.
+#:
+#: All of 61 runs in which an implicit step had accepted a spurious solution of its stage equations exceeded this limit.
+#: Of 1,671 other runs, 2 exceeded it, both with errors above 1e-3.
 ENERGY_JUMP = 0.05
-"""A run is bad if the energy balance changes in one step by more than this share of the largest kinetic energy.
 
-All of 61 runs in which an implicit step had accepted a spurious solution of its stage equations exceeded this limit. Of
-1,671 other runs, 2 exceeded it, both with errors above 1e-3.
-"""
-
+#: Limits of a turn of the motion near a minimum of the distance to singularity. From these limits on, a run has
+#: probably left its branch of the motion.
+#:
+#: The turn is measured on the shortest path around the minimum that is at least 2 % of the mechanism's characteristic
+#: length long. The run is bad if the line of the velocity turns on this path by at least `BRANCH_ANGLE` [rad], and by
+#: at least `BRANCH_RATIO` times the length of the path as a share of the characteristic length. The criterion is an
+#: angle because another branch of the motion starts in a different direction.
 BRANCH_ANGLE, BRANCH_RATIO = 0.25, 4.0
-"""Limits of a turn of the motion near a minimum of the distance to singularity. From these limits on, a run has
-probably left its branch of the motion.
 
-The turn is measured on the shortest path around the minimum that is at least 2 % of the mechanism's characteristic
-length long. The run is bad if the line of the velocity turns on this path by at least `BRANCH_ANGLE` [rad], and by at
-least `BRANCH_RATIO` times the length of the path as a share of the characteristic length. The criterion is an angle
-because another branch of the motion starts in a different direction.
-"""
-
+#: Energy errors up to this multiple of `EPS` times the largest energy count as zero. This matters for mechanisms at
+#: rest.
 ROUNDING = 1e4
-"""Energy errors up to this multiple of `EPS` times the largest energy count as zero. This matters for mechanisms at
-rest.
-"""
 
+#: A misalignment up to this share of the mechanism's size counts as round-off in double precision.
 ROUND_OFF = 1e-12
-"""A misalignment up to this share of the mechanism's size counts as round-off in double precision."""
 
 EPS = 2.0**-52
 
@@ -133,13 +127,12 @@ class EstimatedErrors:
     peak_of: str = ""
 
 
+#: Limits of the estimated errors of positions and angles, as a share of the mechanism's size.
 KNOWN_POSITION = Limits(1e-2, 0.1)
-"""Limits of the estimated errors of positions and angles, as a share of the mechanism's size."""
 
+#: Limits of the estimated errors of joint forces, as a share of the largest force in the joint; also those of the
+#: largest forces of elements of a plugin's kind.
 KNOWN_REACTION = Limits(1e-2, 0.1)
-"""Limits of the estimated errors of joint forces, as a share of the largest force in the joint; also those of the
-largest forces of elements of a plugin's kind.
-"""
 
 
 @dataclass(frozen=True)

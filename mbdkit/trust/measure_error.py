@@ -11,28 +11,23 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+#: Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1.
 LARGEST_RATIO = 0.6
-"""Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1."""
+#: Without an observed order, an error is known if the distance of the most accurate run from the guard is at most this
+#: share of the distance of the run from the guard. The value is that of a method of order 1.
 CONFIRMED = 0.25
-"""Without an observed order, an error is known if the distance of the most accurate run from the guard is at most this
-share of the distance of the run from the guard. The value is that of a method of order 1.
-"""
+#: Largest difference from the guard, relative to the estimate. A larger difference indicates an error that all other
+#: runs share.
 GUARD_RATIO = 3.0
-"""Largest difference from the guard, relative to the estimate. A larger difference indicates an error that all other
-runs share.
-"""
+#: If the differences of all runs are below this share of the size, they need not decrease; the largest one is then the
+#: estimate. Rounding errors, which chaotic motions amplify from 1e-13 at the start, do not depend on the step. For the
+#: same reason the guard may be less accurate than the run; the estimate then includes the difference from the guard.
 AGREED = 1e-5
-"""If the differences of all runs are below this share of the size, they need not decrease; the largest one is then the
-estimate. Rounding errors, which chaotic motions amplify from 1e-13 at the start, do not depend on the step. For the
-same reason the guard may be less accurate than the run; the estimate then includes the difference from the guard.
-"""
+#: Differences below this share of the natural size for the unit need not decrease either.
+#:
+#: They occur for measures that differ from zero by rounding errors only.
 ZERO = 1e-12
-"""Differences below this share of the natural size for the unit need not decrease either.
-
-They occur for measures that differ from zero by rounding errors only.
-"""
-ROUND_OFF = 1e-15
-"""Smallest estimate, as a share of the value."""
+ROUND_OFF = 1e-15  #: Smallest estimate, as a share of the value.
 
 
 def measure_error(value: float, compared: Sequence[float], natural: float = 0.0) -> float:

@@ -42,24 +42,23 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, is_able, this_platform
 
 PACKAGE = Path(__file__).resolve().parents[2]
-BUILDER = "mbdkit_builder"
-"""The package that compiles; imported only for code that is not stored."""
+BUILDER = "mbdkit_builder"  #: The package that compiles; imported only for code that is not stored.
 CORE = "mbdkit"
 STORED = Path(__file__).parent / "stored"
 BUILT = Path(__file__).parent / "built"
 MANIFEST = "manifest.json"
 _GROUP = "mbdkit.kernels"
+#: Operating systems on which mbdkit as a whole has been run; on Windows, only its kernels have.
 TESTED = ("linux",)
-"""Operating systems on which mbdkit as a whole has been run; on Windows, only its kernels have."""
 
+#: Value of ``MBDKIT_KERNELS`` in processes that compile kernels, and call some as functions of Python.
 COMPILED = "compiled"
-"""Value of ``MBDKIT_KERNELS`` in processes that compile kernels, and call some as functions of Python."""
+#: Whether kernels run as functions of Python.
 IN_PYTHON = os.environ.get("MBDKIT_KERNELS") in ("python", COMPILED)
-"""Whether kernels run as functions of Python."""
+#: Whether this process compiles kernels, whose functions of `math` must stay as they are.
 IS_COMPILED = os.environ.get("MBDKIT_KERNELS") == COMPILED
-"""Whether this process compiles kernels, whose functions of `math` must stay as they are."""
+#: Whether kernels are compiled even if their stored code is up to date.
 _COMPILE = os.environ.get("MBDKIT_JIT", "") not in ("", "0")
-"""Whether kernels are compiled even if their stored code is up to date."""
 
 
 def address_of(symbol: str) -> int:
@@ -152,10 +151,10 @@ def manifest(package: str = CORE) -> dict[str, Any]:
     return stored
 
 
+#: Suffix of a library by operating system; ``.so`` on others.
 _SUFFIXES = {"macos": ".dylib", "windows": ".dll"}
-"""Suffix of a library by operating system; ``.so`` on others."""
+#: Keys of the manifest, with the types of their values.
 _KINDS = {"built with": dict, "files": dict, "modules": dict, "names": list, "sha256": dict, "symbols": dict}
-"""Keys of the manifest, with the types of their values."""
 
 
 @contextmanager

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from mbdkit.methods.kinds import Tolerances
     from mbdkit.methods.step_methods import Step, StepState
 
-MEMORY = 0.2
-"""Influence of the previous error on the size of the next step; see `Control.memory`."""
+MEMORY = 0.2  #: Influence of the previous error on the size of the next step; see `Control.memory`.
 
 
 class _Past(NamedTuple):

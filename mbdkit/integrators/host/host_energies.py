@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _NODES, _WEIGHTS = gauss_on_unit(4)
 
 
+#: Times and weights (S,), and positions and velocities (S, n); see `Step.stages`.
 Stages = tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
-"""Times and weights (S,), and positions and velocities (S, n); see `Step.stages`."""
 
 
 class HostEnergies:

@@ -18,13 +18,11 @@ from mbdkit.methods.step_methods import StepState
 class LastStep(NamedTuple):
     """A step that has been accepted."""
 
-    before: Reached
-    """Its start, with the size of the step that was accepted."""
+    before: Reached  #: Its start, with the size of the step that was accepted.
     attempt: Attempt
     ends: StepTaken
     energies: HostEnergies
-    next_row: int
-    """Number of the next row by interval at its start."""
+    next_row: int  #: Number of the next row by interval at its start.
     has_dense_output: bool
 
     def inside(self, theta: float) -> Moment:

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from mbdkit.integrators.host.host_control import HostControl
     from mbdkit.integrators.host.host_energies import HostEnergies
 
+#: Codes of failures after which a controlled step is repeated with a smaller size.
 _REPEATED = ("newton-failed", "not-finite", "singular")
-"""Codes of failures after which a controlled step is repeated with a smaller size."""
 
 
 class Attempt(NamedTuple):

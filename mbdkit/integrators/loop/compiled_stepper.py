@@ -56,16 +56,15 @@ if TYPE_CHECKING:
 
 
 MAX_ROWS = 4096
-MAX_ROW_BYTES = 1 << 24
-"""Limits of the buffers of recorded states and of quadrature nodes: rows, and bytes."""
+MAX_ROW_BYTES = 1 << 24  #: Limits of the buffers of recorded states and of quadrature nodes: rows, and bytes.
 
 WORK = ("steps", "last_size", "iterations", "iterations_max", "rejected")
+#: Columns of the intervals of the step loop that form ``Stretch.intervals``, after its first column, the time.
 WORK_COLUMNS = [INTERVAL_FIELDS.index(name) for name in WORK]
-"""Columns of the intervals of the step loop that form ``Stretch.intervals``, after its first column, the time."""
 
 CORRECTIONS = ("projections", "position_correction", "velocity_correction", "baumgarte_term")
+#: Columns of the intervals of the step loop that form ``Stretch.corrections``.
 CORRECTION_COLUMNS = [INTERVAL_FIELDS.index(name) for name in CORRECTIONS]
-"""Columns of the intervals of the step loop that form ``Stretch.corrections``."""
 
 
 class CompiledStepper:

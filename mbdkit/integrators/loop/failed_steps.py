@@ -24,13 +24,12 @@ from mbdkit.registry.seam import OwnSeam
 if TYPE_CHECKING:
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
+#: Relative distances to the nearest singular matrix. A state counts as singular below `SINGULAR`, and as regular above
+#: `REGULAR`.
 SINGULAR, REGULAR = 1e-6, 1e-2
-"""Relative distances to the nearest singular matrix. A state counts as singular below `SINGULAR`, and as regular above
-`REGULAR`.
-"""
 
+#: Codes of further attempts at a step, beside the statuses after which new pivots have been chosen.
 APART, SWITCHED = -1, -2
-"""Codes of further attempts at a step, beside the statuses after which new pivots have been chosen."""
 
 
 @OwnSeam

@@ -14,11 +14,10 @@ from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.step_path import new_path
 
+#: Largest number of steps at once, and of coordinates in all of them; they take less than about 0.1 s.
 MOST_STEPS, COORDINATES = 256, 20_000
-"""Largest number of steps at once, and of coordinates in all of them; they take less than about 0.1 s."""
 
-MOST_BYTES = 1 << 23
-"""Largest size of the buffer of states [bytes]."""
+MOST_BYTES = 1 << 23  #: Largest size of the buffer of states [bytes].
 
 
 class StepsAhead:

@@ -7,8 +7,8 @@ from bisect import bisect_left
 from mbdkit.integrators.interface import Goal, Timetable, on_grid
 from mbdkit.integrators.run.splitting import margin_of_stops
 
+#: Largest distance from the end of a fixed step, as a share of the step, at which a time counts as equal to it.
 ON_GRID = 1e-9
-"""Largest distance from the end of a fixed step, as a share of the step, at which a time counts as equal to it."""
 
 
 def goal_at(table: Timetable, t: float, passed: int, *, is_fixed: bool) -> Goal:

@@ -8,12 +8,10 @@ import numpy as np
 
 from mbdkit.methods.step_methods import StepEvent, StepState, Why
 
-NO_CORRECTION = np.zeros(4)
-"""The correction of steps without stabilization."""
+NO_CORRECTION = np.zeros(4)  #: The correction of steps without stabilization.
 NO_CORRECTION.setflags(write=False)
 
-NO_HISTORY = (0.0, 0.0, 0.0, 0.0)
-"""The history of a run without steps before the next one."""
+NO_HISTORY = (0.0, 0.0, 0.0, 0.0)  #: The history of a run without steps before the next one.
 
 
 class IntervalSoFar(NamedTuple):
@@ -45,34 +43,26 @@ class IntervalSoFar(NamedTuple):
 class Reached(NamedTuple):
     """A point of the run between two steps, with all data needed to continue from it."""
 
-    done: int
-    """Number of steps so far."""
-    whole: int
-    """Number of fixed steps completed; a step that is divided counts once."""
-    passed: int
-    """Number of stops that the run has passed."""
+    done: int  #: Number of steps so far.
+    whole: int  #: Number of fixed steps completed; a step that is divided counts once.
+    passed: int  #: Number of stops that the run has passed.
+    #: Time at which the next step starts [s] if that is not `time`, because of a stop, an event or a divided step.
     restart: float | None
-    """Time at which the next step starts [s] if that is not `time`, because of a stop, an event or a divided step."""
     time: float
     state: StepState
+    #: (2,) work of loads and drivers, and dissipated energy [J]; `energy_low` has the compensation terms of these sums.
+    #:
     energy: np.ndarray
-    """(2,) work of loads and drivers, and dissipated energy [J]; `energy_low` has the compensation terms of these sums.
-    """
     energy_low: np.ndarray
     interval: IntervalSoFar
-    is_event: bool = False
-    """Whether the step ended before its planned end."""
-    why: Why | Literal[""] = ""
-    """Why the next step begins anew; empty if it continues."""
-    size: float = np.inf
-    """Size of the next step [s], if no stop comes earlier."""
+    is_event: bool = False  #: Whether the step ended before its planned end.
+    why: Why | Literal[""] = ""  #: Why the next step begins anew; empty if it continues.
+    size: float = np.inf  #: Size of the next step [s], if no stop comes earlier.
+    #: Errors of the last step and of the one before, relative to their tolerances, 0 if there is none; and their sizes
+    #: [s].
     history: tuple[float, float, float, float] = NO_HISTORY
-    """Errors of the last step and of the one before, relative to their tolerances, 0 if there is none; and their sizes
-    [s]."""
-    order: float | None = None
-    """Order of the error estimate of the next step, if the method varies it."""
-    event: StepEvent | None = None
-    """Event that happens before the next step."""
+    order: float | None = None  #: Order of the error estimate of the next step, if the method varies it.
+    event: StepEvent | None = None  #: Event that happens before the next step.
 
     @property
     def begin(self) -> float:

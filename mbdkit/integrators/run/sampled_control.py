@@ -21,8 +21,8 @@ from mbdkit.engine.native.calls import call_law
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure
 
+#: Largest difference, as a share of the period, between the time of a stop and that of a sample that count as equal.
 SAME = 1e-6
-"""Largest difference, as a share of the period, between the time of a stop and that of a sample that count as equal."""
 
 
 class Sampler:

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 P = ParamSpec("P")
 T = TypeVar("T")
 
+#: Dense output of a step: function of the share of the step that returns (q, v, z), and possibly work and energy; None
+#: if the step has no dense output, or if that raises StepError.
 Inside = Callable[[float], "tuple[np.ndarray, ...] | None"]
-"""Dense output of a step: function of the share of the step that returns (q, v, z), and possibly work and energy; None
-if the step has no dense output, or if that raises StepError."""
 
 
 def called(name: str, function: Callable[P, T], *given: P.args, **more: P.kwargs) -> T:

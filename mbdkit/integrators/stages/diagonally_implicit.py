@@ -30,17 +30,14 @@ if TYPE_CHECKING:
     from mbdkit.engine.equations_of_motion import EquationsOfMotion
     from mbdkit.methods.kinds import ImplicitRungeKutta
 
-Solved = tuple[np.ndarray, np.ndarray]
-"""Accelerations (n,) and multipliers (m,)."""
+Solved = tuple[np.ndarray, np.ndarray]  #: Accelerations (n,) and multipliers (m,).
 
 MOST_ITERATIONS = 50
-ROUNDING = 4e-16
-"""Relative change of the accelerations that counts as round-off."""
+ROUNDING = 4e-16  #: Relative change of the accelerations that counts as round-off.
+#: An iteration that no longer contracts is accepted as having reached round-off if its relative change is below this.
 SMALL = 1e-6
-"""An iteration that no longer contracts is accepted as having reached round-off if its relative change is below this.
-"""
+#: An iteration counts as no longer contracting if the ratio of two successive changes is above this.
 CONTRACTS = 0.5
-"""An iteration counts as no longer contracting if the ratio of two successive changes is above this."""
 
 
 class DiagonallyImplicit(StepMethod):

@@ -195,11 +195,11 @@ def _no_errors(rows: ObservedRows) -> ErrorEstimate:
     return ErrorEstimate(position, velocity, torque, torque.copy(), float(rows.time[0]), math.nan)
 
 
+#: Runs with different tolerances are assumed to differ only after this many steps.
+#:
+#: Their first steps are often equal, and the next ones grow by the same factor, the largest that step-size control
+#: allows.
 FIRST_STEPS = 5
-"""Runs with different tolerances are assumed to differ only after this many steps.
-
-Their first steps are often equal, and the next ones grow by the same factor, the largest that step-size control allows.
-"""
 
 
 def check_by_pilots(
@@ -241,8 +241,8 @@ def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimat
     return replace(errors, **parts, known_until=float(known[-1]) if len(known) else math.nan)
 
 
+#: Reason that is stored if the spec gives method and step.
 AS_GIVEN = "The spec gives method and step (`choose: nothing`)."
-"""Reason that is stored if the spec gives method and step."""
 
 
 def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: Choice | None) -> Accuracy:

@@ -42,70 +42,62 @@ from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
 from mbdkit.spec.run_spec import FIRST_EXPLICIT, FIRST_IMPLICIT
 
+#: Target of the expected error, as a share of the requested accuracy.
+#:
+#: At order 8, the target costs 15 % more work than the requested accuracy itself. Errors of smooth motions follow the
+#: tolerance within this factor.
 MARGIN = 0.3
-"""Target of the expected error, as a share of the requested accuracy.
 
-At order 8, the target costs 15 % more work than the requested accuracy itself. Errors of smooth motions follow the
-tolerance within this factor.
-"""
-
+#: Differences above this share of the mechanism's size are too large to predict errors of smaller steps.
+#:
+#: Differences a little below it are larger than the model expects, so that the choice is conservative.
 SATURATED = 0.2
-"""Differences above this share of the mechanism's size are too large to predict errors of smaller steps.
 
-Differences a little below it are larger than the model expects, so that the choice is conservative.
-"""
-
+#: Expected exponent p of the error of an adaptive method in its tolerance.
+#:
+#: It is below 1, because predictions often span several decades, and a missed accuracy costs another run.
 FOLLOWS = 0.93
-"""Expected exponent p of the error of an adaptive method in its tolerance.
 
-It is below 1, because predictions often span several decades, and a missed accuracy costs another run.
-"""
-
+#: Range of the tolerance: rounding errors dominate below it, and errors are not proportional to it above.
 TIGHTEST, LOOSEST = 1e-13, 1e-3
-"""Range of the tolerance: rounding errors dominate below it, and errors are not proportional to it above."""
 
+#: Reason why no smaller tolerance is possible.
 ROUNDING = f"rounding errors dominate at tolerances below {TIGHTEST:g}"
-"""Reason why no smaller tolerance is possible."""
 
+#: Fixed-step method that is tried if rounding errors limit adaptive methods.
 GAUSS: Mapping[str, Any] = {"name": "gauss", "stages": 6}
-"""Fixed-step method that is tried if rounding errors limit adaptive methods."""
 
-TENTH = 10.0
-"""Factor between the tolerances of the first two pilots."""
+TENTH = 10.0  #: Factor between the tolerances of the first two pilots.
 
+#: Stability limits the steps of DOP853 if their number grows by less than this factor when the tolerance is divided by
+#: ten. If accuracy limits the steps, their number grows by 10^(1/8) = 1.33.
 STIFF = 1.15
-"""Stability limits the steps of DOP853 if their number grows by less than this factor when the tolerance is divided by
-ten. If accuracy limits the steps, their number grows by 10^(1/8) = 1.33."""
 
+#: Largest number of steps of the first pilots of a candidate; explicit pilots of stiff mechanisms exceed it.
 FIRST_STEPS = 20_000
-"""Largest number of steps of the first pilots of a candidate; explicit pilots of stiff mechanisms exceed it."""
 
+#: Smallest work of a step of Radau IIA with 5 stages, with at least four iterations: 20 evaluations.
 IMPLICIT_STEP = 20.0 * IMPLICIT_WORK
-"""Smallest work of a step of Radau IIA with 5 stages, with at least four iterations: 20 evaluations."""
 
-MANY_STEPS = 2_000
-"""A limit by stability is accepted for up to this many steps, because they take only 0.1 s."""
+MANY_STEPS = 2_000  #: A limit by stability is accepted for up to this many steps, because they take only 0.1 s.
 
+#: Factor between the tolerances of the first two recorded pilots.
+#:
+#: Errors of single runs scatter about the tolerance by a factor of up to 10, so that runs with closer tolerances may
+#: differ by less than their errors. A factor of 10 would cost 15 % more.
 APART = 100.0
-"""Factor between the tolerances of the first two recorded pilots.
 
-Errors of single runs scatter about the tolerance by a factor of up to 10, so that runs with closer tolerances may
-differ by less than their errors. A factor of 10 would cost 15 % more.
-"""
-
+#: Target of the estimated error of a recorded pilot, as a share of the requested accuracy; if it is missed, another
+#: pilot is needed.
 AIM = 0.25
-"""Target of the estimated error of a recorded pilot, as a share of the requested accuracy; if it is missed, another
-pilot is needed."""
 
-MOST_ATTEMPTS = 3
-"""Largest number of runs of the chosen method if checks do not confirm the accuracy."""
+MOST_ATTEMPTS = 3  #: Largest number of runs of the chosen method if checks do not confirm the accuracy.
 
+#: Largest ratio of errors over which the model is extrapolated from the last pilot.
+#:
+#: The keys are True for adaptive methods and False for fixed steps. The ratio is smaller for fixed steps, because their
+#: observed order may be below that of the method.
 FAR = {True: 1e5, False: 30.0}
-"""Largest ratio of errors over which the model is extrapolated from the last pilot.
-
-The keys are True for adaptive methods and False for fixed steps. The ratio is smaller for fixed steps, because their
-observed order may be below that of the method.
-"""
 
 
 @dataclass(frozen=True)

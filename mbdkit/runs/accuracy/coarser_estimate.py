@@ -32,26 +32,23 @@ from mbdkit.runs.accuracy.error_estimate import (
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.trust.measure_error import AGREED
 
+#: Limits of the exponent p of the error in the tolerance.
+#:
+#: Differences count as decreasing if the observed exponent is at least `LEAST`. `ASSUMED` is used if no exponent is
+#: observed, or if the observed one is larger, as with an exceptionally inaccurate coarse run.
 LEAST, ASSUMED = 0.25, 0.8
-"""Limits of the exponent p of the error in the tolerance.
 
-Differences count as decreasing if the observed exponent is at least `LEAST`. `ASSUMED` is used if no exponent is
-observed, or if the observed one is larger, as with an exceptionally inaccurate coarse run.
-"""
-
+#: Differences up to this many times the requested accuracy need not decrease at all times.
+#:
+#: Such differences are expected of runs whose tolerance is larger by a factor of 10 or more.
 EXPECTED = 10.0
-"""Differences up to this many times the requested accuracy need not decrease at all times.
 
-Such differences are expected of runs whose tolerance is larger by a factor of 10 or more.
-"""
-
+#: Factor by which all estimates are multiplied, because errors of single runs scatter about the tolerance. In 99 % of
+#: the pairs of runs of 21 mechanisms, with tolerances from 1e-2 to 1e-13 and any ratio of them, the largest true error
+#: over a run is at most 4.1 times the estimate without this factor. With `ASSUMED` nearer to 1, this number would grow
+#: with the ratio. At single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of
+#: 1e-6 and above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust).
 SAFETY = 4.0
-"""Factor by which all estimates are multiplied, because errors of single runs scatter about the tolerance. In 99 % of
-the pairs of runs of 21 mechanisms, with tolerances from 1e-2 to 1e-13 and any ratio of them, the largest true error
-over a run is at most 4.1 times the estimate without this factor. With `ASSUMED` nearer to 1, this number would grow
-with the ratio. At single times, and for forces, true errors exceed the estimates more often, mostly at tolerances of
-1e-6 and above, by factors of 1 to 2.5 and in two of 147 runs by 8 and 12 (see the page on trust).
-"""
 
 
 def estimate_from_coarser(

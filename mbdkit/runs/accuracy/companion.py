@@ -26,8 +26,8 @@ from mbdkit.runs.run_seams import Progress
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
 
+#: Value of `Timetable.every` with which no end of a step is recorded, for companions with rows within their steps.
 NEVER = 2**53
-"""Value of `Timetable.every` with which no end of a step is recorded, for companions with rows within their steps."""
 
 
 @dataclass(frozen=True)

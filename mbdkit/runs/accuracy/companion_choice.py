@@ -27,50 +27,41 @@ from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.runs.run_seams import treatment_guards
 from mbdkit.spec import RunSpec
 
-HALVINGS = (2, 4)
-"""Factors by which the steps of a fixed-step run are divided for its companions."""
+HALVINGS = (2, 4)  #: Factors by which the steps of a fixed-step run are divided for its companions.
 
-TENTHS = (10.0, 100.0)
-"""Factors by which the tolerances of an adaptive run are divided for its companions."""
+TENTHS = (10.0, 100.0)  #: Factors by which the tolerances of an adaptive run are divided for its companions.
 
+#: The factors, as in `TENTHS`, for companions whose method is not that of the run.
+#:
+#: They are larger, because SciPy's Radau is up to 100 times more accurate than its tolerance.
 OTHER_TENTHS = (1e3, 1e5)
-"""The factors, as in `TENTHS`, for companions whose method is not that of the run.
 
-They are larger, because SciPy's Radau is up to 100 times more accurate than its tolerance.
-"""
+TIGHTEST = 1e-13  #: Smallest tolerance of a companion; below it, rounding errors dominate.
 
-TIGHTEST = 1e-13
-"""Smallest tolerance of a companion; below it, rounding errors dominate."""
-
+#: Tolerance of the guard run by DOP853. Its error must be small compared with that of the run, or the estimate is too
+#: large.
 GUARD_TOLERANCE = 1e-13
-"""Tolerance of the guard run by DOP853. Its error must be small compared with that of the run, or the estimate is too
-large.
-"""
 
+#: Tolerance of an implicit guard run. It is larger than that of DOP853, because implicit methods of lower order need
+#: more steps.
 IMPLICIT_GUARD_TOLERANCE = 1e-11
-"""Tolerance of an implicit guard run. It is larger than that of DOP853, because implicit methods of lower order need
-more steps.
-"""
 
+#: Largest number of steps of a guard (a comparison run with another method): the sum of a constant and of a multiple of
+#: the number of steps of the run.
+#:
+#: On stiff problems explicit guards exceed it, and the next guard is tried. A limit on wall time would make the result
+#: depend on the machine.
 GUARD_STEPS = (20_000, 40)
-"""Largest number of steps of a guard (a comparison run with another method): the sum of a constant and of a multiple of
-the number of steps of the run.
 
-On stiff problems explicit guards exceed it, and the next guard is tried. A limit on wall time would make the result
-depend on the machine.
-"""
-
+#: The numbers, as in `GUARD_STEPS`, for companions that return after each step, which takes about 0.1 ms more per step.
 SINGLE_STEPS = (5_000, 10)
-"""The numbers, as in `GUARD_STEPS`, for companions that return after each step, which takes about 0.1 ms more per step.
-"""
 
 
+#: Smallest number of steps of a guard (a comparison run with another method), unless the run itself has at least
+#: as many fixed steps.
+#:
+#: Adaptive steps of a body at rest grow without limit, and then miss a short pulse at any tolerance.
 LOOKS = 2_000
-"""Smallest number of steps of a guard (a comparison run with another method), unless the run itself has at least
-as many fixed steps.
-
-Adaptive steps of a body at rest grow without limit, and then miss a short pulse at any tolerance.
-"""
 
 
 @dataclass(frozen=True)

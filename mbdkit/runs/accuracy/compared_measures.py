@@ -29,8 +29,8 @@ from mbdkit.runs.accuracy.companion_choice import (
 )
 from mbdkit.spec import RunSpec
 
+#: Function that returns the values of all expressions in a run of another spec; None if that run fails.
 Measure = Callable[[RunSpec], Sequence[float] | None]
-"""Function that returns the values of all expressions in a run of another spec; None if that run fails."""
 
 
 def compared_measures(

@@ -29,28 +29,24 @@ from mbdkit.base import elementary
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.trust.measure_error import AGREED, CONFIRMED, GUARD_RATIO, LARGEST_RATIO
 
+#: Differences from the guard below this share of the size of a quantity are attributed to the tolerance of the guard.
+#:
+#: They are not included in the estimate.
 ROUND_OFF = 1e-9
-"""Differences from the guard below this share of the size of a quantity are attributed to the tolerance of the guard.
 
-They are not included in the estimate.
-"""
-
+#: Lower limit of the size from which the limits by `ROUND_OFF` and `AGREED` are computed, for mechanisms that hardly
+#: move.
+#:
+#: It is a share of the natural unit of the quantity (`Units`).
 AT_REST = 1e-12
-"""Lower limit of the size from which the limits by `ROUND_OFF` and `AGREED` are computed, for mechanisms that hardly
-move.
 
-It is a share of the natural unit of the quantity (`Units`).
-"""
-
+#: No order needs to be observed for bodies or joints whose differences are below this share of those of all bodies or
+#: joints.
 MINOR = 0.05
-"""No order needs to be observed for bodies or joints whose differences are below this share of those of all bodies or
-joints.
-"""
 
+#: Errors above this share of the size of a quantity count as unknown, because they no longer depend linearly on earlier
+#: errors.
 LARGEST_ERROR = 0.1
-"""Errors above this share of the size of a quantity count as unknown, because they no longer depend linearly on earlier
-errors.
-"""
 
 
 @dataclass(frozen=True)

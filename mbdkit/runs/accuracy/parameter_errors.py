@@ -28,10 +28,9 @@ from mbdkit.runs.preparation import build
 from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
 
+#: Ratio of errors to standard deviations. The error of a number holds with a probability of 95 %; that of the norm of a
+#: vector with 95 to 98 %, because the deviation of a norm is that of the whole vector.
 COVERAGE = 1.959964
-"""Ratio of errors to standard deviations. The error of a number holds with a probability of 95 %; that of the norm of a
-vector with 95 to 98 %, because the deviation of a norm is that of the whole vector.
-"""
 
 
 def with_parameter_errors(

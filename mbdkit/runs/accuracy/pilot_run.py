@@ -26,18 +26,16 @@ from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import RunSpec
 
+#: Number of equal intervals between the times at which a `PilotRun` stores positions, called samples.
+#:
+#: The number of fixed steps of a pilot is a multiple or a divisor of it. More samples are not worth their cost,
+#: because dense output takes further evaluations in every adaptive step with a sample.
 SAMPLES = 16
-"""Number of equal intervals between the times at which a `PilotRun` stores positions, called samples.
 
-The number of fixed steps of a pilot is a multiple or a divisor of it. More samples are not worth their cost,
-because dense output takes further evaluations in every adaptive step with a sample.
-"""
-
+#: Cost of an evaluation of an implicit method, including linear systems, relative to one of an explicit method.
+#: Measured values are 1.8 to 2.3 for mechanisms with 1 to 6 bodies. A constant is used instead of measured times, so
+#: that the same spec always leads to the same choice.
 IMPLICIT_WORK = 2.0
-"""Cost of an evaluation of an implicit method, including linear systems, relative to one of an explicit method.
-Measured values are 1.8 to 2.3 for mechanisms with 1 to 6 bodies. A constant is used instead of measured times, so that
-the same spec always leads to the same choice.
-"""
 
 
 @dataclass(frozen=True)
@@ -125,8 +123,8 @@ def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
     return float(np.max(share[common]))
 
 
+#: Largest number of stored positions, 320 MB with the velocities; longer runs are checked by companions.
 MOST_VALUES = 20_000_000
-"""Largest number of stored positions, 320 MB with the velocities; longer runs are checked by companions."""
 
 
 class RecordedPilot:

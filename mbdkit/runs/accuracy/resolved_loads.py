@@ -17,17 +17,15 @@ from mbdkit.mechanism.values import Motion
 from mbdkit.runs.corners import stops_of
 from mbdkit.spec import RunSpec
 
+#: Number of times in a step at which a motion is assumed to be evaluated.
+#:
+#: DOP853 has this number of distinct stage times.
 NODES = 8
-"""Number of times in a step at which a motion is assumed to be evaluated.
 
-DOP853 has this number of distinct stage times.
-"""
-
+#: Approximate number of samples over a run, and smallest number of samples in one step.
 LOOKS, LOOKS_OF_STEP = 20_000, 16
-"""Approximate number of samples over a run, and smallest number of samples in one step."""
 
-UNRESOLVED = 1e-3
-"""Largest deviation from the polynomial, as a share of the range of the motion over the run."""
+UNRESOLVED = 1e-3  #: Largest deviation from the polynomial, as a share of the range of the motion over the run.
 
 
 def resolved_until(spec: RunSpec, time: np.ndarray) -> float:

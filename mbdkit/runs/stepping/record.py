@@ -15,8 +15,7 @@ from mbdkit.runs.simulated_run import SimulatedRun, Taken
 from mbdkit.runs.stepping.input_history import InputHistory
 from mbdkit.runs.stepping.simulation_state import SimulationState
 
-FLUSH_INTERVAL = 1.0
-"""Smallest wall time between two writes of the record [s]."""
+FLUSH_INTERVAL = 1.0  #: Smallest wall time between two writes of the record [s].
 
 
 class _Link:

@@ -13,11 +13,11 @@ _T, _TJ, _TJA, _TU = ("time",), ("time", "joint"), ("time", "joint", "axis"), ("
 _TK, _TA = ("time", "observed"), ("time", "actuator")
 _TL, _TLA, _TN = ("time", "load"), ("time", "load", "axis"), ("time", "knee")
 
+#: Groups of inverse dynamics; a group without elements is absent.
 INVERSE_GROUPS = ("motion", "actuators", "muscles", "knees", "loads", "followers")
-"""Groups of inverse dynamics; a group without elements is absent."""
 
+#: Paths of the arrays of muscles that inverse dynamics does not record.
 MUSCLES_OF_RUNS = frozenset(("muscles/excitation",))
-"""Paths of the arrays of muscles that inverse dynamics does not record."""
 
 
 def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:

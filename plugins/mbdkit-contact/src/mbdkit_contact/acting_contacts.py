@@ -45,26 +45,24 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_contact.contact import Contact
 
+#: Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
+#: shapes overlap too much.
 HEAVY = 10.0
-"""Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
-shapes overlap too much."""
 
+#: First-order states that store the force and mode of a rigid contact during a step, and their units; they have no
+#: rates.
 HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
-"""First-order states that store the force and mode of a rigid contact during a step, and their units; they have no
-rates.
-"""
 
+#: Parameters of the law of a rigid contact, which exerts no compliant force.
 NO_LAW = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
-"""Parameters of the law of a rigid contact, which exerts no compliant force."""
 
+#: First-order states of a body, with units: the sum of the forces of its rigid contacts, and of their torques about the
+#: centre of mass.
 HELD_BY_BODY = {"contact_force_x": "N", "contact_force_y": "N", "contact_torque": "N m"}
-"""First-order states of a body, with units: the sum of the forces of its rigid contacts, and of their torques about the
-centre of mass.
-"""
 
+#: Form of the normal force of each law, one of `mbdkit_contact.kernels.contact_laws.FORCE_LAWS`.
 FORMS = {"hunt-crossley": "hertz", "flores": "hertz", "lankarani-nikravesh": "hertz", "linear": "linear",
           "smooth-sphere-half-space": "smooth"}  # fmt: skip
-"""Form of the normal force of each law, one of `mbdkit_contact.kernels.contact_laws.FORCE_LAWS`."""
 
 
 @dataclass(frozen=True)

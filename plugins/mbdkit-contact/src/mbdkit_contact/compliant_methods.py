@@ -32,10 +32,8 @@ from mbdkit_contact.kernels.compliant_steps import (
 )
 from mbdkit_contact.kernels.event_bundle import NORMAL
 
-MOST_CUTS = 20
-"""Largest number of times that a library is opened again in one step."""
-PIECES = 4
-"""Number of cubics that stand for the motion in a step with dense output."""
+MOST_CUTS = 20  #: Largest number of times that a library is opened again in one step.
+PIECES = 4  #: Number of cubics that stand for the motion in a step with dense output.
 
 
 @treatment_method

@@ -24,14 +24,12 @@ from mbdkit_contact.polylines import check_polyline, surface_of
 
 Pair = tuple[float, float]
 
-MOST_CORNERS = 16
-"""Largest number of corners of a polygon."""
+MOST_CORNERS = 16  #: Largest number of corners of a polygon.
 
+#: Speed of separation [m/s] at which the law smooth-sphere-half-space without dissipation stops pushing.
+#:
+#: It is so large that it is never reached.
 RELEASED = 1e300
-"""Speed of separation [m/s] at which the law smooth-sphere-half-space without dissipation stops pushing.
-
-It is so large that it is never reached.
-"""
 
 
 class LineShape(StrictModel):
@@ -97,8 +95,8 @@ class _OrFile:
         return {"anyOf": [handler(core), PolylineFile.model_json_schema()]}
 
 
+#: Points of a polyline, or in spec files a table of them.
 Polyline = Annotated[tuple[Point, ...], BeforeValidator(_polyline), _OrFile()]
-"""Points of a polyline, or in spec files a table of them."""
 
 
 class Shape(StrictModel):

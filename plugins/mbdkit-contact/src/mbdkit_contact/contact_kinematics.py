@@ -13,18 +13,16 @@ from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.kernels.kinematics import KINDS, LINE, NOWHERE, POLYGONS, ROUND, SINGLE, UNEVEN, Shapes
 from mbdkit_contact.kernels.uneven_ground import EDGE, FAR, HIGH, LOW, OWN, SEGMENT
 
+#: Distance, relative to the length of the mechanism, up to which a corner beyond the end of an edge still acts; closed
+#: contacts remain closed up to twice this distance.
 EXACT = 1e-9
-"""Distance, relative to the length of the mechanism, up to which a corner beyond the end of an edge still acts; closed
-contacts remain closed up to twice this distance.
-"""
+#: Up to this number of segments, distances from polylines are computed exactly, else up to `REACH`.
 SEGMENTS_IN_FULL = 32
-"""Up to this number of segments, distances from polylines are computed exactly, else up to `REACH`."""
+#: Distance from a polyline, relative to the length of the mechanism, above which gaps may be too small.
 REACH = 0.1
-"""Distance from a polyline, relative to the length of the mechanism, above which gaps may be too small."""
 
 
-Feature = tuple[str, tuple[float, ...]]
-"""Kind and parameters of a smooth gap."""
+Feature = tuple[str, tuple[float, ...]]  #: Kind and parameters of a smooth gap.
 
 
 def features_of(pair: ContactPair) -> list[Feature]:

@@ -14,23 +14,20 @@ from dataclasses import dataclass
 import sympy as sp
 
 FIRST = sp.symbols("x1 y1 th1 vx1 vy1 w1", real=True)
+#: Position, angle, velocity and angular velocity of the first and of the second body.
 SECOND = sp.symbols("x2 y2 th2 vx2 vy2 w2", real=True)
-"""Position, angle, velocity and angular velocity of the first and of the second body."""
+#: Center of the circle in the frame of the second body, and its radius.
 cx, cy, r = CIRCLE = sp.symbols("cx cy r", real=True)
-"""Center of the circle in the frame of the second body, and its radius."""
 
-choose = sp.Function("choose")
-"""``choose(x, a, b)`` is a where x > 0, and b elsewhere."""
+choose = sp.Function("choose")  #: ``choose(x, a, b)`` is a where x > 0, and b elsewhere.
 
-TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)
-"""Cosine and sine of the angles of both bodies."""
+TURNED = sp.symbols("cos1 sin1 cos2 sin2", real=True)  #: Cosine and sine of the angles of both bodies.
 
 _ANGLES = (FIRST[2], SECOND[2])
 _BY_TURN = dict(zip((f(angle) for angle in _ANGLES for f in (sp.cos, sp.sin)), TURNED, strict=True))
+#: Symbols in the formulas: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of the
+#: geometry follow.
 ARGUMENTS = (*FIRST[:2], *TURNED[:2], *FIRST[3:], *SECOND[:2], *TURNED[2:], *SECOND[3:])
-"""Symbols in the formulas: for each body x, y, cosine and sine of its angle, and its velocities. The parameters of the
-geometry follow.
-"""
 
 
 def numbers_of(kind: str) -> tuple[sp.Symbol, ...]:
@@ -151,11 +148,10 @@ class _Moving(NamedSteps):
         return sp.Add(*(slope.xreplace(back) * self.rate(back.get(part, part)) for part, slope in parts if slope != 0))
 
 
+#: Quantities of a contact row: gap and slip, the rows n and t (6 components each) with ``gap' = n . v`` and
+#: ``slip = t . v``, and the right-hand sides of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy
+#: these equations leave gap' and slip constant.
 QUANTITIES = ("gap", "slip", "normal", "tangent", "normal_right", "tangent_right")
-"""Quantities of a contact row: gap and slip, the rows n and t (6 components each) with ``gap' = n . v`` and
-``slip = t . v``, and the right-hand sides of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy
-these equations leave gap' and slip constant.
-"""
 
 
 def row_definition(kind: str) -> Definition:

@@ -17,12 +17,11 @@ from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates
 if TYPE_CHECKING:
     from mbdkit_contact.contact_section import ContactTreatment
 
+#: `ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this.
 SOLVED = 1e-6
-"""`ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this."""
+#: Largest `contact.rest_energy` for which the bounces that are left out count as negligible.
 NEGLIGIBLE_BOUNCES = 1e-9
-"""Largest `contact.rest_energy` for which the bounces that are left out count as negligible."""
-_NAMES = ("cut", "changed", "undetermined", "ordered")
-"""Fields that are sets of names."""
+_NAMES = ("cut", "changed", "undetermined", "ordered")  #: Fields that are sets of names.
 
 
 @dataclass(frozen=True)

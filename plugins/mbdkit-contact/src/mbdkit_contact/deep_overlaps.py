@@ -23,23 +23,20 @@ if TYPE_CHECKING:
     from mbdkit.trust.energy_record import EnergyRecord
     from mbdkit_contact.contact import ContactPair
 
+#: Overlaps up to this share of the radius of a circle cause no warning.
+#:
+#: The laws of compliant contacts assume that overlaps are small. Feet of published models are softer: the spheres of
+#: OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third of their radius.
 DEEP = 0.5
-"""Overlaps up to this share of the radius of a circle cause no warning.
 
-The laws of compliant contacts assume that overlaps are small. Feet of published models are softer: the spheres of
-OpenSim's examples, of 30 mm radius, overlap the ground by up to about a third of their radius.
-"""
-
+#: Largest way of bodies in a fixed step, relative to the way on which two shapes overlap when they pass through each
+#: other, that causes no warning.
 PASSING = 0.25
-"""Largest way of bodies in a fixed step, relative to the way on which two shapes overlap when they pass through each
-other, that causes no warning.
-"""
 
+#: Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: of open
+#: contacts in recorded states; and of closed ones, and at the peaks that checked runs find between recorded states,
+#: where coarse steps are interpolated.
 RIGID, INTERPOLATED = 1e-7, 1e-3
-"""Overlaps of rigid contacts up to this share of the size of the mechanism are the errors of a sound run: of open
-contacts in recorded states; and of closed ones, and at the peaks that checked runs find between recorded states, where
-coarse steps are interpolated.
-"""
 
 
 class DeepOverlaps:

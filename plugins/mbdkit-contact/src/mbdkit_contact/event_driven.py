@@ -26,12 +26,11 @@ from mbdkit_contact.event_step import Event, EventStep, NotAcceptedError, StepPo
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.forced_equations import ForcedEquations, Powers
 
-_NODES = gauss_on_unit(6)[0]
-"""Places in a step at which powers are evaluated for the energies within it."""
+_NODES = gauss_on_unit(6)[0]  #: Places in a step at which powers are evaluated for the energies within it.
 _INTEGRALS = collocation_polynomials(_NODES)[0]
 
+#: Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism.
 DRIFT = 1e-7
-"""Largest gap of joints and closed contacts in the steps of a library, relative to the length of the mechanism."""
 
 
 class EventDriven(StepMethod):

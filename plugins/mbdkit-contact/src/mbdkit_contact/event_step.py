@@ -33,8 +33,7 @@ from mbdkit_contact.kernels.steps_to_events import (
 
 _NODES, _WEIGHTS = gauss_on_unit(4)
 
-Event = tuple[int, int]
-"""Kind of an event function, and contact."""
+Event = tuple[int, int]  #: Kind of an event function, and contact.
 
 
 @dataclass(frozen=True)
@@ -49,8 +48,7 @@ class StepPoint:
     dissipated: float = 0.0
     memory: Any = None
     multipliers: np.ndarray | None = None
-    made: Step | None = None
-    """The step of the method that has led here."""
+    made: Step | None = None  #: The step of the method that has led here.
 
 
 class NotAcceptedError(Exception):

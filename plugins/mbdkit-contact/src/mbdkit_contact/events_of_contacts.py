@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit_contact.contact_section import ContactTreatment
 
+#: Codes and clauses of the reasons for which a step fails.
 FAILURES: dict[int, tuple[str, str]] = {
     PAINLEVE: ("painleve", "the friction of contact {name} presses it together more than it is pressed"),
     NO_MODES: ("painleve", "no forces at contact {name} satisfy Coulomb's law"),
@@ -53,17 +54,14 @@ FAILURES: dict[int, tuple[str, str]] = {
     ZENO: ("zeno", f"contacts changed {MOST_EVENTS} times without a step between"),
     OPEN_JOINTS: ("newton-failed", "no positions with closed joints and contacts were found"),
 }
-"""Codes and clauses of the reasons for which a step fails."""
+#: Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step.
 FIRST_ROOM, MOST_SAMPLES = 8, 64
-"""Number of contacts that may act at once before larger arrays are needed, and largest number of samples in a step."""
+#: Least value of the largest velocity of a motion, so that rounding errors of bodies at rest count as zero, relative to
+#: that of a fall over the length of the mechanism, or without gravity, to this length per second.
 SLOWEST = 1e-3
-"""Least value of the largest velocity of a motion, so that rounding errors of bodies at rest count as zero, relative to
-that of a fall over the length of the mechanism, or without gravity, to this length per second.
-"""
-MOST_SHARES = 1024
-"""Size of ``Known.shares``."""
+MOST_SHARES = 1024  #: Size of ``Known.shares``.
+#: Arrays that steps in Python pass to the next step.
 _PASSED = tuple(name for name in Known._fields if name not in ("number", "rows", "strikes"))
-"""Arrays that steps in Python pass to the next step."""
 
 
 def _new_known(count: int, size: int, pairs: int, held: int) -> Known:

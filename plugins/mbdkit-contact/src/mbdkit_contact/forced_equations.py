@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from mbdkit_contact.events_of_contacts import ContactEvents
 
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
-Powers = tuple[float, float]
-"""Power of loads and drivers, and dissipated power [W]."""
+Powers = tuple[float, float]  #: Power of loads and drivers, and dissipated power [W].
 
 
 class ForcedEquations(EquationsOfMotion):

@@ -6,8 +6,7 @@ from typing import NamedTuple
 
 from mbdkit.archive import recorded_columns as columns
 
-MODES = ("open", "stick", "slip")
-"""Names of the modes of contacts."""
+MODES = ("open", "stick", "slip")  #: Names of the modes of contacts.
 
 
 class Transition(NamedTuple):

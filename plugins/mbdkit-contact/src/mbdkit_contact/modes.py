@@ -2,5 +2,4 @@
 
 from __future__ import annotations
 
-OPEN, STICK, SLIP = range(3)
-"""Modes of a contact: open, sticking (closed without slip) and slipping."""
+OPEN, STICK, SLIP = range(3)  #: Modes of a contact: open, sticking (closed without slip) and slipping.

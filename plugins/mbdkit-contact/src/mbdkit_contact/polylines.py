@@ -21,16 +21,15 @@ from mbdkit.base.errors import SpecError
 
 Pair = tuple[float, float]
 
-STRAIGHT = 1e-12
-"""Sine of the angle up to which two segments in succession count as one."""
+STRAIGHT = 1e-12  #: Sine of the angle up to which two segments in succession count as one.
 
+#: Place at which the first segment begins and the last one ends [m]: they continue straight on.
 ENDLESS = 1e300
-"""Place at which the first segment begins and the last one ends [m]: they continue straight on."""
 
+#: How many numbers describe a segment: start (x, y), normal (x, y) out of the material, lowest and highest place along
+#: the segment, depth of the material that belongs to it, color of its piece, turn of the corner at its start (1 convex,
+#: -1 concave, 0 for the first segment), and color of this corner if it is convex, otherwise -1.
 SEGMENT = 10
-"""How many numbers describe a segment: start (x, y), normal (x, y) out of the material, lowest and highest place along
-the segment, depth of the material that belongs to it, color of its piece, turn of the corner at its start (1 convex, -1
-concave, 0 for the first segment), and color of this corner if it is convex, otherwise -1."""
 
 
 def check_polyline(points: Sequence[Pair]) -> None:

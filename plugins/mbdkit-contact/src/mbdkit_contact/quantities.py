@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from mbdkit.quantities.states import States
     from mbdkit_contact.contact import ContactPair
 
+#: Largest gap of a closed contact of rigid bodies in expressions of events [m], which are to be triggered once when it
+#: closes, and not by rounding errors later.
 CLOSED = -1e-100
-"""Largest gap of a closed contact of rigid bodies in expressions of events [m], which are to be triggered once when it
-closes, and not by rounding errors later."""
 
 _MORE = {"no_derivative": "the derivatives of quantities of contacts with respect to parameters are not known"}
 

@@ -13,10 +13,8 @@ from mbdkit_contact.acting_contacts import ActingContact
 from mbdkit_contact.contact_kinematics import EXACT, arms_of, shapes_of
 from mbdkit_contact.contact_state import ContactState, HeldForces
 
-NEAR = 1e-3
-"""Gap, relative to the length of the mechanism, up to which two shapes count as near each other."""
-FEW = 8
-"""Up to this number of contacts, all gaps are computed exactly."""
+NEAR = 1e-3  #: Gap, relative to the length of the mechanism, up to which two shapes count as near each other.
+FEW = 8  #: Up to this number of contacts, all gaps are computed exactly.
 
 
 def zeros(shapes: Mapping[str, tuple[int, ...]], kind: type = float) -> dict[str, np.ndarray]:

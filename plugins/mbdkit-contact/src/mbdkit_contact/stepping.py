@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from mbdkit.integrators.run.run_state import RunState
     from mbdkit.integrators.run.step_control import Control
 
+#: Codes and clauses of the reasons for which an attempt fails.
 FAILURES = {
     NO_IMPULSES: ("contact-solver", "no impulses of the contacts satisfy the laws of impact and friction"),
     STAGES: ("newton-failed", "the stage equations were not solved"),
     OVERLAP: ("newton-failed", "no positions without overlap were found"),
 }
-"""Codes and clauses of the reasons for which an attempt fails."""
 
 
 def new_held(count: int, size: int) -> HeldContacts:

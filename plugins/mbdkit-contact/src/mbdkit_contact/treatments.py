@@ -19,8 +19,8 @@ from mbdkit_contact.compiled_events import CompiledEventDriven
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.event_driven import EventDriven, EventDrivenLibrary
 
+#: Explicit methods for comparison runs, and the factors by which their steps are smaller than those of the run.
 GUARDS = {"dop853": 4, "dopri5": 16}
-"""Explicit methods for comparison runs, and the factors by which their steps are smaller than those of the run."""
 
 
 @run_check

@@ -17,27 +17,25 @@ from scipy.optimize import OptimizeResult, linprog
 from mbdkit.engine.linear_systems import product
 from mbdkit_design.problem import FAILED, FEASIBLE, Problem
 
+#: Cost that is added for a violation of a limit by its whole size; 1 is the cost at the start of the design.
 PENALTY = 100.0
-"""Cost that is added for a violation of a limit by its whole size; 1 is the cost at the start of the design."""
-WIDE = 0.1
-"""First radius of the trust region of a search, as a share of the bounds."""
+WIDE = 0.1  #: First radius of the trust region of a search, as a share of the bounds.
+#: First radius of the trust region if the search begins where another search ended, as a share of the bounds.
 NEAR = 1e-3
-"""First radius of the trust region if the search begins where another search ended, as a share of the bounds."""
-NEGLIGIBLE = 1e-5
-"""Largest radius of the trust region at which a search ends, as a share of the bounds."""
+NEGLIGIBLE = 1e-5  #: Largest radius of the trust region at which a search ends, as a share of the bounds.
+#: The end of another search counts as a smooth minimum if the model decreases by at most this share of the cost per
+#: radius. The cost is that at this end, but at least a tenth of the cost at the start of the design.
 FLAT = 1e-2
-"""The end of another search counts as a smooth minimum if the model decreases by at most this share of the cost per
-radius. The cost is that at this end, but at least a tenth of the cost at the start of the design."""
+#: A smaller decrease of the model, relative to the largest change of the cost in the trust region, counts as zero,
+#: because the linear program is solved to 1e-7.
 SOLVED = 1e-6
-"""A smaller decrease of the model, relative to the largest change of the cost in the trust region, counts as zero,
-because the linear program is solved to 1e-7."""
 
+#: Derivatives at neighbouring points that differ by more than this share of the largest derivative indicate a kink.
 JUMP = 0.1
-"""Derivatives at neighbouring points that differ by more than this share of the largest derivative indicate a kink."""
 
 LEAST = "no linearization of a nearby point leads to a lower cost"
+#: Messages at the end of a search: at a local minimum, and where derivatives disagree with the values.
 STUCK = "no nearby point has the lower cost that the derivatives promise"
-"""Messages at the end of a search: at a local minimum, and where derivatives disagree with the values."""
 
 
 @dataclass(frozen=True)

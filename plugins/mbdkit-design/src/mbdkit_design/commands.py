@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from mbdkit_design.robustness import Deviation
 
 
-LOADS_SHOWN = 3
-"""Largest number of loads, in addition to the goals, whose change is printed."""
+LOADS_SHOWN = 3  #: Largest number of loads, in addition to the goals, whose change is printed.
 
 
 @grouped

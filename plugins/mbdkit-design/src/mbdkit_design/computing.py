@@ -17,8 +17,8 @@ from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
 from mbdkit_studies import PASSING, Batches, Engine, Task
 
+#: Computing time in this process [s] after which worker processes are started; starting one takes about two seconds.
 PATIENCE = 5.0
-"""Computing time in this process [s] after which worker processes are started; starting one takes about two seconds."""
 
 
 class Computer:

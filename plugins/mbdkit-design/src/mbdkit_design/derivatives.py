@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
     from mbdkit_design.evaluation import Evaluator
 
-STEP = 1e-4
-"""Step of central differences, as a share of the bounds."""
+STEP = 1e-4  #: Step of central differences, as a share of the bounds.
 
 
 def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:

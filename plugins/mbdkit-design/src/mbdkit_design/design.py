@@ -29,8 +29,7 @@ from mbdkit_design.trust import Trust, certified
 from mbdkit_report import with_unit
 from mbdkit_studies import start_warnings_of_study
 
-LEAST_ERROR = 1e-3
-"""Errors of measures at their limits are reported if they exceed this share of the limit."""
+LEAST_ERROR = 1e-3  #: Errors of measures at their limits are reported if they exceed this share of the limit.
 
 
 @dataclass(frozen=True)

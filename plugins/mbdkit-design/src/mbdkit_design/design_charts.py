@@ -23,15 +23,14 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit_design.design import Design
 
+#: Phrases for the two points of a design whose runs are stored in archives.
 POINT_WORDS = {"start": "at the start", "best": "at the best point"}
-"""Phrases for the two points of a design whose runs are stored in archives."""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
+#: Attribute of `Accuracy` that contains the estimated errors, by attribute of a joint.
 _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", "force_y"), "reaction_error")
-"""Attribute of `Accuracy` that contains the estimated errors, by attribute of a joint."""
 
-Pair = dict[str, "Run"]
-"""The runs of one scenario, at the ``start`` and at the ``best`` point."""
+Pair = dict[str, "Run"]  #: The runs of one scenario, at the ``start`` and at the ``best`` point.
 
 
 def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:

@@ -83,8 +83,8 @@ def _document(source: object) -> tuple[Document, FilePath]:
     return document_of(source, ("design", "designs"), packaged, lambda: example_names("design"))
 
 
+#: Settings of a base: key path and value of each, by the key of the design that states it.
 Given = dict[str, tuple[Path, object]]
-"""Settings of a base: key path and value of each, by the key of the design that states it."""
 
 
 def _scenario_spec(

@@ -47,10 +47,8 @@ if TYPE_CHECKING:
     from mbdkit_design.design import Design
     from mbdkit_design.point import DesignPoint
 
-_NUMBERS = 60_000
-"""Approximate number of pose values in each animation."""
-COSTS = 2
-"""Largest number of loads in the headline. Only loads that the design increases are shown."""
+_NUMBERS = 60_000  #: Approximate number of pose values in each animation.
+COSTS = 2  #: Largest number of loads in the headline. Only loads that the design increases are shown.
 
 
 @report_of_folder

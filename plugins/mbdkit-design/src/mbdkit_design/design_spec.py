@@ -33,8 +33,7 @@ from mbdkit.spec.study_measures import DefinedMeasure, defined
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_studies import Overrides
 
-GOAL = "goal"
-"""Name of the only goal if `minimize` is an expression."""
+GOAL = "goal"  #: Name of the only goal if `minimize` is an expression.
 
 
 class _WithUnit(Section):
@@ -250,8 +249,7 @@ def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
     return variables
 
 
-MOST_SCENARIOS = 1000
-"""Maximum number of scenarios; the spec of each is validated before the first run."""
+MOST_SCENARIOS = 1000  #: Maximum number of scenarios; the spec of each is validated before the first run.
 
 
 def _check_scenarios(scenarios: dict[str, Scenario]) -> dict[str, Scenario]:

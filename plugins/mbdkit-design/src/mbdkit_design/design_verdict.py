@@ -18,10 +18,9 @@ if TYPE_CHECKING:
     from mbdkit_design.compared_settings import Comparison
     from mbdkit_design.design import Design
 
+#: Largest difference at which two optima count as equal. Differences of variables are relative to the distance between
+#: their bounds; differences of goals are relative to the goal at the start or at the best point, whichever is larger.
 SAME = 1e-3
-"""Largest difference at which two optima count as equal. Differences of variables are relative to the distance between
-their bounds; differences of goals are relative to the goal at the start or at the best point, whichever is larger.
-"""
 
 
 def design_verdict(design: Design) -> Verdict:

@@ -80,8 +80,8 @@ class Job:
         return json.dumps([self.scenario, self.values])
 
 
+#: Function that returns the outcome of each job, computed or stored.
 Source = Callable[[Sequence[Job]], list[Outcome]]
-"""Function that returns the outcome of each job, computed or stored."""
 
 
 class ScenarioRuns:

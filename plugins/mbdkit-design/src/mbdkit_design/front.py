@@ -16,10 +16,8 @@ from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
 from mbdkit_report import heading
 
-ROWS = 20
-"""Largest number of points in the table of a front."""
-SLACK = 1e-6
-"""Differences of goals below this, as a share of their range on the front, count as zero."""
+ROWS = 20  #: Largest number of points in the table of a front.
+SLACK = 1e-6  #: Differences of goals below this, as a share of their range on the front, count as zero.
 
 
 def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> list[Search]:

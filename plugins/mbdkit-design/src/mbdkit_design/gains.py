@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from mbdkit_design.point import DesignPoint
     from mbdkit_design.trust import Trust
 
-LEAST_CHANGE = 0.01
-"""Smallest relative change of a load that is reported as a cost."""
+LEAST_CHANGE = 0.01  #: Smallest relative change of a load that is reported as a cost.
 
 
 @dataclass(frozen=True)

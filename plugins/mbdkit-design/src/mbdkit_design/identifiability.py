@@ -17,24 +17,23 @@ from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import variable_unit
 from mbdkit_design.problem import Problem
 
+#: Largest step of second differences, as a share of the bounds, and how much and how often it is shortened where the
+#: goal is not quadratic within it, as with wide bounds.
 STEP, SHRINK, STEPS = 1e-3, 8.0, 12
-"""Largest step of second differences, as a share of the bounds, and how much and how often it is shortened where the
-goal is not quadratic within it, as with wide bounds."""
+#: Relative difference of the second differences of a step and of its half below which the goal counts as quadratic.
 QUADRATIC = 1e-3
-"""Relative difference of the second differences of a step and of its half below which the goal counts as quadratic."""
+#: Changes of the goal below this, relative to its value at the start or at the point, are rounding errors.
 NOISE = 1e-12
-"""Changes of the goal below this, relative to its value at the start or at the point, are rounding errors."""
+#: A direction is not determined if its singular value, relative to those of single variables, is below this; a variable
+#: is not if its second derivative is, relative to the largest one or to the goal, over the width of the bounds.
 NEGLIGIBLE = 1e-5
-"""A direction is not determined if its singular value, relative to those of single variables, is below this; a variable
-is not if its second derivative is, relative to the largest one or to the goal, over the width of the bounds."""
+#: A bound may be active at a point if its distance, as a share of the bounds, is below this. A limit counts as
+#: active if its margin is below this (see `Problem.margins`).
 ACTIVE = 1e-5
-"""A bound may be active at a point if its distance, as a share of the bounds, is below this. A limit counts as
-active if its margin is below this (see `Problem.margins`)."""
+#: Decrease of the goal beyond a bound, relative to its value at the start or at the point, from which the bound fixes
+#: its variable.
 EFFECT = 1e-6
-"""Decrease of the goal beyond a bound, relative to its value at the start or at the point, from which the bound fixes
-its variable."""
-MOST = 10
-"""Largest number of variables for which the second derivatives are computed."""
+MOST = 10  #: Largest number of variables for which the second derivatives are computed.
 
 
 def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], ...]:

@@ -36,14 +36,13 @@ def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:
     return data if version == 1 else {}
 
 
+#: Exceptions that occur if the data that are read are not those of a design.
 NOT_READ = (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError)
-"""Exceptions that occur if the data that are read are not those of a design."""
 
-VERSION = "mbdkit_points"
-"""Name of the format version in the first line of the file."""
+VERSION = "mbdkit_points"  #: Name of the format version in the first line of the file.
 FIRST = json.dumps({VERSION: 1}).encode()
+#: Name of the check sum of a line. It is computed from the JSON text of the line without the check sum.
 SUM = "crc32"
-"""Name of the check sum of a line. It is computed from the JSON text of the line without the check sum."""
 
 Compute = Callable[[Sequence[Job]], Iterator[tuple[Job, Outcome]]]
 

@@ -9,10 +9,8 @@ import numpy as np
 from mbdkit_design.derivatives import differences
 from mbdkit_design.evaluation import Evaluator
 
-REACH = 0.1
-"""Half width of a cut, as a share of the bounds."""
-POINTS = 21
-"""Number of points of a cut."""
+REACH = 0.1  #: Half width of a cut, as a share of the bounds.
+POINTS = 21  #: Number of points of a cut.
 
 
 @dataclass(frozen=True)
@@ -48,18 +46,15 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
     return found
 
 
-SHARE = 0.01
-"""Change of a variable for which sensitivities are given, as a share of its bounds."""
+SHARE = 0.01  #: Change of a variable for which sensitivities are given, as a share of its bounds.
+#: Distances from the best point at which goals and limits are evaluated, as shares of the bounds.
 DISTANCES = (1e-4, 2e-4)
-"""Distances from the best point at which goals and limits are evaluated, as shares of the bounds."""
+#: A measure counts as smooth if its second differences grow by at least this factor from the first to the second of
+#: `DISTANCES`. The factor is 4 for a smooth measure, and 2 at a corner, where the slopes on both sides differ.
 LEAST_GROWTH = 3.0
-"""A measure counts as smooth if its second differences grow by at least this factor from the first to the second of
-`DISTANCES`. The factor is 4 for a smooth measure, and 2 at a corner, where the slopes on both sides differ.
-"""
+#: Smallest difference of the slopes on both sides of a corner, as a share of the larger slope.
 LEAST_CORNER = 0.05
-"""Smallest difference of the slopes on both sides of a corner, as a share of the larger slope."""
-NOISE = 1e-9
-"""Second differences below this share of the measure are attributed to errors of the runs."""
+NOISE = 1e-9  #: Second differences below this share of the measure are attributed to errors of the runs.
 
 
 @dataclass(frozen=True)

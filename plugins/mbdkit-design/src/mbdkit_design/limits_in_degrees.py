@@ -10,8 +10,8 @@ from mbdkit.runs.angles_in_degrees import looks_like_degrees
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import measure_units
 
+#: What expressions contain that convert radians to degrees, or whose angles are multiples of pi.
 _CONVERSION = re.compile(r"\bpi\b|\b180\b|\b57\.[23]|\b0?\.0174")
-"""What expressions contain that convert radians to degrees, or whose angles are multiples of pi."""
 
 
 def limits_in_degrees(spec: DesignSpec) -> Iterator[str]:

@@ -12,11 +12,10 @@ from pydantic import BeforeValidator
 
 from mbdkit_design.evaluation import Evaluator
 
+#: A number; stored results have null in place of nan.
 Stored = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
-"""A number; stored results have null in place of nan."""
 
-Notify = Callable[[str], None]
-"""Function that receives a sentence for the user."""
+Notify = Callable[[str], None]  #: Function that receives a sentence for the user.
 
 
 @dataclass(frozen=True)

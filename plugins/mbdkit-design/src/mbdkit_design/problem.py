@@ -14,15 +14,15 @@ from mbdkit_design.derivatives import derivatives
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator
 
+#: Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there.
 FAILED = 1e3
-"""Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there."""
+#: Largest violation of a limit that counts as zero, relative to the largest magnitude of the limits of the measure and
+#: its value at the start.
 FEASIBLE = 1e-6
-"""Largest violation of a limit that counts as zero, relative to the largest magnitude of the limits of the measure and
-its value at the start."""
 
+#: Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
+#: (n,).
 Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
-"""Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
-(n,)."""
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,13 @@ from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_design.gains import goal_words
 from mbdkit_report import key_unit, key_words
 
-OFF = 0.05
-"""Relative deviation of variables and masses."""
-MOVED = 0.002
-"""Deviation of a coordinate of an attachment [m]."""
+OFF = 0.05  #: Relative deviation of variables and masses.
+MOVED = 0.002  #: Deviation of a coordinate of an attachment [m].
 _ELEMENTS = ("forces", "springs")
-_INERTIA = {"mass": "inertia", "masses": "inertias"}
-"""Key of the inertia beside the key of a mass."""
+_INERTIA = {"mass": "inertia", "masses": "inertias"}  #: Key of the inertia beside the key of a mass.
 _POINTS = ("points", "point", "at", "from", "to")
+#: Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
 MOST = 12
-"""Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
-"""
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from mbdkit_design.bundle_search import STUCK, beyond_kink, bundle_search
 from mbdkit_design.design_spec import DesignSpec, EvolutionStrategy, GlobalOptimizer, LocalOptimizer, Optimizer
 from mbdkit_design.problem import Problem
 
+#: What the messages of optimisers have in common that ended at their largest number of iterations.
 _RAN_OUT = re.compile(r"limit of iterations|iteration limit|maximum number|maxiter", re.IGNORECASE)
-"""What the messages of optimisers have in common that ended at their largest number of iterations."""
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,10 @@ from mbdkit_design.stages import Stages
 from mbdkit_design.store import DesignFolder
 from mbdkit_studies import Engine
 
-WORKER = "mbdkit_design.job_worker"
-"""Module that carries out the tasks of worker processes."""
+WORKER = "mbdkit_design.job_worker"  #: Module that carries out the tasks of worker processes.
 
+#: Function that is called with the number of runs so far, and the number of failed runs.
 Progress = Callable[[int, int], None]
-"""Function that is called with the number of runs so far, and the number of failed runs."""
 
 
 def design(

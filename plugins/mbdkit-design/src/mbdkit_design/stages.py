@@ -13,10 +13,9 @@ from mbdkit_design.point import Notify
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator
 
+#: Function called with the number of runs so far, the number of failed runs, and a text that names the stage and its
+#: best goal so far.
 Progress = Callable[[int, int, str], None]
-"""Function called with the number of runs so far, the number of failed runs, and a text that names the stage and its
-best goal so far.
-"""
 
 
 class Stages:

@@ -38,12 +38,9 @@ from mbdkit_studies import OwnedFolder
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-VERSION = "mbdkit_result"
-"""Name of the format version in the result."""
-HASH = "sha256"
-"""Name of the hash of the spec and of everything else in the result."""
-WHICH = ("start", "best")
-"""Points for which archives are written."""
+VERSION = "mbdkit_result"  #: Name of the format version in the result.
+HASH = "sha256"  #: Name of the hash of the spec and of everything else in the result.
+WHICH = ("start", "best")  #: Points for which archives are written.
 
 
 class DesignFolder(OwnedFolder[DesignSpec]):

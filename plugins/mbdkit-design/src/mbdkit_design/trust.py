@@ -16,10 +16,8 @@ from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
 from mbdkit_design.point import Stored
 from mbdkit_report import with_unit
 
-WORST = ("failed", "bad", "doubtful", "unknown", "good")
-"""Verdicts from the worst to the best."""
-QUESTIONED = WORST[:3]
-"""Verdicts on runs that question the result of a design."""
+WORST = ("failed", "bad", "doubtful", "unknown", "good")  #: Verdicts from the worst to the best.
+QUESTIONED = WORST[:3]  #: Verdicts on runs that question the result of a design.
 
 
 @dataclass(frozen=True)

@@ -40,19 +40,17 @@ if TYPE_CHECKING:
     from mbdkit.plugin import IterationMatrix
     from mbdkit.plugin.methods import Dense
 
+#: Relative change of velocities at which iterations end, and below which they end if the change does not halve.
 CONVERGED, STAGNANT = 2e-16, 1e-9
-"""Relative change of velocities at which iterations end, and below which they end if the change does not halve."""
+#: Changes of the energy in a step below this share of it are rounding errors. Without their correction, which is below
+#: one unit in the last place of velocities in most steps, they added up to 1e-12 of the kinetic energy in 10,000 steps.
 ROUNDING = 1e-14
-"""Changes of the energy in a step below this share of it are rounding errors. Without their correction, which is below
-one unit in the last place of velocities in most steps, they added up to 1e-12 of the kinetic energy in 10,000 steps.
-"""
+#: Velocities below this share of what reactions alone would cause in a step, or of the one that passes the largest
+#: coordinate in a step, are not sizes for the changes of velocities: they may be sums of forces that cancel, as in a
+#: gear whose centre is pinned. Such velocities of 1e-16 m/s change by their own size in each iteration.
 ROUNDED = 1e-4
-"""Velocities below this share of what reactions alone would cause in a step, or of the one that passes the largest
-coordinate in a step, are not sizes for the changes of velocities: they may be sums of forces that cancel, as in a gear
-whose centre is pinned. Such velocities of 1e-16 m/s change by their own size in each iteration.
-"""
+#: Relative change of positions in a step below which the corrections of the discrete gradient are rounding errors.
 AT_REST = 1e-9
-"""Relative change of positions in a step below which the corrections of the discrete gradient are rounding errors."""
 
 
 class Polynomials(NamedTuple):

@@ -25,14 +25,11 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
-NUMBERS = 20_000
-"""Approximate number of pose values of a motion."""
-ROWS = 300
-"""Largest number of points of a curve."""
+NUMBERS = 20_000  #: Approximate number of pose values of a motion.
+ROWS = 300  #: Largest number of points of a curve.
+#: Largest number of curves: the joints with the largest forces or, in inverse dynamics, the actuators with the largest
+#: values.
 CURVES = 6
-"""Largest number of curves: the joints with the largest forces or, in inverse dynamics, the actuators with the largest
-values.
-"""
 
 
 class Explorer:

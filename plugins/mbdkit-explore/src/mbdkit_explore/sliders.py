@@ -14,13 +14,11 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit_report import key_unit, key_words, keys_ending_in
 
-MOST = 12
-"""Largest number of sliders that are chosen by default."""
-_TURNS = {"rad": math.radians(30), "deg": 30.0}
-"""Half of the range of an angle, by unit."""
+MOST = 12  #: Largest number of sliders that are chosen by default.
+_TURNS = {"rad": math.radians(30), "deg": 30.0}  #: Half of the range of an angle, by unit.
+#: Keys of a model whose numbers have no slider by default.
 _LEFT_OUT = ("gravity", "name", "assembly", "pitches", "points", "point", "axis", "position", "velocity", "elements",
              "at", "from", "to", "a", "b", "radii")  # fmt: skip
-"""Keys of a model whose numbers have no slider by default."""
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,11 @@ from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
-AT_ZERO = 1e-9
-"""Operands below this share of the quantities from which they were computed count as zero."""
+AT_ZERO = 1e-9  #: Operands below this share of the quantities from which they were computed count as zero.
+#: Number of values from which the limit on one side of a point is extrapolated.
+#:
+#: For a motion with eight steps per period, the relative error of rates is below 1e-9.
 LIMIT_POINTS = 8
-"""Number of values from which the limit on one side of a point is extrapolated.
-
-For a motion with eight steps per period, the relative error of rates is below 1e-9.
-"""
 
 
 class DoubtedMeasure:
@@ -133,14 +131,13 @@ def switch_of(operation: str, operands: Sequence[DerivedValue]) -> DerivedValue 
     return DerivedValue(x.value[one] - x.value[other], x.slope[:, one] - x.slope[:, other])
 
 
+#: For each key of a body: array of the initial state, and index of the first number among the three of the body.
 COORDINATES = {"position": ("q", 0), "angle": ("q", 2), "velocity": ("v", 0), "angular_velocity": ("v", 2)}
-"""For each key of a body: array of the initial state, and index of the first number among the three of the body."""
 
+#: Largest accepted deviation from 1 of the derivative of an assembled initial value with respect to the given one.
+#:
+#: A larger deviation means that the joints determine the initial value together with values of other bodies.
 KEPT = 0.01
-"""Largest accepted deviation from 1 of the derivative of an assembled initial value with respect to the given one.
-
-A larger deviation means that the joints determine the initial value together with values of other bodies.
-"""
 
 
 def start_doubts(spec: RunSpec, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> Iterator[str]:

@@ -19,11 +19,11 @@ from mbdkit.spec.run_spec import RunSpec
 if TYPE_CHECKING:
     pass
 
+#: One expression, several, or expressions by name, as in the section `measures` of a spec.
 Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
-"""One expression, several, or expressions by name, as in the section `measures` of a spec."""
 
+#: Expression and unit of each measure, by name; the unit is empty if it follows from the expression.
 Definitions = Mapping[str, tuple[str, str]]
-"""Expression and unit of each measure, by name; the unit is empty if it follows from the expression."""
 
 NO_MEASURES: Definitions = MappingProxyType({})
 

@@ -29,11 +29,11 @@ from mbdkit_gradients.sided_stepper import LawCorner, SidedStepper
 class _Part:
     """Ends of consecutive steps between two discontinuities of motions, loads or force laws."""
 
+    #: The discontinuity of a force law at which this part begins; None if there is none.
     before: LawCorner | None = None
-    """The discontinuity of a force law at which this part begins; None if there is none."""
     law_sides: np.ndarray | None = None
+    #: First and last time at which motions and loads are evaluated [s].
     sides: tuple[float, float] = (-np.inf, np.inf)
-    """First and last time at which motions and loads are evaluated [s]."""
     time: list[float] = field(default_factory=list)
     q: list[np.ndarray] = field(default_factory=list)
     v: list[np.ndarray] = field(default_factory=list)

@@ -166,8 +166,8 @@ def joined_states(parts: Sequence[DifferentiatedStates]) -> DifferentiatedStates
     return _together(parts, joined, (*_ARRAYS, "start_energy"))
 
 
+#: Names of arrays that have one row per state, and derivatives.
 _ARRAYS = ("q", "v", "z", "work", "dissipated", "weight", "power")
-"""Names of arrays that have one row per state, and derivatives."""
 
 
 def _together(

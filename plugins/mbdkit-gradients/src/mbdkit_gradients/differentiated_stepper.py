@@ -30,14 +30,13 @@ if TYPE_CHECKING:
     from mbdkit.integrators.run.step_control import Control
     from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
+#: Reasons why the derivatives of a step are unknown, by status of the kernel.
 _CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}
-"""Reasons why the derivatives of a step are unknown, by status of the kernel."""
 
+#: Fields of `DualRun` that store stages as quadrature nodes of time integrals.
 NODES = ("node_time", "node_weight", "node_q", "node_v")
-"""Fields of `DualRun` that store stages as quadrature nodes of time integrals."""
 
-ANY_ERROR = 1e30
-"""Factor applied to the error tolerances, so large that every step is accepted."""
+ANY_ERROR = 1e30  #: Factor applied to the error tolerances, so large that every step is accepted.
 
 
 def dual_laws(workspace: Workspace) -> np.ndarray:

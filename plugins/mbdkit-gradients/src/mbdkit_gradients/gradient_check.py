@@ -28,70 +28,59 @@ from mbdkit.base.text import counted, listed, told_apart
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
-STEPS = (1e-4, 2e-4)
-"""Relative changes of the parameters in the runs."""
+STEPS = (1e-4, 2e-4)  #: Relative changes of the parameters in the runs.
 
+#: Assumed relative error of a measure of one run, due to rounding and to the tolerance of the stage equations.
 ROUND_OFF = 1e-13
-"""Assumed relative error of a measure of one run, due to rounding and to the tolerance of the stage equations."""
 
+#: Smallest size of a measure, relative to the natural size for its unit.
+#:
+#: Smaller measures, such as the height of a rod that lies still, differ from zero only by rounding errors of the
+#: coordinates and have no digits to compare.
 NATURAL = np.finfo(float).eps / ROUND_OFF
-"""Smallest size of a measure, relative to the natural size for its unit.
 
-Smaller measures, such as the height of a rod that lies still, differ from zero only by rounding errors of the
-coordinates and have no digits to compare.
-"""
-
+#: Largest accepted deviation of the derivative from the differences, as a multiple of their estimated error and of
+#: their distance from the other method's differences.
 ALLOWED = 10.0
-"""Largest accepted deviation of the derivative from the differences, as a multiple of their estimated error and of
-their distance from the other method's differences.
-"""
 
+#: Deviations below this share of the sum of the terms of the derivative are always accepted.
+#:
+#: There is one term for each parameter; the sum is that of absolute values.
 SMALLEST = 1e-7
-"""Deviations below this share of the sum of the terms of the derivative are always accepted.
 
-There is one term for each parameter; the sum is that of absolute values.
-"""
-
+#: Relative change of the parameters in the runs by another method, whose measures are less exact.
 REFERENCE_STEP = 5e-4
-"""Relative change of the parameters in the runs by another method, whose measures are less exact."""
+#: Assumed relative error of a measure of one run by another method, due to its tolerance.
 REFERENCE_ERROR = 3e-12
-"""Assumed relative error of a measure of one run by another method, due to its tolerance."""
+#: Largest expected error of differences after correction by extrapolation, as a share of the correction.
 CORRECTED = 0.01
-"""Largest expected error of differences after correction by extrapolation, as a share of the correction."""
 
+#: Assumed error of the other method's differences, as a multiple of their change if the distance is doubled.
+#:
+#: The changes of runs that pass discontinuities of laws with adaptive steps are irregular: the errors of their measures
+#: depend on where steps fail. Measured at two links with a cable that goes slack twice.
 SCATTER = 3.0
-"""Assumed error of the other method's differences, as a multiple of their change if the distance is doubled.
-
-The changes of runs that pass discontinuities of laws with adaptive steps are irregular: the errors of their measures
-depend on where steps fail. Measured at two links with a cable that goes slack twice.
-"""
+#: Deviations of the other method's differences from its gradient above this share of the sum of terms, plus the
+#: estimated error of the differences, cause runs at twice the distance.
 SUSPECT = 5e-7
-"""Deviations of the other method's differences from its gradient above this share of the sum of terms, plus the
-estimated error of the differences, cause runs at twice the distance.
-"""
+#: Largest error of the other method's differences, and largest discretization error, for which deviations are excused,
+#: as a share of the sum of terms.
 UNSURE = 1e-4
-"""Largest error of the other method's differences, and largest discretization error, for which deviations are excused,
-as a share of the sum of terms.
-"""
 
-LARGEST_ERROR = 1e-2
-"""Largest accepted error of an entry, as a share of the entry."""
+LARGEST_ERROR = 1e-2  #: Largest accepted error of an entry, as a share of the entry.
 
+#: Largest error of an entry, times the size of the parameter, that is always accepted, as a share of the magnitude of
+#: the numbers from which the measure is computed.
 NEGLIGIBLE = 1e-6
-"""Largest error of an entry, times the size of the parameter, that is always accepted, as a share of the magnitude of
-the numbers from which the measure is computed.
-"""
 
 Settings = Sequence[tuple[Path, float]]
 
+#: Function that returns the measures of a run with these values; nan if the run stops early.
 Measured = Callable[[Settings], Sequence[float]]
-"""Function that returns the measures of a run with these values; nan if the run stops early."""
 
-DIGITS = 10
-"""Largest number of printed digits of an entry."""
+DIGITS = 10  #: Largest number of printed digits of an entry.
 
-MOST_NAMED = 3
-"""Largest number of parameters that a doubt about a measure names."""
+MOST_NAMED = 3  #: Largest number of parameters that a doubt about a measure names.
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from mbdkit.spec.reading import parse_key, put
 MOST_PARAMETERS = 50
 
 
+#: One name, several names, or names with the values of their parameters.
 Names = str | Iterable[str] | Mapping[str, float | str]
-"""One name, several names, or names with the values of their parameters."""
 
 
 @dataclass(frozen=True)

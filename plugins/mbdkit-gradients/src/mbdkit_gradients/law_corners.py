@@ -31,8 +31,8 @@ from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw, Tr
 if TYPE_CHECKING:
     import sympy
 
+#: Name of the parameter with the side of a condition; see `mbdkit.symbolic.symbolic_law.SIDE`.
 SIDE = "mbdkit_side_{}"
-"""Name of the parameter with the side of a condition; see `mbdkit.symbolic.symbolic_law.SIDE`."""
 
 
 @dataclass(frozen=True)

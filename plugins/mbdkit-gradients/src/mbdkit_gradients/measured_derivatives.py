@@ -33,8 +33,7 @@ from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
 from mbdkit_gradients.sided_stepper import LawCorner
 
-BESIDE = 0.05
-"""The limit on one side of a point is extrapolated from values within this share of a step."""
+BESIDE = 0.05  #: The limit on one side of a point is extrapolated from values within this share of a step.
 
 
 def needs_of(expression: MeasureExpression) -> Needs:

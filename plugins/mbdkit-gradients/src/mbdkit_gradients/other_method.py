@@ -24,15 +24,14 @@ from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.measured_derivatives import derived_measures
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
+#: Assumed number of steps of a run, from which the step limit of the other method is computed.
 ASSUMED_STEPS = 2_000
-"""Assumed number of steps of a run, from which the step limit of the other method is computed."""
+#: Smallest number of steps and smallest tolerance of the differentiated run by the other method.
+#:
+#: They are not as strict as those of the runs for differences, which would show a short pulse that these steps miss.
 STEPS, TOLERANCE = 200, 1e-11
-"""Smallest number of steps and smallest tolerance of the differentiated run by the other method.
-
-They are not as strict as those of the runs for differences, which would show a short pulse that these steps miss.
-"""
+#: Smallest ratio of the sizes of the steps of a run to those of the other method, if the latter are fixed.
 FINER = 4
-"""Smallest ratio of the sizes of the steps of a run to those of the other method, if the latter are fixed."""
 
 
 @dataclass

@@ -26,42 +26,37 @@ from mbdkit_gradients.gradient_parameters import Parameter
 
 Arrays = Mapping[str, np.ndarray]
 
+#: Largest change of a parameter on both sides, relative to its size; a change on only one side is up to twice this.
 WIDEST = 0.05
-"""Largest change of a parameter on both sides, relative to its size; a change on only one side is up to twice this."""
+#: Smallest size that is assumed for a parameter, such as an angle of 1e-9 rad.
+#:
+#: The effect of smaller changes would be lost in rounding errors. The size is in SI units; if the length of the
+#: mechanism is below 1 m, the size is multiplied by this length.
 SMALLEST_SIZE = 0.1
-"""Smallest size that is assumed for a parameter, such as an angle of 1e-9 rad.
-
-The effect of smaller changes would be lost in rounding errors. The size is in SI units; if the length of the mechanism
-is below 1 m, the size is multiplied by this length.
-"""
+#: Factor by which changes are reduced as long as differences are not accurate, and largest number of attempts.
 FACTOR, MOST_ATTEMPTS = 4.0, 4
-"""Factor by which changes are reduced as long as differences are not accurate, and largest number of attempts."""
+#: Largest difference between the derivatives of order 8 and 6 for which they count as accurate.
+#:
+#: It is relative to the largest derivative, or to the largest value of the array divided by the size of the parameter,
+#: whichever is larger.
 ACCURATE = 1e-13
-"""Largest difference between the derivatives of order 8 and 6 for which they count as accurate.
-
-It is relative to the largest derivative, or to the largest value of the array divided by the size of the parameter,
-whichever is larger.
-"""
-LINEAR = 64.0
-"""Largest deviation from a line that counts as rounding, in units of round-off of the array."""
+LINEAR = 64.0  #: Largest deviation from a line that counts as rounding, in units of round-off of the array.
+#: Smallest change of parameters, relative to their sizes, at which arrays show whether they are linear in all of them.
+#:
+#: Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
 APART = 1e-3
-"""Smallest change of parameters, relative to their sizes, at which arrays show whether they are linear in all of them.
-
-Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
-"""
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
+#: Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter.
 BACKWARD = tuple(-place for place in FORWARD)
-"""Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter."""
+#: Positions of the points that are used, with 0, to test for linear dependence.
 FEW = {CENTRAL: (-4, 3), FORWARD: (4, 8), BACKWARD: (-8, -4)}
-"""Positions of the points that are used, with 0, to test for linear dependence."""
 
 
+#: Arrays that are not differentiated.
+#:
+#: The motion does not depend on the first three, which are units and choices. The derivatives of the last one, the
+#: inverse masses, follow from those of the masses.
 LEFT_OUT = ("length", "row_units", "spare_axes", "weight")
-"""Arrays that are not differentiated.
-
-The motion does not depend on the first three, which are units and choices. The derivatives of the last one, the inverse
-masses, follow from those of the masses.
-"""
 
 
 @dataclass(frozen=True)

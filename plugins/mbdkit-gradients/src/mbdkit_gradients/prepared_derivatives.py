@@ -36,14 +36,13 @@ from mbdkit_gradients.parameter_differences import (
     weights,
 )
 
+#: Names of the residuals of the equations of a start with given values.
 POSITION, VELOCITY = "position equations", "velocity equations"
-"""Names of the residuals of the equations of a start with given values."""
+#: Largest change of a coordinate [m, rad] by which derivatives of matrices are differences of order 8.
 NUDGE = 0.001
-"""Largest change of a coordinate [m, rad] by which derivatives of matrices are differences of order 8."""
-RANK = 1e-9
-"""Smallest singular value, relative to the largest, of matrices that count as regular."""
+RANK = 1e-9  #: Smallest singular value, relative to the largest, of matrices that count as regular.
+#: Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear.
 FURTHER = 0.01
-"""Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear."""
 
 
 def prepared_derivatives(

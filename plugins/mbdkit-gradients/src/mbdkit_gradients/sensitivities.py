@@ -39,12 +39,10 @@ from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, Pre
 from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
+#: First part of the names of parameters that are initial values, such as ``initial.crank.angle``.
 INITIAL = "initial"
-"""First part of the names of parameters that are initial values, such as ``initial.crank.angle``."""
-ON_GRID = 1e-7
-"""Times count as ends of fixed steps up to this share of a step."""
-CHANGE = 1e-5
-"""Change of a parameter in central differences, as a share of its size."""
+ON_GRID = 1e-7  #: Times count as ends of fixed steps up to this share of a step.
+CHANGE = 1e-5  #: Change of a parameter in central differences, as a share of its size.
 
 
 @dataclass(frozen=True)
@@ -429,6 +427,7 @@ class PreparedSensitivities:
         return found
 
 
+#: Arrays of quantities that depend on positions, velocities and first-order states, but not on forces.
 KINEMATIC = frozenset(
     f"{group}/{name}"
     for group, names in {
@@ -441,7 +440,6 @@ KINEMATIC = frozenset(
     }.items()
     for name in names
 )
-"""Arrays of quantities that depend on positions, velocities and first-order states, but not on forces."""
 
 
 def is_smooth(spec: RunSpec) -> bool:

@@ -30,16 +30,13 @@ from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import ForceCondition
 
-PLACES = (0.25, 0.5, 0.75, 1.0)
-"""Shares of a step at which conditions are evaluated."""
+PLACES = (0.25, 0.5, 0.75, 1.0)  #: Shares of a step at which conditions are evaluated.
+#: A corner counts as being at the start or at the end of a step if its distance from there, as a share of the step, is
+#: below this.
 SAME = 1e-9
-"""A corner counts as being at the start or at the end of a step if its distance from there, as a share of the step, is
-below this.
-"""
+#: Time after a corner, as a share of the step, at which the new sides of force laws are determined.
 AHEAD = 1e-6
-"""Time after a corner, as a share of the step, at which the new sides of force laws are determined."""
-MOST_AT_ONCE = 8
-"""Largest number of corners at the same time; if there are more, the run fails."""
+MOST_AT_ONCE = 8  #: Largest number of corners at the same time; if there are more, the run fails.
 
 
 @dataclass(frozen=True)

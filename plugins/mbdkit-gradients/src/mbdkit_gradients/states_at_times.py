@@ -23,8 +23,8 @@ from mbdkit_gradients.sided_stepper import SidedStepper
 
 Way = Literal["rows", "ends", "within"]
 
+#: (C,) the sides of force laws, which are the same object as long as they do not change; None without such laws.
 Sides = np.ndarray | None
-"""(C,) the sides of force laws, which are the same object as long as they do not change; None without such laws."""
 
 
 class RunAtTimes:

@@ -17,8 +17,7 @@ from mbdkit_studies import frozen
 Actions = Sequence[str] | Mapping[str, Sequence[float]]
 Observations = Sequence[str] | Mapping[str, str | Mapping[str, Any]]
 Function = Callable[[Mapping[str, np.ndarray]], Any]
-Values = Mapping[str, Any]
-"""Numbers or distributions, by name of a parameter or of an initial quantity."""
+Values = Mapping[str, Any]  #: Numbers or distributions, by name of a parameter or of an initial quantity.
 
 
 class Definition:

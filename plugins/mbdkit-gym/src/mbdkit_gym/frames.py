@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from mbdkit_gym.definition import Definition
 from mbdkit_report import Caption, draw_mechanism, draw_pose, dress, new_figure, view_box
 
-INCHES = 4.8
-"""Width and height of a picture, at 100 dots per inch."""
+INCHES = 4.8  #: Width and height of a picture, at 100 dots per inch.
 
 
 class Frames:

@@ -13,8 +13,7 @@ from mbdkit.plugin.runs import SimulationBatch, why_not_batched
 from mbdkit.plugin.specs import parameters_in_use
 from mbdkit_gym.definition import Definition
 
-Start = tuple[dict[str, Any], dict[str, Any]]
-"""Parameters and initial quantities by name."""
+Start = tuple[dict[str, Any], dict[str, Any]]  #: Parameters and initial quantities by name.
 
 
 class Simulations(Protocol):

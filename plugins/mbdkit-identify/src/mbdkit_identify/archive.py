@@ -33,15 +33,14 @@ from mbdkit.plugin.files import json_text, replacing
 from mbdkit.plugin.seams import file_problems
 from mbdkit_identify.identification import Doubt, Estimate, Identification, NextExperiment, Profile, Residuals
 
-FORMAT, VERSION = "mbdkit-identification", 1
-"""Root attributes ``format`` and ``format_version``."""
+FORMAT, VERSION = "mbdkit-identification", 1  #: Root attributes ``format`` and ``format_version``.
 _WHAT = "result of an identification"
 _HINT = "repeat the identification"
 _TEXTS = ("verdict", "title", "way")
 _NUMBERS = ("level", "cost", "log_likelihood", "seconds", "unknowns")
 _AS_JSON = {"spec": dict, "base": dict, "combinations": list, "notes": list, "doubts": list}
+#: Types of arrays, by the type of a field.
 _KINDS: Mapping[Any, Any] = {"str": object, "bool": int, "float": float}
-"""Types of arrays, by the type of a field."""
 _LONG_NAMES = {
     "value": "estimate",
     "lower": "lower limit of the interval, -inf without one",

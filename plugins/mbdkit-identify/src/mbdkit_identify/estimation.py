@@ -16,20 +16,18 @@ from mbdkit.plugin import RunError
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, estimated_noise
 from mbdkit_identify.problem import FAILED, Problem
 
+#: Relative change of the sum of squares, and of the unknowns, at which a search ends: with the noise that is estimated,
+#: with its first guess, and in the last search.
 TOLERANCE, ROUGH, FINE = 1e-8, 1e-4, 1e-12
-"""Relative change of the sum of squares, and of the unknowns, at which a search ends: with the noise that is estimated,
-with its first guess, and in the last search."""
 MOST_EVALUATIONS = 200
+#: Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns.
 MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
-"""Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns."""
+#: Smallest mean square of the influence of residuals, which is less for data without noise.
 LEAST_EFFECT = 0.01
-"""Smallest mean square of the influence of residuals, which is less for data without noise."""
-SETTLED = 1e-3
-"""Relative change of the innovations at which the noise counts as settled."""
+SETTLED = 1e-3  #: Relative change of the innovations at which the noise counts as settled.
 
 
-NORMAL_MEDIAN = 0.6744897501960817
-"""Median of the magnitude of a standard normal number."""
+NORMAL_MEDIAN = 0.6744897501960817  #: Median of the magnitude of a standard normal number.
 
 
 @dataclass(frozen=True)

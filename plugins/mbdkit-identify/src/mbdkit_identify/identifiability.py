@@ -17,14 +17,11 @@ from mbdkit.plugin import MbdkitError, RunError, RunSpec, listed
 from mbdkit_identify.base_parameters import base_parameters, symbol
 from mbdkit_identify.invariants import NullVectors, blocks, cost, invariants, reduced_basis
 
-MARGIN = 10.0
-"""Singular values and components count as zero below this many times their error."""
+MARGIN = 10.0  #: Singular values and components count as zero below this many times their error.
+#: Range of the relative error of null vectors; unequal ones differ by about `WALK` between points.
 TOLERANCES = (1e-7, 1e-2)
-"""Range of the relative error of null vectors; unequal ones differ by about `WALK` between points."""
-WALK = 0.08
-"""Largest relative change of a parameter between points."""
-ATTEMPTS = 5
-"""Steps that are tried, each half as long as the one before, where the model cannot be evaluated."""
+WALK = 0.08  #: Largest relative change of a parameter between points.
+ATTEMPTS = 5  #: Steps that are tried, each half as long as the one before, where the model cannot be evaluated.
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,10 @@ from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
 
-EXACT, DIFFERENCES = 1e-9, 1e-6
-"""Relative errors of exact derivatives and of central differences."""
+EXACT, DIFFERENCES = 1e-9, 1e-6  #: Relative errors of exact derivatives and of central differences.
+#: Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated.
 PERTURBATIONS = 8
-"""Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated."""
-MATTERS = 0.1
-"""A bias is told if it exceeds this share of the standard deviation."""
+MATTERS = 0.1  #: A bias is told if it exceeds this share of the standard deviation.
 
 
 def identify(

@@ -25,8 +25,8 @@ def _plain(given: object) -> object:
 SINumber = Annotated[Number, BeforeValidator(_plain)]
 Interval = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
 SIInterval = Annotated[tuple[SINumber, SINumber], BeforeValidator(pair("two numbers [lower, upper]"))]
+#: A number in SI units, or the name of a parameter to be estimated.
 NumberOrName = Annotated[Number | str, BeforeValidator(_plain)]
-"""A number in SI units, or the name of a parameter to be estimated."""
 
 
 class Prior(Section):

@@ -24,22 +24,17 @@ from mbdkit_identify.identification import Profile
 from mbdkit_identify.noise import CHANGE
 from mbdkit_identify.problem import FAILED, Problem
 
-MOST_STEPS = 25
-"""Largest number of points of one side of a profile."""
+MOST_STEPS = 25  #: Largest number of points of one side of a profile.
 MOST_ITERATIONS = 30
+#: Relative distance of the root of the increase from that of the threshold, over which it counts as linear.
 CLOSE = 0.015
-"""Relative distance of the root of the increase from that of the threshold, over which it counts as linear."""
+#: A point of a profile is found when a further step would reduce its increase by less than this share of the threshold.
 SMALL = 1e-2
-"""A point of a profile is found when a further step would reduce its increase by less than this share of the threshold.
-"""
-FAR = 100.0
-"""A side has no limit if it is not reached within this many standard deviations."""
-RELATED = 0.1
-"""Correlation above which a bound of one parameter affects the interval of another."""
-CONVEX = ("linear", "soft_l1", "huber")
-"""Losses that grow at least linearly."""
+FAR = 100.0  #: A side has no limit if it is not reached within this many standard deviations.
+RELATED = 0.1  #: Correlation above which a bound of one parameter affects the interval of another.
+CONVEX = ("linear", "soft_l1", "huber")  #: Losses that grow at least linearly.
+#: Largest ratio between limits of an interval and linear ones, with which a covariance describes the estimate.
 STRAIGHT = 1.25
-"""Largest ratio between limits of an interval and linear ones, with which a covariance describes the estimate."""
 
 
 @dataclass(frozen=True)

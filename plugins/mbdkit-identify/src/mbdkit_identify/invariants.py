@@ -21,16 +21,14 @@ import sympy as sp
 from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 
-LARGEST = 4
-"""Largest numerator and denominator of recognized fractions."""
+LARGEST = 4  #: Largest numerator and denominator of recognized fractions.
+#: Largest relative change of a combination along the null vectors at points with other known numbers.
 MISFIT = 1e-2
-"""Largest relative change of a combination along the null vectors at points with other known numbers."""
+#: Largest numbers of choices: of different transformations of coordinates, and of terms or coefficients.
 MOST_MIXED, MOST_TRIALS = 256, 4000
-"""Largest numbers of choices: of different transformations of coordinates, and of terms or coefficients."""
-LOGARITHM = 0
-"""Transformation of a coordinate by the logarithm; other transformations are powers."""
+LOGARITHM = 0  #: Transformation of a coordinate by the logarithm; other transformations are powers.
+#: What a coefficient may be: the rank, 0 for the most likely; the formula; its values at the points (P,).
 Candidate = tuple[int, sp.Expr, np.ndarray]
-"""What a coefficient may be: the rank, 0 for the most likely; the formula; its values at the points (P,)."""
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,8 @@ from mbdkit.plugin.measures import MeasureExpression
 from mbdkit.plugin.specs import read_columns
 from mbdkit_identify.identify_spec import Experiment, IdentifySpec, Sensor
 
-LEAST_SAMPLES = 3
-"""Smallest number of values of a signal."""
-LARGEST = 1e50
-"""Largest measured value, and inverse of the smallest one."""
+LEAST_SAMPLES = 3  #: Smallest number of values of a signal.
+LARGEST = 1e50  #: Largest measured value, and inverse of the smallest one.
 
 
 @dataclass(frozen=True)

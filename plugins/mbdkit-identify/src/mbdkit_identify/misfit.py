@@ -19,38 +19,27 @@ from mbdkit.plugin import listed
 from mbdkit_identify.identification import Doubt, Residuals
 from mbdkit_identify.probes import Probe
 
-LEVEL = 0.005
-"""Probability that the tests of one kind doubt a right model."""
-INSIDE = 1e-4
-"""Effects of which the parameters of the model explain all but this share are not tested."""
+LEVEL = 0.005  #: Probability that the tests of one kind doubt a right model.
+INSIDE = 1e-4  #: Effects of which the parameters of the model explain all but this share are not tested.
+#: Directions of the Jacobian with singular values below this share of the largest are rounding errors.
 SINGULAR = 1e-10
-"""Directions of the Jacobian with singular values below this share of the largest are rounding errors."""
-ALIKE = 0.15
-"""Effects whose statistics differ by less than this share explain the misfit almost equally well."""
-MOST_ALIKE = 4
-"""Largest number of such effects that are named."""
-MOST_PLACES = 3
-"""Largest number of effects that are found one after the other."""
+ALIKE = 0.15  #: Effects whose statistics differ by less than this share explain the misfit almost equally well.
+MOST_ALIKE = 4  #: Largest number of such effects that are named.
+MOST_PLACES = 3  #: Largest number of effects that are found one after the other.
+#: Later effects have a statistic of at least this share of the first one's; less may be due to its nonlinearity.
 REST = 0.2
-"""Later effects have a statistic of at least this share of the first one's; less may be due to its nonlinearity."""
-LAGS = 20
-"""Number of correlations of which whiteness is the absence."""
-FAR = 3.0
-"""Root mean square of the errors of a prediction, relative to their deviation, that is far above 1."""
-ROUNDS = 6
-"""Number of times that the noise is estimated with an effect."""
+LAGS = 20  #: Number of correlations of which whiteness is the absence.
+FAR = 3.0  #: Root mean square of the errors of a prediction, relative to their deviation, that is far above 1.
+ROUNDS = 6  #: Number of times that the noise is estimated with an effect.
+#: Smallest deviation of noise in units of the one of the fit, which differs from 1 for data without noise.
 SMALLEST = 1e-3
-"""Smallest deviation of noise in units of the one of the fit, which differs from 1 for data without noise."""
+#: Relative difference between jumps of residuals and a whole turn, within which a column counts as wrapped.
 WRAPPED = 0.2
-"""Relative difference between jumps of residuals and a whole turn, within which a column counts as wrapped."""
-LITTLE = 0.1
-"""Share of the deviation of the data below which the deviation of a fit is no motion."""
+LITTLE = 0.1  #: Share of the deviation of the data below which the deviation of a fit is no motion.
+#: Root mean square of residuals, in deviations that follow from their median, above which few values determine it.
 OUTLYING = 5.0
-"""Root mean square of residuals, in deviations that follow from their median, above which few values determine it."""
-WITHOUT_NOISE = 1e-6
-"""Residuals below this share of the deviation of the data are not noise."""
-CORRELATIONS = (-0.95, 0.999)
-"""Smallest and largest correlation of noise from sample to sample."""
+WITHOUT_NOISE = 1e-6  #: Residuals below this share of the deviation of the data are not noise.
+CORRELATIONS = (-0.95, 0.999)  #: Smallest and largest correlation of noise from sample to sample.
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-MOST = 0.999
-"""Largest correlation from sample to sample."""
-LEAST_DEVIATION = 1e-9
-"""Smallest deviation of noise, relative to the magnitude of the measured values."""
+MOST = 0.999  #: Largest correlation from sample to sample.
+LEAST_DEVIATION = 1e-9  #: Smallest deviation of noise, relative to the magnitude of the measured values.
+#: Change of the inverse hyperbolic tangent of a correlation in differences of likelihoods and variances.
 CHANGE = 0.05
-"""Change of the inverse hyperbolic tangent of a correlation in differences of likelihoods and variances."""
 
 
 @dataclass(frozen=True)

@@ -23,22 +23,18 @@ from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Tor
 from mbdkit.plugin.specs import parameters_in_use, put
 from mbdkit_gradients import PreparedSensitivities
 
-AT_ONCE = 12
-"""Number of probes in one spec; the time to prepare a run grows with the number of its elements."""
-SLIP = 0.01
-"""Rate below which dry friction is smooth, as a share of the typical rate of the mechanism."""
+AT_ONCE = 12  #: Number of probes in one spec; the time to prepare a run grows with the number of its elements.
+SLIP = 0.01  #: Rate below which dry friction is smooth, as a share of the typical rate of the mechanism.
 
-SMOOTH = 1e-3
-"""Rate below which quadratic drag is smooth, as such a share."""
+SMOOTH = 1e-3  #: Rate below which quadratic drag is smooth, as such a share.
 
 Limits = tuple[float, float]
 Elements = dict[str, dict[str, Any]]
 ANY = (-math.inf, math.inf)
 POSITIVE = (0.0, math.inf)
+#: Changes of masses, inertias and stiffnesses, as shares of their values, that are plausible.
 SHARE = (-0.9, 9.0)
-"""Changes of masses, inertias and stiffnesses, as shares of their values, that are plausible."""
-CLOCK = (-0.2, 0.2)
-"""Changes of the rate of a clock that are plausible."""
+CLOCK = (-0.2, 0.2)  #: Changes of the rate of a clock that are plausible.
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from mbdkit_identify.measured_data import SignalData
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, Pieces
 from mbdkit_identify.segments import Segment, Unknown
 
-FAILED = 1e3
-"""Whitened residuals of runs that fail, so large that no search ends there."""
+FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
+#: Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again.
 SAME = 1e-9
-"""Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again."""
 
 
 @dataclass(frozen=True)

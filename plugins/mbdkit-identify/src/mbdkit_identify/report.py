@@ -38,12 +38,9 @@ from mbdkit_report import (
     report_of_folder,
 )
 
-POINTS = 1_000
-"""Largest number of points of a curve."""
-LAGS = 40
-"""Largest lag of autocorrelations [samples]."""
-SHOWN = 6
-"""Largest number of estimates in the headline."""
+POINTS = 1_000  #: Largest number of points of a curve.
+LAGS = 40  #: Largest lag of autocorrelations [samples].
+SHOWN = 6  #: Largest number of estimates in the headline.
 PLUS_MINUS = "\u00b1"
 _TIME = Axis("time", "s")
 _METHOD = (

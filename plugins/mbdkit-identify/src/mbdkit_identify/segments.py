@@ -17,14 +17,10 @@ from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
 
-INITIAL = "initial"
-"""First part of the names of initial values among the parameters of a run."""
-UNIFORM = 1e-6
-"""Largest deviation of times from a grid, in sampling intervals, for each sample."""
-FEW = 12
-"""Number of samples by which initial values are guessed."""
-SPLINE = 5
-"""Degree of the splines in time by which signals are delayed."""
+INITIAL = "initial"  #: First part of the names of initial values among the parameters of a run.
+UNIFORM = 1e-6  #: Largest deviation of times from a grid, in sampling intervals, for each sample.
+FEW = 12  #: Number of samples by which initial values are guessed.
+SPLINE = 5  #: Degree of the splines in time by which signals are delayed.
 
 
 @dataclass

@@ -33,8 +33,8 @@ REFERENCES = (
     HAIRER_NORSETT_WANNER,
     HINDMARSH,
 )
+#: Gauss-Legendre quadrature on [0, 1], exact for the polynomials of all orders.
 NODES, WEIGHTS = ((1 + x) / 2 if i == 0 else x / 2 for i, x in enumerate(np.polynomial.legendre.leggauss(8)))
-"""Gauss-Legendre quadrature on [0, 1], exact for the polynomials of all orders."""
 
 
 class AdamsOptions(MultistepOptions):

@@ -49,14 +49,12 @@ REFERENCES = (
     HAIRER_NORSETT_WANNER,
     HINDMARSH,
 )
+#: Largest error of the iteration over the tolerance, largest change over the tolerance at which an iteration that does
+#: not converge any more has reached rounding, and number of iterations; chosen.
 ACCURACY, IDLE, MOST_ITERATIONS = 0.01, 1.0, 10
-"""Largest error of the iteration over the tolerance, largest change over the tolerance at which an iteration that does
-not converge any more has reached rounding, and number of iterations; chosen.
-"""
+#: Of each formulation, `gamma_v` over b and `residual_q` over b^2 in `EquationsOfMotion.iteration_matrix`, and the
+#: power of b by which changes of accelerations change the constraints.
 TANGENTS = {"index-1": (-1.0, 1.0, 0), "index-2": (-0.5, 0.0, 1), "ggl": (-0.5, 0.0, 1)}
-"""Of each formulation, `gamma_v` over b and `residual_q` over b^2 in `EquationsOfMotion.iteration_matrix`, and the
-power of b by which changes of accelerations change the constraints.
-"""
 
 
 class BdfOptions(MultistepOptions):

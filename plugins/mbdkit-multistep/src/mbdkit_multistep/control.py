@@ -27,15 +27,13 @@ HAIRER_NORSETT_WANNER = """@book{hairer1993,
   title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
   edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
 
+#: Factors of the estimated errors of the present and the lower order, and of the higher one, in the choice of the next
+#: step. CVODE has 6 and 10, with which errors at the end of runs were two to twenty times as large, in steps that were
+#: longer by a tenth to a fifth (pendulum, car axis, Andrews' mechanism).
 BIAS, BIAS_ABOVE = 20.0, 30.0
-"""Factors of the estimated errors of the present and the lower order, and of the higher one, in the choice of the next
-step. CVODE has 6 and 10, with which errors at the end of runs were two to twenty times as large, in steps that were
-longer by a tenth to a fifth (pendulum, car axis, Andrews' mechanism).
-"""
+#: Bounds of the size of a step over that of the last one. The upper one is that of DASSL: formulas of high order are
+#: not stable in steps that go on growing faster.
 LARGEST, SMALLEST = 2.0, 0.1
-"""Bounds of the size of a step over that of the last one. The upper one is that of DASSL: formulas of high order are
-not stable in steps that go on growing faster.
-"""
 
 
 class MultistepOptions(ControlledOptions):

@@ -31,11 +31,9 @@ from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_
 from mbdkit_opensim.planar_joints import OsimCoordinate, PlanarJoint, Term, coordinates_of, planar_joint
 from mbdkit_opensim.understood import IDLE, Unread, is_actuator, is_off, unread_in
 
-Names: TypeAlias = defaultdict[str, list[str]]
-"""Names of components by what is said about them."""
+Names: TypeAlias = defaultdict[str, list[str]]  #: Names of components by what is said about them.
 
-MOST_NAMED = 6
-"""Largest number of components of one class that a warning names."""
+MOST_NAMED = 6  #: Largest number of components of one class that a warning names.
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,11 @@ import numpy as np
 from mbdkit.plugin import listed
 from mbdkit_opensim.osim_document import label_of, last_part, name_of, numbers_of, objects_of, refused, text_of
 
-FLAT = 1e-9
-"""Axes count as parallel if the sine of the angle between them is below this."""
+FLAT = 1e-9  #: Axes count as parallel if the sine of the angle between them is below this.
 
 GROUND = "/ground"
 
-DEEPEST = 50
-"""Largest length of a chain of frames, each of which is an offset of the next."""
+DEEPEST = 50  #: Largest length of a chain of frames, each of which is an offset of the next.
 
 
 def turn(angles: np.ndarray) -> np.ndarray:

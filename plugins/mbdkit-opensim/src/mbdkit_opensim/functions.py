@@ -15,8 +15,8 @@ from scipy.interpolate import PPoly
 
 from mbdkit_opensim.osim_document import label_of, number_of, numbers_of, refused
 
+#: The center of a revolute joint in `Mechanism.revolute`: a number, an expression in `angle`, or a table.
 Center = float | str | dict[str, object]
-"""The center of a revolute joint in `Mechanism.revolute`: a number, an expression in `angle`, or a table."""
 
 
 @dataclass(frozen=True)

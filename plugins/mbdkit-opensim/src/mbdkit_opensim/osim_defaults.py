@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from xml.etree.ElementTree import Element
 
-MOST = 1_000_000
-"""Largest number of elements that defaults add; it bounds those that complete each other."""
+MOST = 1_000_000  #: Largest number of elements that defaults add; it bounds those that complete each other.
 
 
 class TooManyError(Exception):

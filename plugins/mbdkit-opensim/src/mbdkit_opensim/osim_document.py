@@ -19,19 +19,17 @@ from mbdkit.plugin import read_data
 from mbdkit_opensim.osim_defaults import MOST, TooManyError, apply_defaults
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
+#: First format versions of OpenSim 3, of the format that describes joints by frames, as written by OpenSim 4, and of
+#: the format with `appliesForce`, `isEnforced` and `enabled` in place of `isDisabled`.
 OLDEST, WITH_FRAMES, WITH_SWITCHES = 30_000, 30_500, 30_508
-"""First format versions of OpenSim 3, of the format that describes joints by frames, as written by OpenSim 4, and of
-the format with `appliesForce`, `isEnforced` and `enabled` in place of `isDisabled`.
-"""
 
-LARGEST = 50 * 2**20
-"""Largest size of a file [bytes]; models of the full body have less than 5 MB."""
+LARGEST = 50 * 2**20  #: Largest size of a file [bytes]; models of the full body have less than 5 MB.
 
 KEY = "model.file"
 
 
+#: Largest numbers of characters of a message, which may contain texts of a file, and of a name in it.
 LONGEST, LONGEST_NAME = 1000, 200
-"""Largest numbers of characters of a message, which may contain texts of a file, and of a name in it."""
 
 
 def refused(message: str) -> SpecError:

@@ -11,16 +11,16 @@ from xml.etree.ElementTree import Element, SubElement
 from mbdkit import SpecError
 
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
+#: Properties of points of muscles that name coordinates.
 SOCKETS = {
     "coordinate": "socket_coordinate",
     "x_coordinate": "socket_x_coordinate",
     "y_coordinate": "socket_y_coordinate",
     "z_coordinate": "socket_z_coordinate",
 }
-"""Properties of points of muscles that name coordinates."""
 GROUND = "ground"
+#: Properties of a joint that describe its frames on the parent body and on the child body.
 SIDES = (("parent_body", "location_in_parent", "orientation_in_parent"), ("", "location", "orientation"))
-"""Properties of a joint that describe its frames on the parent body and on the child body."""
 
 
 def as_format_4(model: Element) -> None:

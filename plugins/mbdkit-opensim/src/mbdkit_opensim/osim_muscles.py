@@ -25,17 +25,15 @@ from mbdkit_opensim.osim_document import (
 )
 from mbdkit_opensim.understood import defaults_of
 
+#: Classes of muscles that can be read, and the curves used for them. The curves of Thelen's muscles are replaced by
+#: others.
 CURVES = {
     "Millard2012EquilibriumMuscle": "millard",
     "DeGrooteFregly2016Muscle": "de-groote-fregly",
     "Thelen2003Muscle": "millard",
 }
-"""Classes of muscles that can be read, and the curves used for them. The curves of Thelen's muscles are replaced by
-others.
-"""
 
-FLAT = 1e-6
-"""Largest sine of the angle between the axis of a cylinder and the z axis."""
+FLAT = 1e-6  #: Largest sine of the angle between the axis of a cylinder and the z axis.
 
 QUADRANTS = {"x": (1.0, 0.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 

@@ -24,8 +24,8 @@ _NAMES = yaml.safe_load((files("mbdkit_opensim") / "understood.yaml").read_text(
 READ, IGNORED = (
     {kind: frozenset(words.split()) for kind, words in _NAMES[section].items()} for section in ("read", "ignored")
 )
+#: Sets of a model whose objects `unread_in` does not look at.
 SETS = ("ForceSet", "ControllerSet", "ConstraintSet")
-"""Sets of a model whose objects `unread_in` does not look at."""
 IDLE, INERT = (frozenset(_NAMES[section].split()) for section in ("idle", "inert"))
 
 

@@ -21,28 +21,23 @@ from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
 from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
 
+#: Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
+#: accurate.
 NODES, FEW = 10_000, 1_000
-"""Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
-accurate.
-"""
-PANEL = 5
-"""Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided."""
-ARGUMENTS = "q", "v", "a", "lam", "z", "u"
-"""First arguments of `Transcription.stage`."""
-BULK = 0.99
-"""Share of what remains that the intervals have which are divided."""
+PANEL = 5  #: Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided.
+ARGUMENTS = "q", "v", "a", "lam", "z", "u"  #: First arguments of `Transcription.stage`.
+BULK = 0.99  #: Share of what remains that the intervals have which are divided.
+#: Least size of moments relative to forces, and of changes of states relative to the states: smaller ones are noise.
 LEAST = 1e-6
-"""Least size of moments relative to forces, and of changes of states relative to the states: smaller ones are noise."""
 
 
 class Residual(NamedTuple):
     """What a solution leaves of the equations, for each of N intervals."""
 
-    change: np.ndarray
-    """(N,) First-order change of the objective."""
+    change: np.ndarray  #: (N,) First-order change of the objective.
+    #: (N,) Largest impulse of the forces that remain, as a share of the largest impulse of the forces that act in the
+    #: whole motion. Forces, moments and the rates of each state are compared apart.
     impulse: np.ndarray
-    """(N,) Largest impulse of the forces that remain, as a share of the largest impulse of the forces that act in the
-    whole motion. Forces, moments and the rates of each state are compared apart."""
 
     def is_large(self, change: float, impulse: float) -> np.ndarray:
         """Return the fewest intervals (N,) that make up `BULK` of each sum beyond its limit, none if both are within

@@ -9,8 +9,8 @@ from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.mechanism.switching_times import switching_times
 from mbdkit_predict.predict_spec import PredictSpec
 
+#: If there are more of them, such as the points of a measured table with linear interpolation, none is returned.
 MOST = 100
-"""If there are more of them, such as the points of a measured table with linear interpolation, none is returned."""
 
 
 def breaks_of(spec: PredictSpec, end: float) -> list[float]:

@@ -32,19 +32,16 @@ from mbdkit_predict.interpreted import Interpreter
 from mbdkit_predict.joint_coordinates import JointCoordinates, Motion
 from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
 
-ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")
-"""Arguments of all functions."""
+ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")  #: Arguments of all functions.
 
 
 class _Balanced(NamedTuple):
     equilibrium: ElementEquilibrium
-    segment: int
-    """Index of its segment among the springs."""
+    segment: int  #: Index of its segment among the springs.
     state: int
     rate: Symbol
     force: Symbol
-    law: Mapping[str, Any]
-    """Parameters of its law by name."""
+    law: Mapping[str, Any]  #: Parameters of its law by name.
 
     @property
     def in_si(self) -> tuple[Any, Any]:

@@ -28,12 +28,11 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit_predict.exported_elements import chosen_equilibria
 
+#: Change of parameters, relative to their values, by which linear functions are recognized, together with its half.
 STEP = 0.25
-"""Change of parameters, relative to their values, by which linear functions are recognized, together with its half."""
-LINEAR = 1e-9
-"""Largest difference between the slopes for both changes, relative to the slope."""
+LINEAR = 1e-9  #: Largest difference between the slopes for both changes, relative to the slope.
+#: Arrays of numbers that the equations of motion do not contain, only their solution.
 NOT_READ = "weight", "length", "row_units"
-"""Arrays of numbers that the equations of motion do not contain, only their solution."""
 
 
 class ChosenNumbers:

@@ -109,12 +109,10 @@ def chosen_equilibria(mechanism: Mechanism, controls: Sequence[str]) -> list[Cho
 class SymbolTools(NamedTuple):
     """What elements need to execute their kernels with symbols."""
 
-    run: Callable[[Any], Callable[..., Any]]
-    """Returns a kernel, or a law, that is executed with symbols."""
+    run: Callable[[Any], Callable[..., Any]]  #: Returns a kernel, or a law, that is executed with symbols.
+    #: Returns the second operand where the first one holds, else the third; integers too.
     select: Callable[[Any, Any, Any], Any]
-    """Returns the second operand where the first one holds, else the third; integers too."""
-    is_unknown: Callable[[Any], bool]
-    """Whether a number depends on symbols."""
+    is_unknown: Callable[[Any], bool]  #: Whether a number depends on symbols.
 
 
 class SymbolicElements(Protocol):

@@ -15,14 +15,11 @@ from mbdkit_predict.transcription import Mesh, Transcription
 
 Rates = Callable[[float, np.ndarray], np.ndarray]
 
-PRECISION = 1e-9
-"""Relative tolerance of the integration."""
+PRECISION = 1e-9  #: Relative tolerance of the integration.
+#: Methods; the second one, which is implicit where the motion is stiff, is used if the first one needs too many
+#: evaluations, or its numbers overflow.
 EXPLICIT, IMPLICIT = "DOP853", "LSODA"
-"""Methods; the second one, which is implicit where the motion is stiff, is used if the first one needs too many
-evaluations, or its numbers overflow.
-"""
-MOST_EVALUATIONS = 400
-"""Largest number of evaluations of the explicit method in an interval."""
+MOST_EVALUATIONS = 400  #: Largest number of evaluations of the explicit method in an interval.
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-NEAR = 0.25
-"""Largest distance, as a share of an interval, by which its end is moved to a given time."""
+NEAR = 0.25  #: Largest distance, as a share of an interval, by which its end is moved to a given time.
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,9 @@ from mbdkit.base.text import listed, shown
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.predict_spec import PredictSpec
 
-LARGEST_FILE = 2**31
-"""Largest size of an archive that is read [bytes]."""
+LARGEST_FILE = 2**31  #: Largest size of an archive that is read [bytes].
+#: Quantities in archives that stand for controls; equilibria of elements name those that stand for their unknowns.
 IN_PLACE = {"excitation": "activation"}
-"""Quantities in archives that stand for controls; equilibria of elements name those that stand for their unknowns."""
 
 
 class GuessedMotion:

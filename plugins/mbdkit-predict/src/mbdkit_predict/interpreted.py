@@ -47,6 +47,7 @@ def _numbers_at(address: Any, first: int, count: int, like: Any) -> Any:
 
 
 _BUILTINS = {"min": partial(best, operator.lt), "max": partial(best, operator.gt), "float": _number}
+#: Functions that compiled code replaces as well, or that need a form for symbols.
 _REPLACED: Mapping[Any, Callable[..., Any]] = {
     arithmetic.where: where,
     arithmetic.any_of: lambda condition: isinstance(condition, Symbol) or bool(condition),
@@ -60,7 +61,6 @@ _REPLACED: Mapping[Any, Callable[..., Any]] = {
     angles._near: _cosine_and_sine,
     equations.load_equations: lambda equations: equations,
 }
-"""Functions that compiled code replaces as well, or that need a form for symbols."""
 
 
 def _of_math(name: str) -> Any:

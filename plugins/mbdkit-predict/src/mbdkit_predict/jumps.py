@@ -21,29 +21,24 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit_predict.transcription import Mesh, Transcription
 
-SAMPLES = 10_000
-"""Number of samples of a motion, besides the collocation points."""
+SAMPLES = 10_000  #: Number of samples of a motion, besides the collocation points.
+#: Half the time in which a change counts as a jump, as a share of the distance of the collocation points: hyperbolic
+#: tangents whose argument changes by more than about 5 in this distance are found. And how often changes are bisected.
 CLOSE, HALVINGS = 2.0**-6, 9
-"""Half the time in which a change counts as a jump, as a share of the distance of the collocation points: hyperbolic
-tangents whose argument changes by more than about 5 in this distance are found. And how often changes are bisected.
-"""
-STEEPER = 1.5
-"""How much steeper a jump is than its surroundings, at four to twelve times half the time."""
+STEEPER = 1.5  #: How much steeper a jump is than its surroundings, at four to twelve times half the time.
+#: Where intervals are bisected, so that symmetric functions such as x/abs(x) are rarely evaluated at their centre.
 UNEQUAL = 0.49
-"""Where intervals are bisected, so that symmetric functions such as x/abs(x) are rarely evaluated at their centre."""
+#: By how much states are moved to see whether the jump moves: a multiple of their change around it.
 MOVED = 16.0
-"""By how much states are moved to see whether the jump moves: a multiple of their change around it."""
+#: Least size of forces relative to the largest, and of motions relative to their range: smaller ones are noise.
 LEAST = 1e-6
-"""Least size of forces relative to the largest, and of motions relative to their range: smaller ones are noise."""
 
 
 class Jump(NamedTuple):
     """A jump of something that depends on the state."""
 
-    time: float
-    """When the motion passes it [s]."""
-    name: str
-    """What jumps: the key path of an expression, or words."""
+    time: float  #: When the motion passes it [s].
+    name: str  #: What jumps: the key path of an expression, or words.
 
 
 def jumps_along(method: Transcription, mesh: Mesh) -> list[Jump]:

@@ -23,8 +23,8 @@ import numpy as np
 
 from mbdkit_predict.symbols import BranchError, Symbol, where
 
+#: Number of passes of ``while True``, a search that is repeated until it succeeds; the last one must be complete.
 MOST_REPEATS = 2
-"""Number of passes of ``while True``, a search that is repeated until it succeeds; the last one must be complete."""
 
 
 class IntegerChoice:

@@ -17,53 +17,44 @@ import numpy as np
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.processes import Stop
 
-MOST_ITERATIONS = 2000
-"""Largest number of iterations of the optimizer on a mesh."""
-PRECISION = 1e-10
-"""Tolerance of the optimizer, to which it scales the conditions of optimality."""
+MOST_ITERATIONS = 2000  #: Largest number of iterations of the optimizer on a mesh.
+PRECISION = 1e-10  #: Tolerance of the optimizer, to which it scales the conditions of optimality.
+#: Factor of the objective, relative to its natural size, for the optimizer. Its last barrier parameter then has less
+#: effect: the error of a squat due to it is 2e-11 instead of 2e-9.
 SCALE = 100.0
-"""Factor of the objective, relative to its natural size, for the optimizer. Its last barrier parameter then has less
-effect: the error of a squat due to it is 2e-11 instead of 2e-9."""
-NEAR, BARRIER = 1e-5, 1e-5
-"""Least distance from bounds, and barrier parameter, at the start on a finer mesh."""
+NEAR, BARRIER = 1e-5, 1e-5  #: Least distance from bounds, and barrier parameter, at the start on a finer mesh.
+#: Of two iterates with violations below this, that with the smaller objective is the better one.
 FEASIBLE = 1e-6
-"""Of two iterates with violations below this, that with the smaller objective is the better one."""
-ACTIVE = 1e-6
-"""Relative distance from a bound up to which it is active."""
+ACTIVE = 1e-6  #: Relative distance from a bound up to which it is active.
+#: Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded.
 ACCEPTABLE = 1e-8
-"""Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded."""
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 STOPPED = "User_Requested_Stop"
-REPORTING = 0.1
-"""Least time between two reports of iterates [s]."""
-ROUNDED = "Search_Direction_Becomes_Too_Small"
-"""Reports of the optimizer."""
+REPORTING = 0.1  #: Least time between two reports of iterates [s].
+ROUNDED = "Search_Direction_Becomes_Too_Small"  #: Reports of the optimizer.
 
 _SILENT: dict[str, Any] = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+#: Options of the optimizer.
+#:
+#: `calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants. With
+#: the `mumps_pivtol` of the optimizer, 1e-6, the inertia of the matrix is wrong on meshes of 100 intervals or more, and
+#: the problem is regularized without need. The iterative scaling of rows and columns, `mumps_scaling`, lets the solver
+#: keep its order of pivots: with its own choice, the factorization for a chain of 8 rods takes four times as long.
 _OPTIONS: dict[str, Any] = {
     **_SILENT, "show_eval_warnings": False, "calc_lam_x": True, "ipopt.tol": PRECISION,
     "ipopt.bound_relax_factor": 0.0, "ipopt.mumps_pivtol": 1e-3, "ipopt.mumps_scaling": 7,
 }  # fmt: skip
-"""Options of the optimizer.
-
-`calc_lam_x` computes multipliers of unknowns with equal bounds too, which the optimizer takes for constants.
-With the `mumps_pivtol` of the optimizer, 1e-6, the inertia of the matrix is wrong on meshes of 100 intervals or more,
-and the problem is regularized without need. The iterative scaling of rows and columns, `mumps_scaling`, lets the solver
-keep its order of pivots: with its own choice, the factorization for a chain of 8 rods takes four times as long.
-"""
 _PUSHES = "bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"
+#: Options of a start near an optimum.
+#:
+#: With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum on the coarser mesh.
 _WARM: dict[str, object] = {
     "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": BARRIER,
     **{f"ipopt.warm_start_{push}": NEAR for push in _PUSHES},
 }  # fmt: skip
-"""Options of a start near an optimum.
-
-With adaptive barrier parameters, a walk leaves the neighbourhood of the optimum on the coarser mesh.
-"""
 
 
-_Iterate = tuple[np.ndarray, np.ndarray, float]
-"""Unknowns, values of conditions, and objective."""
+_Iterate = tuple[np.ndarray, np.ndarray, float]  #: Unknowns, values of conditions, and objective.
 
 
 class ProgramCondition(NamedTuple):
@@ -83,27 +74,23 @@ class ProgramCondition(NamedTuple):
 class Solution:
     """What the optimizer returned."""
 
-    values: Mapping[str, np.ndarray]
-    """Arrays of the unknowns by name."""
+    values: Mapping[str, np.ndarray]  #: Arrays of the unknowns by name.
     objective: float
-    violations: Mapping[str, float]
-    """Largest violation of each condition by name."""
-    status: str = STOPPED
-    """Report of the optimizer."""
+    violations: Mapping[str, float]  #: Largest violation of each condition by name.
+    status: str = STOPPED  #: Report of the optimizer.
     iterations: int = 0
+    #: Derivatives of the objective by name of unknown or condition: by a change of both bounds. Arrays of the shape of
+    #: the unknown, or of the values of the condition.
     slopes: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Derivatives of the objective by name of unknown or condition: by a change of both bounds. Arrays of the shape of
-    the unknown, or of the values of the condition."""
+    #: Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
+    #: multipliers with slacks, or with violations.
     gap: float = np.nan
-    """Bound of the error of the objective that is due to the tolerance of the optimizer: the sum of all products of
-    multipliers with slacks, or with violations."""
-    is_smooth: bool = False
-    """Whether no bound of an unknown or a condition is active at some points only."""
+    is_smooth: bool = False  #: Whether no bound of an unknown or a condition is active at some points only.
+    #: Whether the second-order condition holds: the Hessian of the Lagrangian is positive definite on the null space of
+    #: the active conditions. The optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler,
+    #: Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it
+    #: did not in its last step.
     is_strict: bool = False
-    """Whether the second-order condition holds: the Hessian of the Lagrangian is positive definite on the null space of
-    the active conditions. The optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler,
-    Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it did
-    not in its last step."""
 
     @property
     def is_optimum(self) -> bool:
@@ -336,6 +323,7 @@ def _is_partly_active(x: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
 
 
 _INFEASIBLE = "infeasible", "no motion was found that satisfies all conditions"
+#: Code and sentence for each report of the optimizer that is no success.
 STATUSES: Mapping[str, tuple[str, str]] = {
     "Infeasible_Problem_Detected": _INFEASIBLE,
     "Restoration_Failed": _INFEASIBLE,
@@ -347,4 +335,3 @@ STATUSES: Mapping[str, tuple[str, str]] = {
     STOPPED: ("not-solved", "the process of the optimizer ended, perhaps because the memory is too small"),
     "Error_In_Step_Computation": ("not-solved", "the linear equations of a step could not be solved"),
 }
-"""Code and sentence for each report of the optimizer that is no success."""

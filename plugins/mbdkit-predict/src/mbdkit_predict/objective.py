@@ -27,10 +27,9 @@ class Objective:
 
     integrands: ca.SX
     finals: ca.SX
+    #: Integrands, final values, and what has peaks, (K, 1) each, expressions in the symbols of the system.
     peaks: ca.SX
-    """Integrands, final values, and what has peaks, (K, 1) each, expressions in the symbols of the system."""
-    value: ca.Function
-    """Function of the integrals, the final values, the peaks, and the duration."""
+    value: ca.Function  #: Function of the integrals, the final values, the peaks, and the duration.
 
 
 class _ObjectiveCompiler(MeasureCompiler):

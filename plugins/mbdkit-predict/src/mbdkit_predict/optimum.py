@@ -16,34 +16,26 @@ from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.transcription import MOST_UNEVEN, OF_POINTS, Mesh, Transcription, solved_meshes
 
+#: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
 ROUNDING = 1e-8
-"""Smallest error of the objective, relative to its size, due to the tolerance of the optimizer."""
-NOTHING = 1e-9
-"""Changes of the objective below this, relative to its natural size, count as zero."""
-MOST_INTERVALS = 640
-"""Largest number of intervals of a refined mesh; every first mesh is refined once."""
-ITERATIONS_OF_START = 500
-"""Largest number of iterations from a drawn guess."""
-HUGE = 1e8
-"""Unknowns above this size at the limit of iterations are taken for unbounded ones."""
+NOTHING = 1e-9  #: Changes of the objective below this, relative to its natural size, count as zero.
+MOST_INTERVALS = 640  #: Largest number of intervals of a refined mesh; every first mesh is refined once.
+ITERATIONS_OF_START = 500  #: Largest number of iterations from a drawn guess.
+HUGE = 1e8  #: Unknowns above this size at the limit of iterations are taken for unbounded ones.
+#: Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
+#: intervals in which they do are divided.
 OPEN, DIVISIONS = 0.1, 2
-"""Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
-intervals in which they do are divided.
-"""
+#: Factors of the estimated error of the objective, and of its first-order change by what remains between the points.
 SAFETY, HIGHER_ORDER = 3.0, 1.5
-"""Factors of the estimated error of the objective, and of its first-order change by what remains between the points."""
+#: Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
+#: active.
 ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
-"""Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
-active.
-"""
+#: Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
+#: conditions become active, methods of high order have no constant ratio.
 SLOWEST, FASTEST = 0.5, 2.0**-4
-"""Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
-conditions become active, methods of high order have no constant ratio.
-"""
 
 
-Problem = tuple[Transcription, Mesh, int]
-"""A problem, its first guess, and the largest number of iterations."""
+Problem = tuple[Transcription, Mesh, int]  #: A problem, its first guess, and the largest number of iterations.
 
 
 @dataclass(frozen=True)

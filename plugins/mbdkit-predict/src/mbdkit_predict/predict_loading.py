@@ -19,17 +19,15 @@ from mbdkit.spec.spec_kinds import spec_loader, spec_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies import base_document
 
+#: A file, the name of a packaged example, a mapping, or a validated spec of a prediction.
 PredictSource: TypeAlias = str | Path | Mapping[str, object] | PredictSpec
-"""A file, the name of a packaged example, a mapping, or a validated spec of a prediction."""
 
-USED = ("parameters", "model")
-"""Sections of the base that are used."""
-OF_BASE = ("base", "overrides")
-"""Keys that are replaced when a spec is loaded."""
+USED = ("parameters", "model")  #: Sections of the base that are used.
+OF_BASE = ("base", "overrides")  #: Keys that are replaced when a spec is loaded.
+#: Keys of a spec with a base.
 KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdkit", "model", "optimized")))
-"""Keys of a spec with a base."""
+#: Keys that `guess` may replace.
 OF_GUESS = ("parameters", *KEYS[KEYS.index("controls") : KEYS.index("tolerance")])
-"""Keys that `guess` may replace."""
 
 
 def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections: object) -> PredictSpec:

@@ -30,8 +30,7 @@ from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
 from mbdkit_predict.measured_functions import MeasuredFunction
 
-STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}
-"""Numbers of collocation points of each method."""
+STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}  #: Numbers of collocation points of each method.
 
 
 def _ordered(bounds: object) -> object:

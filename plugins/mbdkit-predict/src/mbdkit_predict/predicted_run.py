@@ -40,8 +40,8 @@ INACCURATE = "The objective is less accurate than `tolerance`."
 UNKNOWN = "Too few meshes have an optimum, so that the error of the objective is not known."
 SMALL = "The error of the objective is more than `tolerance`: it is nearly zero, compared with its natural size."
 NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
+#: Verdicts on motions.
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
-"""Verdicts on motions."""
 
 
 def predicted(spec: PredictSpec, *, path: str | Path | None = None, overwrite: bool = False) -> Run:

@@ -22,24 +22,20 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 
-GRACE = 0.25
-"""Time after which a process that should stop is ended [s]."""
-LOOK = 0.05
-"""Time between two looks at whether to stop [s]."""
+GRACE = 0.25  #: Time after which a process that should stop is ended [s].
+LOOK = 0.05  #: Time between two looks at whether to stop [s].
 
 T = TypeVar("T")
+#: A function that returns a result; its argument is a function that takes intermediate results.
 Task = Callable[[Callable[[T], None]], T]
-"""A function that returns a result; its argument is a function that takes intermediate results."""
 
 
 @dataclass
 class Stop:
     """Says when an optimization stops early: on Ctrl-C, or after a limit of wall time."""
 
-    end: float = np.inf
-    """Time at which it stops, as returned by `time.perf_counter` [s]."""
-    interrupted: bool = False
-    """Whether the user interrupted it."""
+    end: float = np.inf  #: Time at which it stops, as returned by `time.perf_counter` [s].
+    interrupted: bool = False  #: Whether the user interrupted it.
 
     @property
     def now(self) -> bool:

@@ -14,19 +14,15 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import parse_path
 
-SAME = 1e-4
-"""Optima on the first mesh whose relative difference is below this count as one."""
+SAME = 1e-4  #: Optima on the first mesh whose relative difference is below this count as one.
 
 
 class PredictedGain(NamedTuple):
     """Difference of two optima."""
 
-    value: float
-    """Objective of the other motion, minus that of this one."""
-    error: float
-    """Sum of the errors of both objectives."""
-    share: float
-    """The value as a share of the magnitude of the objective of the other motion."""
+    value: float  #: Objective of the other motion, minus that of this one.
+    error: float  #: Sum of the errors of both objectives.
+    share: float  #: The value as a share of the magnitude of the objective of the other motion.
 
 
 def _recorded(run: Run, name: str) -> Any:

@@ -22,8 +22,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from mbdkit.base import elementary
 
-MOST_BRANCHES = 1000
-"""Largest number of outcomes of the conditions of one function."""
+MOST_BRANCHES = 1000  #: Largest number of outcomes of the conditions of one function.
 
 
 class BranchError(Exception):
@@ -149,6 +148,7 @@ def _power(x: ca.SX, y: ca.SX) -> ca.SX:
 _INVERTED = ("sin", "cos", "tan", "sinh", "cosh", "tanh")
 _PLAIN = (*_INVERTED, "exp", "expm1", "floor", "ceil")
 _ORDER = (np.less, np.less_equal, np.greater, np.greater_equal)
+#: Functions of CasADi by the names of those of NumPy.
 _FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
     "add": lambda x, y: x + y,
     "subtract": lambda x, y: x - y,
@@ -180,14 +180,12 @@ _FUNCTIONS: dict[str, Callable[..., ca.SX]] = {
     **{name: getattr(ca, name) for name in _PLAIN},
     **{f"arc{name}": getattr(ca, f"a{name}") for name in _INVERTED},
 }
-"""Functions of CasADi by the names of those of NumPy."""
+#: Elementary functions of mbdkit for numbers, by those of NumPy.
 _OWN = {own.ufunc: own for own in elementary.FUNCTIONS.values()}
-"""Elementary functions of mbdkit for numbers, by those of NumPy."""
 
+#: Of each function that `every_branch` executes: the given outcomes of its first conditions, and the conditions on
+#: which it has branched so far, with their outcomes.
 _executed: list[tuple[list[bool], list[tuple[Symbol, bool]]]] = []
-"""Of each function that `every_branch` executes: the given outcomes of its first conditions, and the conditions on
-which it has branched so far, with their outcomes.
-"""
 
 
 def every_branch(function: Callable[[], Sequence[Any]]) -> list[Any]:

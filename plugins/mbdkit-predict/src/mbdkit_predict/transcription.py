@@ -46,25 +46,20 @@ from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Va
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
+#: Symbols that are not known at the start and the end of a motion, only at collocation points.
 OF_STATE = ("a", "lam", "u")
-"""Symbols that are not known at the start and the end of a motion, only at collocation points."""
-OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")
-"""Unknowns with a column for each collocation point."""
+OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")  #: Unknowns with a column for each collocation point.
+#: Parts into which intervals are divided, and those in which controls or accelerations are discontinuous.
 CUTS = 2, 8
-"""Parts into which intervals are divided, and those in which controls or accelerations are discontinuous."""
+#: Intervals are divided into more parts if jumps at their ends are larger than this multiple of the median.
 UNEVEN = 10.0
-"""Intervals are divided into more parts if jumps at their ends are larger than this multiple of the median."""
 MOTION, COLLOCATION, ENDS = "the equations of motion", "the collocation", "the collocation at the ends of intervals"
-JOINTS = "the joints at the ends of intervals"
-"""Names of conditions."""
+JOINTS = "the joints at the ends of intervals"  #: Names of conditions.
+#: Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`.
 WEIGHT_OF_START = 10.0
-"""Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`."""
-BETWEEN = 7
-"""Times within each interval at which joints are looked at."""
-SMALL = 1e-3
-"""Smaller objectives are multiplied for the optimizer, which scales large ones itself."""
-MOST_UNEVEN = 0.125
-"""Largest share of such intervals."""
+BETWEEN = 7  #: Times within each interval at which joints are looked at.
+SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
+MOST_UNEVEN = 0.125  #: Largest share of such intervals.
 
 
 @dataclass(frozen=True)
@@ -72,20 +67,17 @@ class Mesh:
     """A solution, or a first guess, on a grid."""
 
     grid: IntervalGrid
+    #: Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
+    #: N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if
+    #: these are no points, and ``jumps`` (2 m, N) the multipliers nu and kappa there; ``duration`` (P,) and ``p``.
     values: Mapping[str, np.ndarray]
-    """Arrays of the unknowns by name: ``q``, ``v``, ``a``, ``lam``, ``mu``, ``z``, ``u`` have a column for each of the
-    N s points; ``start`` (2 n + Z,) is the state at the start, ``nodes`` are those at the ends of intervals, if these
-    are no points, and ``jumps`` (2 m, N) the multipliers nu and kappa there; ``duration`` (P,) and ``p``."""
-    iterations: int = 0
-    """Number of iterations of the optimizer, on this mesh and those before."""
-    solution: Solution | None = None
-    """What the optimizer returned; None for a guess."""
+    iterations: int = 0  #: Number of iterations of the optimizer, on this mesh and those before.
+    solution: Solution | None = None  #: What the optimizer returned; None for a guess.
+    #: Indices of points by name of the conditions of a solution, as in `NonlinearProgram.points`.
     conditions: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """Indices of points by name of the conditions of a solution, as in `NonlinearProgram.points`."""
+    #: Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points.
     slopes: Mapping[str, np.ndarray] | None = None
-    """Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points."""
-    size: float = 1.0
-    """Natural size of the objective."""
+    size: float = 1.0  #: Natural size of the objective.
 
     @property
     def times(self) -> np.ndarray:
@@ -99,8 +91,7 @@ class _PathOfPhase(NamedTuple):
     low: float
     high: float
     phase: int | None
-    peak: int | None = None
-    """Index of the peak that the values do not exceed, which is an unknown."""
+    peak: int | None = None  #: Index of the peak that the values do not exceed, which is an unknown.
 
 
 class Transcription:

@@ -41,29 +41,22 @@ REFERENCES = (
   journal = {Journal of Computational and Applied Mathematics},
   volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}""",
 )
+#: Rates of convergence below and above which the order changes, and the steps after a decrease during which it does not
+#: increase; all from Hairer and Wanner (1999) and their code RADAU.
 RAISED, LOWERED, WAIT = 0.002, 0.8, 10
-"""Rates of convergence below and above which the order changes, and the steps after a decrease during which it does not
-increase; all from Hairer and Wanner (1999) and their code RADAU.
-"""
-STEADY = 0.8, 1.2
-"""The order increases only if the last step was of about this size (the same source)."""
+STEADY = 0.8, 1.2  #: The order increases only if the last step was of about this size (the same source).
+#: Largest error of the iteration over the tolerance, and largest change over the tolerance at which an iteration that
+#: does not converge any more has reached rounding; chosen.
 ACCURACY, IDLE = 0.01, 1.0
-"""Largest error of the iteration over the tolerance, and largest change over the tolerance at which an iteration that
-does not converge any more has reached rounding; chosen.
-"""
+#: The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)) for the lowest s: the
+#: rule of RADAU5, by which the error, of a higher order, is about proportional to `rtol`. With the s of each step, as
+#: in RADAU, steps in which a contact begins may have errors of more than 1000 times `rtol`.
 SHARE = 0.1
-"""The tolerance of the estimate, of order s + 1 in h, is this share of rtol^((s + 1) / (2 s)) for the lowest s: the
-rule of RADAU5, by which the error, of a higher order, is about proportional to `rtol`. With the s of each step, as in
-RADAU, steps in which a contact begins may have errors of more than 1000 times `rtol`.
-"""
-ROUNDING = 1e-15
-"""Tolerance of the iteration in fixed steps."""
-MOST_ITERATIONS = 12, 50
-"""Iterations of controlled and of fixed steps; RADAU allows 7 to 17."""
+ROUNDING = 1e-15  #: Tolerance of the iteration in fixed steps.
+MOST_ITERATIONS = 12, 50  #: Iterations of controlled and of fixed steps; RADAU allows 7 to 17.
+#: Of each formulation, `gamma_v` over r and `residual_q` over r^2 in `EquationsOfMotion.iteration_matrix`, with r the
+#: step times an eigenvalue, and the power of r by which changes of accelerations change the constraints.
 TANGENTS = {"index-1": (-1.0, 1.0, 0), "index-2": (-0.5, 0.0, 1), "ggl": (-0.5, 0.0, 1), "index-3": (0.0, 0.0, 2)}
-"""Of each formulation, `gamma_v` over r and `residual_q` over r^2 in `EquationsOfMotion.iteration_matrix`, with r the
-step times an eigenvalue, and the power of r by which changes of accelerations change the constraints.
-"""
 
 
 class RadauOptions(ControlledOptions):

@@ -30,8 +30,8 @@ _WORDS = {
 _SECTIONS = {"model", "integrator", "time", "output", "limits", "stabilization", "parameters"}
 _KINDS = {"bodies", "joints", "forces", "markers", "muscles", "springs"}
 _ENDS = {"from": "point 1", "to": "point 2"}
+#: Keys whose values have an x and a y component.
 _VECTORS = {"position", "velocity", "point", "at", "from", "to", "axis", "gravity"}
-"""Keys whose values have an x and a y component."""
 
 
 def key_words(key: str | Path) -> str:

@@ -20,8 +20,7 @@ from mbdkit.quantities.array import TEXT
 from mbdkit.registry.seam import Seam
 from mbdkit_report.group_table import TableColumn
 
-MATLAB_LENGTH = 63
-"""Longest name of a variable in MATLAB (``namelengthmax``)."""
+MATLAB_LENGTH = 63  #: Longest name of a variable in MATLAB (``namelengthmax``).
 
 
 class ExportedTable(Protocol):

@@ -13,8 +13,8 @@ from mbdkit.mechanism.parameter_units import is_turn, unit_of_parts
 _RADIAN, _SECOND = read_unit("rad"), read_unit("s")
 _SAME = frozenset({"abs", "min", "max"})
 _OF_ANGLE = frozenset({"sin", "cos", "tan"})
+#: Factors that are assumed to have no unit. Others may be constants of nature or densities, such as 9.81 and 7800.
 _FACTORS = frozenset({float(n) for n in range(1, 11)} | {1.0 / n for n in range(2, 11)})
-"""Factors that are assumed to have no unit. Others may be constants of nature or densities, such as 9.81 and 7800."""
 
 
 def unit_of_use(name: str, uses: Iterable[tuple[str, str]], units: Mapping[str, Unit]) -> str:

@@ -15,8 +15,7 @@ from mbdkit import ResourceError, SpecError
 from mbdkit.plugin import listed, read_data
 from mbdkit_robots.planar import refused
 
-LARGEST = 10 * 2**20
-"""Largest size of a file [bytes]."""
+LARGEST = 10 * 2**20  #: Largest size of a file [bytes].
 
 
 def read_content(file: str) -> bytes:

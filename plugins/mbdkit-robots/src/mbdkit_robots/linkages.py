@@ -13,12 +13,12 @@ from mbdkit.plugin import Driver, Revolute, listed
 from mbdkit_robots.documents import read_content
 from mbdkit_robots.planar import GROUND, refused
 
+#: Keys that the reader understands: those that pylinkage writes for pins, links and cranks.
 UNDERSTOOD = {
     "mechanism": ("name", "joints", "links", "ground"),
     "joint": ("id", "type", "position", "name"),
     "link": ("id", "type", "joints", "name", "motor_joint", "angular_velocity", "initial_angle"),
 }
-"""Keys that the reader understands: those that pylinkage writes for pins, links and cranks."""
 
 
 def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) -> Mechanism:

@@ -27,12 +27,12 @@ from mbdkit_robots.planar import GROUND, Closure, Follower, Link, Part, SpatialM
 from mbdkit_robots.shapes import SIZES, volume_and_inertia
 from mbdkit_robots.trees import leave_out_contacts
 
+#: Attributes of <compiler> that are rejected, because they would change masses.
 REFUSED = ("balanceinertia", "boundmass", "boundinertia", "settotalmass", "inertiagrouprange")
-"""Attributes of <compiler> that are rejected, because they would change masses."""
+#: Elements that stand for bodies or place them.
 MACROS = ("frame", "replicate", "composite", "flexcomp", "attach")
-"""Elements that stand for bodies or place them."""
+#: Flags that are rejected, because they would switch off forces or constraints.
 FLAGS = ("gravity", "passive", "spring", "damper", "frictionloss", "limit", "equality", "constraint")
-"""Flags that are rejected, because they would switch off forces or constraints."""
 BOOLEAN = ("false", "true")
 
 

@@ -15,10 +15,8 @@ from mbdkit.plugin import did_you_mean, listed, quoted
 GROUND = "ground"
 KEY = "model.file"
 Plane = Literal["xy", "xz", "yz"]
-PARALLEL = 1e-6
-"""Largest sine of the angle between an axis and the direction that it should have."""
-MOST_NAMED = 6
-"""Largest number of names that a warning lists."""
+PARALLEL = 1e-6  #: Largest sine of the angle between an axis and the direction that it should have.
+MOST_NAMED = 6  #: Largest number of names that a warning lists.
 
 
 def refused(message: str) -> SpecError:
@@ -96,10 +94,10 @@ class SpatialModel:
     closures: list[Closure] = field(default_factory=list)
     followers: list[Follower] = field(default_factory=list)
     gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    #: Names of the ignored components, by a phrase for their kind.
     left_out: dict[str, list[str]] = field(default_factory=dict)
-    """Names of the ignored components, by a phrase for their kind."""
+    #: Names of those ignored components that change the motion, by a phrase for their kind.
     lacking: dict[str, list[str]] = field(default_factory=dict)
-    """Names of those ignored components that change the motion, by a phrase for their kind."""
 
     def leave_out(self, kind: str, name: str, *, acts: bool = False) -> None:
         """Note the name of an ignored component, and whether it changes the motion."""

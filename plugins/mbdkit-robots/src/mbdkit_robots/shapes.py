@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+#: Number of sizes by type of geom.
 SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
-"""Number of sizes by type of geom."""
 
 
 def volume_and_inertia(kind: str, size: np.ndarray) -> tuple[float, np.ndarray]:

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit_robots.planar import GROUND, PARALLEL, SpatialModel
 
+#: Label of a shape, and the bit masks that say what it can touch: its type, and the types that it touches.
 Shape = tuple[str, int, int]
-"""Label of a shape, and the bit masks that say what it can touch: its type, and the types that it touches."""
 
 
 def rigid_groups(model: SpatialModel) -> dict[str, str]:

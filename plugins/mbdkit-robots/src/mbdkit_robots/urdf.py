@@ -11,9 +11,11 @@ from mbdkit_robots.planar import GROUND, Follower, Link, Part, SpatialModel, ref
 from mbdkit_robots.trees import leave_out_contacts
 
 KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
+#: Elements of a robot that are ignored, with a warning, because they exert no force without a controller.
 NOTED = {"transmission": "transmissions", "ros2_control": "hardware interfaces", "sensor": "sensors"}
-"""Elements of a robot that are ignored, with a warning, because they exert no force without a controller."""
 
+#: Attributes and elements that the reader understands, by element. The names are those of `urdf.xsd` of urdfdom, and of
+#: the specification of URDF of ROS for what the schema lacks. `effort` and `velocity` limit controllers.
 UNDERSTOOD = {
     "robot": ("name version", "link joint"),
     "link": ("name type", "inertial collision"),
@@ -29,13 +31,9 @@ UNDERSTOOD = {
     "dynamics": ("damping friction", ""),
     "limit": ("lower upper effort velocity", ""),
 }
-"""Attributes and elements that the reader understands, by element. The names are those of `urdf.xsd` of urdfdom, and of
-the specification of URDF of ROS for what the schema lacks. `effort` and `velocity` limit controllers.
-"""
+#: Elements that cannot change a motion, by the element that contains them.
 WITHOUT_EFFECT = {"robot": "material", "link": "visual", "joint": "calibration"}
-"""Elements that cannot change a motion, by the element that contains them."""
-LOOKS = ("material", "visual", "sensor")
-"""Elements of <gazebo> that cannot change a motion."""
+LOOKS = ("material", "visual", "sensor")  #: Elements of <gazebo> that cannot change a motion.
 
 
 def read_urdf(file: str, *, floating: bool) -> SpatialModel:

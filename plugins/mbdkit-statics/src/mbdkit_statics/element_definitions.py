@@ -17,63 +17,59 @@ xa, ya, tha, xb, yb, thb = BODY_COORDINATES = sp.symbols("xa ya tha xb yb thb", 
 BODY_VELOCITIES = sp.symbols("vxa vya wa vxb vyb wb", real=True)
 BODY_ACCELERATIONS = sp.symbols("axa aya ala axb ayb alb", real=True)
 u, u_dot, u_ddot = MOTION = sp.symbols("u_value u_dot u_ddot", real=True)
+#: Element parameters; points first: ``p0, p1`` in the frame of the first body, ``p2, p3`` in that of the second.
 PARAMETERS = sp.symbols("p0:6", real=True)
-"""Element parameters; points first: ``p0, p1`` in the frame of the first body, ``p2, p3`` in that of the second."""
 
 
-ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)
-"""Cosine and sine of ``theta_a`` and ``theta_b``."""
+ca, sa, cb, sb = sp.symbols("ca sa cb sb", real=True)  #: Cosine and sine of ``theta_a`` and ``theta_b``.
+#: Global components of the vectors from the centres of mass to the two points.
 ax, ay, bx, by = sp.symbols("ax ay bx by", real=True)
-"""Global components of the vectors from the centres of mass to the two points."""
+#: Global components of the normal of a line. The direction of the line in the frame of the first body is ``(p4,
+#: p5)``.
 nx, ny = sp.symbols("nx ny", real=True)
-"""Global components of the normal of a line. The direction of the line in the frame of the first body is ``(p4,
-p5)``.
-"""
+#: The vector ``p_b - p_a`` between the two points, and its norm.
 gx, gy, length = sp.symbols("gx gy length", positive=True)
-"""The vector ``p_b - p_a`` between the two points, and its norm."""
 straight = sp.Symbol("straight", positive=True)
+#: Length of the tangent from one point to a circle around the other point, and components of its direction. The signed
+#: radius of the circle is ``p4``.
 tangent_x, tangent_y = sp.symbols("tangent_x tangent_y", real=True)
-"""Length of the tangent from one point to a circle around the other point, and components of its direction. The signed
-radius of the circle is ``p4``."""
+#: Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives with respect to
+#: the relative angle ``theta_b - theta_a``.
 CENTER = (sp.symbols("cx0:4", real=True), sp.symbols("cy0:4", real=True))
-"""Displacement (x, y) of a moving point in the frame of the first body, and its first three derivatives with respect to
-the relative angle ``theta_b - theta_a``.
-"""
+#: Global components of the vectors in `CENTER`.
 _TURNED = (sp.symbols("hx0:4", real=True), sp.symbols("hy0:4", real=True))
-"""Global components of the vectors in `CENTER`."""
 
+#: Variables of a function of the pose: x, y and angle of the second body's point in the frame of the first body, the
+#: angle of the first body, and the time.
 VARIABLES = 5
-"""Variables of a function of the pose: x, y and angle of the second body's point in the frame of the first body, the
-angle of the first body, and the time."""
 TIME = VARIABLES - 1
+#: Value of a function of the pose and its derivatives up to third order, by the indices of the variables.
 FUNCTION = {
     chosen: sp.Symbol("f" + "".join(map(str, chosen)), real=True)
     for order in range(4)
     for chosen in combinations_with_replacement(range(VARIABLES), order)
 }
-"""Value of a function of the pose and its derivatives up to third order, by the indices of the variables."""
+#: Position of the second body's point relative to the first body's centre of mass, in the frame of the first body.
 in_x, in_y = sp.symbols("in_x in_y", real=True)
-"""Position of the second body's point relative to the first body's centre of mass, in the frame of the first body."""
 
+#: State of a cross-section of a beam: derivatives of its position (x, y) with respect to the arc length, its angle, and
+#: the derivative of the angle with respect to the arc length. Position and angle are interpolated between the nodes.
 SECTION = sp.symbols("dx dy th dth", real=True)
-"""State of a cross-section of a beam: derivatives of its position (x, y) with respect to the arc length, its angle, and
-the derivative of the angle with respect to the arc length. Position and angle are interpolated between the nodes."""
 SECTION_RATES = sp.symbols("dvx dvy w dw", real=True)
-c, s = sp.symbols("c s", real=True)
-"""Cosine and sine of the angle of the cross-section."""
+c, s = sp.symbols("c s", real=True)  #: Cosine and sine of the angle of the cross-section.
+#: Length of the part of the beam that an integration point represents [m].
 SECTION_LENGTH = sp.Symbol("h", real=True)
-"""Length of the part of the beam that an integration point represents [m]."""
 SECTION_STIFFNESS = sp.symbols("ea ga ei", real=True)
+#: Stiffness and damping of axial strain, shear strain and curvature.
 SECTION_DAMPING = sp.symbols("da ds db", real=True)
-"""Stiffness and damping of axial strain, shear strain and curvature."""
+#: Axial strain plus 1, shear strain and curvature of the stress-free beam.
 SECTION_REFERENCE = sp.symbols("e0 g0 k0", real=True)
-"""Axial strain plus 1, shear strain and curvature of the stress-free beam."""
+#: Components of the derivative of the position: along the normal of the cross-section, and in the plane of the
+#: cross-section.
 along, across = sp.symbols("along across", real=True)
-"""Components of the derivative of the position: along the normal of the cross-section, and in the plane of the
-cross-section.
-"""
 _dx, _dy, _th, _dth = SECTION
 
+#: Intermediate quantities by symbol, each as an expression in coordinates, parameters and earlier quantities.
 INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     ax: ca * PARAMETERS[0] - sa * PARAMETERS[1],
     ay: sa * PARAMETERS[0] + ca * PARAMETERS[1],
@@ -94,7 +90,6 @@ INTERMEDIATES: dict[sp.Symbol, sp.Expr] = {
     **{hx: ca * cx - sa * cy for hx, cx, cy in zip(_TURNED[0], *CENTER, strict=True)},
     **{hy: sa * cx + ca * cy for hy, cx, cy in zip(_TURNED[1], *CENTER, strict=True)},
 }
-"""Intermediate quantities by symbol, each as an expression in coordinates, parameters and earlier quantities."""
 
 # These rules express derivatives in the intermediate quantities themselves. For example, the derivative of a rotated
 # vector with respect to its angle is the vector rotated by another 90 degrees.
@@ -116,13 +111,13 @@ _DERIVATIVES: dict[sp.Symbol, dict[sp.Symbol, sp.Expr]] = {
     along: {_dx: c, _dy: s, _th: across},
     across: {_dx: -s, _dy: c, _th: -along},
 }
+#: Derivatives of the first four variables of functions of the pose.
 _POSE = (
     {xa: -ca, ya: -sa, tha: in_y, xb: ca, yb: sa, thb: sa * bx - ca * by},
     {xa: sa, ya: -ca, tha: -in_x, xb: -sa, yb: ca, thb: ca * bx + sa * by},
     {tha: sp.Integer(-1), thb: sp.Integer(1)},
     {tha: sp.Integer(1)},
 )
-"""Derivatives of the first four variables of functions of the pose."""
 _DERIVATIVES[in_x], _DERIVATIVES[in_y] = _POSE[:2]
 for _chosen, _symbol in FUNCTION.items():
     if len(_chosen) < 3:
@@ -171,13 +166,13 @@ class ConstraintKind:
     name: str
     rows: tuple[sp.Expr, ...]
     note: str
+    #: Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points.
     constants: tuple[tuple[str, str], ...] = ()
-    """Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points."""
 
 
 _ARM = (xb + bx - xa, yb + by - ya)
+#: Position of the second body's point relative to the first body's centre of mass, in the frame of the first body.
 _IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
-"""Position of the second body's point relative to the first body's centre of mass, in the frame of the first body."""
 
 CONSTRAINTS = (
     ConstraintKind("revolute", (gx, gy), "Phi = p_b - p_a of two points that coincide"),
@@ -216,10 +211,10 @@ class PathwayKind:
     name: str
     length: sp.Expr
     note: str
+    #: Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points.
     constants: tuple[tuple[str, str], ...] = ()
-    """Name and LaTeX of the parameters ``p4`` and ``p5``, which follow the points."""
+    #: Derivatives with respect to `gx` and `gy` that are used instead of those of `length`.
     slopes: tuple[sp.Expr, sp.Expr] | None = None
-    """Derivatives with respect to `gx` and `gy` that are used instead of those of `length`."""
 
 
 PATHWAYS = (
@@ -253,12 +248,11 @@ PATHWAYS = (
 )
 
 
+#: Axial strain, shear strain and curvature of a planar beam (E. Reissner, J. Appl. Math. Phys. 23, 1972; J. C. Simo and
+#: L. Vu-Quoc, J. Appl. Mech. 53, 1986).
 SECTION_STRAINS = tuple(
     strain - reference for strain, reference in zip((along, across, _dth), SECTION_REFERENCE, strict=True)
 )
-"""Axial strain, shear strain and curvature of a planar beam (E. Reissner, J. Appl. Math. Phys. 23, 1972; J. C. Simo and
-L. Vu-Quoc, J. Appl. Mech. 53, 1986).
-"""
 
 
 def derive_section() -> dict[str, sp.Matrix]:

@@ -24,42 +24,37 @@ from mbdkit_statics.stability import shape_of, unstable_motions
 
 Kind = Literal["limit point", "bifurcation", "flutter"]
 
+#: Largest and smallest length of a step along a path; lengths are relative to the size of the mechanism, to 1 rad, and
+#: to the time span.
 LONGEST, FINEST = 0.05, 1e-6
-"""Largest and smallest length of a step along a path; lengths are relative to the size of the mechanism, to 1 rad, and
-to the time span.
-"""
 
+#: A step is halved if the cosine of the angle between the tangents at its beginning and its end is below this.
 STRAIGHT = 0.98
-"""A step is halved if the cosine of the angle between the tangents at its beginning and its end is below this."""
 
 MOST_POINTS = 5000
 
+#: Largest number of Newton corrections of a point, and number of corrections up to which the next step is made longer.
 MOST_CORRECTIONS, EASY = 8, 4
-"""Largest number of Newton corrections of a point, and number of corrections up to which the next step is made longer.
-"""
 
+#: Newton's method ends after the first correction that is smaller than this, because the next correction would be
+#: about its square.
 CONVERGED = 1e-7
-"""Newton's method ends after the first correction that is smaller than this, because the next correction would be
-about its square."""
 
+#: Step of the central differences by which loads are differentiated with respect to time, as a share of the time span.
 LOAD_STEP = 1e-5
-"""Step of the central differences by which loads are differentiated with respect to time, as a share of the time span.
-"""
 
-LOCATED = 1e-12
-"""Tolerance of the position of a critical point on the path, relative to a step along it."""
+LOCATED = 1e-12  #: Tolerance of the position of a critical point on the path, relative to a step along it.
 
+#: Tolerance of the position of the onset of flutter, which is found by bisection, relative to a step along the path.
 FLUTTER_LOCATED = 1e-9
-"""Tolerance of the position of the onset of flutter, which is found by bisection, relative to a step along the path."""
 
+#: Share of its diagonal that is added to the scaled matrix of a point if it is exactly singular, as at a bifurcation.
+#:
+#: The changes that the matrix determines are wrong by about this share; later corrections remove the error.
 SINGULAR = 1e-9
-"""Share of its diagonal that is added to the scaled matrix of a point if it is exactly singular, as at a bifurcation.
 
-The changes that the matrix determines are wrong by about this share; later corrections remove the error.
-"""
-
+#: Two critical points are not distinguished if their distance, relative to a step along the path, is below this.
 APART = 1e-6
-"""Two critical points are not distinguished if their distance, relative to a step along the path, is below this."""
 
 
 @dataclass(frozen=True)

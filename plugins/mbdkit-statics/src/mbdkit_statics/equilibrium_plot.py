@@ -9,8 +9,8 @@ from mbdkit_report import Axis, Caption, Line, draw_chart, draw_mechanism, draw_
 from mbdkit_report import Figure as Chart
 from mbdkit_statics.equilibrium import Equilibrium
 
+#: Title, unit and column of `Equilibrium.beams` for each chart.
 FORCES = (("Bending moment", "N m", 3), ("Shear force", "N", 2), ("Axial force", "N", 1))
-"""Title, unit and column of `Equilibrium.beams` for each chart."""
 
 
 def equilibrium_figure(rest: Equilibrium, mechanism: Mechanism, title: str) -> Figure:

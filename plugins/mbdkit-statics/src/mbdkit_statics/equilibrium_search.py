@@ -15,51 +15,43 @@ from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, at_rest, softest_motion, stiffness_scale
 from mbdkit_statics.states_at_rest import StaticEquations
 
+#: Largest number of attempted steps, including rejected ones; a search with more steps fails.
+#:
+#: Cantilevers under a force that bends them strongly need about 300 steps, with coarse elements that are `corrected` up
+#: to 540.
 MOST_STEPS = 1000
-"""Largest number of attempted steps, including rejected ones; a search with more steps fails.
 
-Cantilevers under a force that bends them strongly need about 300 steps, with coarse elements that are `corrected` up to
-540.
-"""
+LONGEST = 0.5  #: Largest step of a coordinate, relative to the size of the mechanism or to 1 rad.
 
-LONGEST = 0.5
-"""Largest step of a coordinate, relative to the size of the mechanism or to 1 rad."""
-
+#: The search ends if the imbalance is below this fraction of the forces that balance each other.
+#:
+#: The imbalance is the norm of the accelerations from rest in the mass metric. The size of the forces is the attribute
+#: `force` of the search.
 BALANCED = 1e-13
-"""The search ends if the imbalance is below this fraction of the forces that balance each other.
 
-The imbalance is the norm of the accelerations from rest in the mass metric. The size of the forces is the attribute
-`force` of the search.
-"""
-
+#: The result of a search that no longer makes progress is accepted if the imbalance is below this fraction of the
+#: forces.
 STALLED = 1e-8
-"""The result of a search that no longer makes progress is accepted if the imbalance is below this fraction of the
-forces.
-"""
 
+#: If the imbalance is below this fraction of the forces, a step with the true stiffness is tried first.
 NEAR = 1e-2
-"""If the imbalance is below this fraction of the forces, a step with the true stiffness is tried first."""
 
-PATIENCE = 8
-"""A search counts as stagnant after this many consecutive steps that do not halve the imbalance."""
+PATIENCE = 8  #: A search counts as stagnant after this many consecutive steps that do not halve the imbalance.
 
+#: The result of a stagnant search is also accepted if the imbalance is at most this multiple of its estimated rounding
+#: error.
 MUCH = 1e3
-"""The result of a stagnant search is also accepted if the imbalance is at most this multiple of its estimated rounding
-error.
-"""
 
+#: Weight of a translation by the size of the mechanism, relative to the weight of a rotation by 1 rad, in the norm
+#: that corrections of open joints minimise.
 PLACES = 1e-6
-"""Weight of a translation by the size of the mechanism, relative to the weight of a rotation by 1 rad, in the norm
-that corrections of open joints minimise."""
 
-MOST_SADDLES = 10
-"""Largest number of saddle points from which a search continues."""
+MOST_SADDLES = 10  #: Largest number of saddle points from which a search continues.
 
+#: A stiffness counts as negative if it is below minus this fraction of the largest stiffness of a single coordinate.
+#:
+#: Smaller magnitudes are attributed to round-off.
 SADDLE = 1e-9
-"""A stiffness counts as negative if it is below minus this fraction of the largest stiffness of a single coordinate.
-
-Smaller magnitudes are attributed to round-off.
-"""
 
 
 @dataclass(frozen=True)

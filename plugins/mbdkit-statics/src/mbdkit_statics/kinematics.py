@@ -16,19 +16,17 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, reduce
 
+#: A step is halved if the new position deviates from the extrapolated one by more than this fraction of the
+#: displacement.
 ASIDE = 0.1
-"""A step is halved if the new position deviates from the extrapolated one by more than this fraction of the
-displacement.
-"""
 
+#: Deviations below this, relative to the size of the mechanism or to 1 rad, never cause a step to be halved.
 SMALL = 1e-6
-"""Deviations below this, relative to the size of the mechanism or to 1 rad, never cause a step to be halved."""
 
-FINEST = 2.0**-12
-"""Smallest step that is tried, relative to the interval between two recorded times."""
+FINEST = 2.0**-12  #: Smallest step that is tried, relative to the interval between two recorded times.
 
+#: A coordinate counts as driven if its component in the mass-orthonormal basis of the free motions is below this.
 STILL = 1e-6
-"""A coordinate counts as driven if its component in the mass-orthonormal basis of the free motions is below this."""
 
 COLUMNS = ("x", "y", "angle", "vx", "vy", "rate", "ax", "ay", "angular_acceleration")
 

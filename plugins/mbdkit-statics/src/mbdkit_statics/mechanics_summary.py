@@ -13,11 +13,10 @@ from mbdkit_statics.equilibrium import Equilibrium
 from mbdkit_statics.kinematics import Kinematics
 from mbdkit_statics.modes import Modes
 
-SHOWN = 20
-"""Largest number of rows in a printed table."""
+SHOWN = 20  #: Largest number of rows in a printed table.
 
+#: A state counts as at rest if no velocity or acceleration exceeds this [m/s, rad/s, m/s^2, rad/s^2].
 AT_REST = 1e-9
-"""A state counts as at rest if no velocity or acceleration exceeds this [m/s, rad/s, m/s^2, rad/s^2]."""
 
 STABILITY = {
     "stable": "stable",

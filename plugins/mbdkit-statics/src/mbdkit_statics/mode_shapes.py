@@ -9,14 +9,11 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report import Caption, draw_mechanism, draw_pose, dress, new_figure, view_box
 from mbdkit_statics.modes import Modes
 
-MOST = 6
-"""Largest number of modes in a picture."""
+MOST = 6  #: Largest number of modes in a picture.
 
-AMPLITUDE = 0.12
-"""Largest displacement of a point in a picture, as a share of the mechanism's size."""
+AMPLITUDE = 0.12  #: Largest displacement of a point in a picture, as a share of the mechanism's size.
 
-STEEPEST = 0.8
-"""Largest rotation of a body in a picture [rad]."""
+STEEPEST = 0.8  #: Largest rotation of a body in a picture [rad].
 
 
 def modes_figure(modes: Modes, mechanism: Mechanism, title: str) -> Figure:

@@ -31,13 +31,11 @@ from mbdkit_statics.states_at_rest import CoupledStates
 
 Where = Literal["equilibrium", "start"]
 
+#: If the ratio of the largest to the smallest eigenvalue exceeds this, the smaller ones are computed from the inverse
+#: matrix.
 SPREAD = 1e6
-"""If the ratio of the largest to the smallest eigenvalue exceeds this, the smaller ones are computed from the inverse
-matrix.
-"""
 
-FEW = 10
-"""Default number of modes for a mechanism that is too large for a dense eigenvalue problem."""
+FEW = 10  #: Default number of modes for a mechanism that is too large for a dense eigenvalue problem.
 
 
 @dataclass(frozen=True)

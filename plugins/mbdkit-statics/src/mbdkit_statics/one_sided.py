@@ -14,22 +14,20 @@ import numpy as np
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, State, reduce, symmetric_modes
 
+#: Distance from the equilibrium at which stiffnesses are evaluated, as a share of the mechanism's size, or in rad.
 BESIDE = 1e-6
-"""Distance from the equilibrium at which stiffnesses are evaluated, as a share of the mechanism's size, or in rad."""
 
+#: The stiffness has a corner if its change between two sides is not proportional to their distance: at a distance that
+#: is smaller by this factor, it is more than half as large.
 CLOSER = 8.0
-"""The stiffness has a corner if its change between two sides is not proportional to their distance: at a distance that
-is smaller by this factor, it is more than half as large."""
 
-CHANGE = 1e-7
-"""Changes of the stiffness up to this share of its largest entry are no corners."""
+CHANGE = 1e-7  #: Changes of the stiffness up to this share of its largest entry are no corners.
 
+#: Number of random directions, each of which is examined on both sides; 12 corners that are independent of each other
+#: divide the neighbourhood into more sides than that, so that not all may be found.
 DIRECTIONS = 24
-"""Number of random directions, each of which is examined on both sides; 12 corners that are independent of each other
-divide the neighbourhood into more sides than that, so that not all may be found."""
 
-FLAT = 1e-9
-"""Stiffnesses up to this share of the largest one of a side count as zero."""
+FLAT = 1e-9  #: Stiffnesses up to this share of the largest one of a side count as zero.
 
 
 @dataclass(frozen=True)

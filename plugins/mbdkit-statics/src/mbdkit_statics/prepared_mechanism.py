@@ -19,8 +19,8 @@ from mbdkit.runs.preparation import build
 from mbdkit.spec.loading import load_spec
 from mbdkit.spec.run_spec import RunSpec
 
+#: Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them.
 UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
-"""Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them."""
 
 
 @dataclass(frozen=True)

@@ -21,33 +21,29 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
 
-DENSE = 1500
-"""Largest number of coordinates for which the equations are reduced with a dense basis."""
+DENSE = 1500  #: Largest number of coordinates for which the equations are reduced with a dense basis.
 
+#: Tolerance of the search for a negative stiffness, relative to the inverse of the eigenvalue closest to zero.
 NEGATIVE = 1e-6
-"""Tolerance of the search for a negative stiffness, relative to the inverse of the eigenvalue closest to zero."""
 
+#: An eigenvalue of a dense matrix below this share of the largest one may have a relative rounding error above one per
+#: cent.
 BLURRED = 1e-10
-"""An eigenvalue of a dense matrix below this share of the largest one may have a relative rounding error above one per
-cent.
-"""
 
+#: Rounding error of a sum relative to the magnitudes of its terms, and of an eigenvalue per degree of freedom relative
+#: to the largest one.
 NOISE = 64 * float(np.finfo(float).eps)
-"""Rounding error of a sum relative to the magnitudes of its terms, and of an eigenvalue per degree of freedom relative
-to the largest one.
-"""
 
+#: Share of its diagonal that is added to a damping matrix, which may be singular, before it is factorized.
 SHIFT = 1e-12
-"""Share of its diagonal that is added to a damping matrix, which may be singular, before it is factorized."""
 
+#: Number of eigenvalues among which the lowest real part is chosen if the stiffness is not symmetric.
 NEAREST = 4
-"""Number of eigenvalues among which the lowest real part is chosen if the stiffness is not symmetric."""
 
+#: Two points are held at a constant distance if motions change it by less than this share of what they move.
 HELD = 1e-9
-"""Two points are held at a constant distance if motions change it by less than this share of what they move."""
 
-PILOTS = 3
-"""Number of inverse iterations by which `_pilot` estimates the lowest frequency."""
+PILOTS = 3  #: Number of inverse iterations by which `_pilot` estimates the lowest frequency.
 
 
 @dataclass(frozen=True)
@@ -402,8 +398,8 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
     return 1 / found - 0.01 * square
 
 
+#: Number of inverse iterations used to find the motion for which a matrix is almost singular.
 INVERSE_ITERATIONS = 3
-"""Number of inverse iterations used to find the motion for which a matrix is almost singular."""
 
 
 def negative_stiffnesses(prepared: PreparedMechanism, at: State) -> int:

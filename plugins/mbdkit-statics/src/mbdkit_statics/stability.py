@@ -28,31 +28,28 @@ from mbdkit_statics.reduced import (
     softest_scale,
 )
 
+#: A stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms.
 NEUTRAL = 1e-11
-"""A stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms."""
 
+#: Assumed backward error of the eigenvalues of a matrix, relative to its norm after balancing.
 ROUNDING = 32 * float(np.finfo(float).eps)
-"""Assumed backward error of the eigenvalues of a matrix, relative to its norm after balancing."""
 
+#: If the relative rounding error of an eigenvalue can exceed this, the lowest eigenvalues are computed by inverse
+#: iteration as well.
 BLURRED = 1e-5
-"""If the relative rounding error of an eigenvalue can exceed this, the lowest eigenvalues are computed by inverse
-iteration as well.
-"""
 
-EXAMINED = 8
-"""Number of eigenvalues that are computed by inverse iteration."""
+EXAMINED = 8  #: Number of eigenvalues that are computed by inverse iteration.
 
+#: An eigenvalue from inverse iteration counts as growing if its real part is above this share of its magnitude.
+#:
+#: Measured: 1e-8 of rounding errors for a column whose stiffnesses along and across it differ by a factor of 1e8.
 GROWS = 1e-6
-"""An eigenvalue from inverse iteration counts as growing if its real part is above this share of its magnitude.
 
-Measured: 1e-8 of rounding errors for a column whose stiffnesses along and across it differ by a factor of 1e8.
-"""
-
+#: Smallest number of degrees of freedom for inverse iteration, which finds only a part of the eigenvalues.
 LEAST = 10
-"""Smallest number of degrees of freedom for inverse iteration, which finds only a part of the eigenvalues."""
 
+#: An eigenvalue from inverse iteration counts as zero if its magnitude is below this share of the largest one.
 AT_ZERO = 1e-5
-"""An eigenvalue from inverse iteration counts as zero if its magnitude is below this share of the largest one."""
 
 
 @dataclass(frozen=True)

@@ -22,27 +22,24 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.tangents import Tangents
 from mbdkit.engine.workspace import Workspace
 
-MOST_ITERATIONS = 50
-"""Largest number of Newton steps for the states at rest."""
+MOST_ITERATIONS = 50  #: Largest number of Newton steps for the states at rest.
 
+#: Criteria of convergence of Newton's method for the states.
+#:
+#: The method has converged if the relative change of the states is at most `SMALL`. It has also converged if the change
+#: is at most `NEGLIGIBLE`, and at least `STALLED` times the previous change, so that it is round-off.
 SMALL, STALLED, NEGLIGIBLE = 1e-15, 0.5, 1e-9
-"""Criteria of convergence of Newton's method for the states.
 
-The method has converged if the relative change of the states is at most `SMALL`. It has also converged if the change is
-at most `NEGLIGIBLE`, and at least `STALLED` times the previous change, so that it is round-off.
-"""
-
+#: Changes of a state are relative to its magnitude, or to this share of the largest state if that is larger.
 LEAST = 1e-6
-"""Changes of a state are relative to its magnitude, or to this share of the largest state if that is larger."""
 
+#: Distance between the points of differences, as a share of 1 rad, of the size of the mechanism, or of the magnitude of
+#: a state (at least 1).
 DISTANCE = 2.0**-10
-"""Distance between the points of differences, as a share of 1 rad, of the size of the mechanism, or of the magnitude of
-a state (at least 1).
-"""
 
 PLACES = (-4, -3, -2, -1, 1, 2, 3, 4)
+#: Points and weights of differences of order 8.
 WEIGHTS = (1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280)
-"""Points and weights of differences of order 8."""
 
 
 class StatesAtRest:

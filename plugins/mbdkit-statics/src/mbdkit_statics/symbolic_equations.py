@@ -41,11 +41,10 @@ from mbdkit_statics.symbolic_system import SymbolicSystem
 
 TIME = sp.Symbol("t", real=True)
 
-Jet = tuple[sp.Expr, sp.Expr, sp.Expr]
-"""A motion and its first two time derivatives."""
+Jet = tuple[sp.Expr, sp.Expr, sp.Expr]  #: A motion and its first two time derivatives.
 
+#: Symbol name and LaTeX of common parameters of laws. For any other parameter, the symbol is named after the option.
 _LETTERS = {"stiffness": ("k", "k"), "damping": ("c", "c"), "free_length": ("l", r"\ell")}
-"""Symbol name and LaTeX of common parameters of laws. For any other parameter, the symbol is named after the option."""
 
 _KINKED = (sp.Abs, sp.Min, sp.Max)
 

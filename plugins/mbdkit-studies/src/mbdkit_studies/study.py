@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     import xarray
 
 
+#: Columns of texts in the index that the tables of a study have at another place, or not at all.
 _NOT_SHOWN = ("family", "data_sha256", "file_sha256")
-"""Columns of texts in the index that the tables of a study have at another place, or not at all."""
 
 
 class Study(StudyRuns, HtmlView):

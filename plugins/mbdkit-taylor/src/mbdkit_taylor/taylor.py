@@ -30,13 +30,11 @@ JORBA_ZOU = """@article{jorba2005,
   journal = {Experimental Mathematics}, volume = {14}, number = {1}, pages = {99--117}, year = {2005},
   doi = {10.1080/10586458.2005.10128904}}"""
 
-FIXED_ORDER = 8
-"""Order of fixed steps by default."""
+FIXED_ORDER = 8  #: Order of fixed steps by default.
+#: Order of adaptive steps at ``rtol = 1``, and its increase per -ln(rtol).
+#:
+#: For the double pendulum, this order is close to the fastest one.
 LEAST, PER_DIGIT = 4.0, 0.75
-"""Order of adaptive steps at ``rtol = 1``, and its increase per -ln(rtol).
-
-For the double pendulum, this order is close to the fastest one.
-"""
 
 
 @dataclass(frozen=True)

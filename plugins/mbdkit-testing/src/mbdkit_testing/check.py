@@ -19,15 +19,13 @@ from mbdkit.engine.counters import Counters
 from mbdkit_testing.check_result import Result, failed, skipped
 
 UnderTest = TypeVar("UnderTest")
+#: Number of evaluations of the equations, Jacobians and factorizations after which a check fails.
 WORK_LIMIT = 2_000_000
-"""Number of evaluations of the equations, Jacobians and factorizations after which a check fails."""
+#: Processor time [s] after which a check fails: a last resort against plugins that loop for ever without evaluations.
+#:
+#: It is generous, so that the outcome of a check does not depend on the load of the machine.
 PROCESSOR_LIMIT = 300.0
-"""Processor time [s] after which a check fails: a last resort against plugins that loop for ever without evaluations.
-
-It is generous, so that the outcome of a check does not depend on the load of the machine.
-"""
-STEP_LIMIT = 100_000
-"""Largest number of steps of a run in a check."""
+STEP_LIMIT = 100_000  #: Largest number of steps of a run in a check.
 
 
 class Skip(Exception):  # noqa: N818 - not an error

@@ -16,6 +16,7 @@ from mbdkit.registry.catalogue import Kind
 Outcome = Literal["pass", "fail", "warn", "not claimed", "skip"]
 Figure = float | int | str
 
+#: For each kind of plugin, the group of checks of which at least one must have run for the plugin to be verified.
 REQUIRED_GROUP: dict[Kind, str] = {
     "integrator": "geometry",
     "model": "energy",
@@ -25,7 +26,6 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "element-kind": "energy",
     "joint-kind": "energy",
 }
-"""For each kind of plugin, the group of checks of which at least one must have run for the plugin to be verified."""
 
 
 @dataclass(frozen=True)
@@ -224,8 +224,8 @@ class Report:
         }
 
 
+#: An exception of a plugin in a cause, with its type and the line of the plugin that raised it.
 _RAISED = re.compile(r"raised (\w+):.* \((.+, line \d+)\)")
-"""An exception of a plugin in a cause, with its type and the line of the plugin that raised it."""
 
 
 def _root(cause: str) -> str:

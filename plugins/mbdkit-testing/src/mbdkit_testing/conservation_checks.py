@@ -14,8 +14,7 @@ from mbdkit_testing.invariant_checks import CONSERVED, coarse_step
 from mbdkit_testing.trial_models import FLOATING, FLOATING_RODS, SWINGING, Model
 
 STEPS = 100
-LOOSE = 1e-3
-"""Tolerance of adaptive methods, with which nothing is conserved by accuracy."""
+LOOSE = 1e-3  #: Tolerance of adaptive methods, with which nothing is conserved by accuracy.
 
 
 def _conserved(

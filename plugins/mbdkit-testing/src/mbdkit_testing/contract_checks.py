@@ -21,15 +21,13 @@ from mbdkit_testing.options_under_test import options_result, validated, variant
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
 
 STEPS = 23
-START_TIMES = 0.0, 3.0, 1000.0, -8.0
-"""Start times for which runs should give the same results [s]."""
+START_TIMES = 0.0, 3.0, 1000.0, -8.0  #: Start times for which runs should give the same results [s].
+#: Largest change of the final state that counts as rounding if only the start time changes.
+#:
+#: The first is for fixed steps, the second for adaptive methods, whose step sizes depend on rounding.
 SAME, SAME_ADAPTIVE = 1e-9, 1e-4
-"""Largest change of the final state that counts as rounding if only the start time changes.
-
-The first is for fixed steps, the second for adaptive methods, whose step sizes depend on rounding.
-"""
+#: Largest error of a first-order state of an adaptive method with its default tolerances.
 STATE_ADAPTIVE = 1e-5
-"""Largest error of a first-order state of an adaptive method with its default tolerances."""
 
 
 @check("contract.options")

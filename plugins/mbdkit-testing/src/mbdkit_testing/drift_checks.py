@@ -17,26 +17,23 @@ from mbdkit_testing.invariant_checks import coarse_step
 from mbdkit_testing.order_checks import BELOW, BELOW_HIGH, HIGH
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, SWINGING, Model
 
+#: Misalignment [m, m/s] below which the constraints count as satisfied; rounding and iterations may leave this much.
 EXACT = 1e-11
-"""Misalignment [m, m/s] below which the constraints count as satisfied; rounding and iterations may leave this much."""
+#: Levels, ``position`` and ``velocity``, at which each formulation satisfies the constraints to round-off.
+#:
+#: This is true for the models of these checks, which have no closed loops.
 HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
     name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
 }
-"""Levels, ``position`` and ``velocity``, at which each formulation satisfies the constraints to round-off.
-
-This is true for the models of these checks, which have no closed loops.
-"""
 ROUNDING = 1e-15
+#: Misalignments [m, m/s] above this limit, a tenth of the mechanism's size, do not follow a power of the step size.
 COARSE = 0.1
-"""Misalignments [m, m/s] above this limit, a tenth of the mechanism's size, do not follow a power of the step size."""
+#: Largest number of refinements of the step, and largest ratio of the coarsest to the finest step.
 REFINEMENTS, FINEST = 24, 120
-"""Largest number of refinements of the step, and largest ratio of the coarsest to the finest step."""
+#: Baumgarte's coefficient [1/s], displacement of a body from its joint [m], and the largest share of it after 1 s. The
+#: share is 5e-4, apart from the drift of the method.
 ALPHA, OPEN, LEFT = 10.0, 0.05, 0.2
-"""Baumgarte's coefficient [1/s], displacement of a body from its joint [m], and the largest share of it after 1 s. The
-share is 5e-4, apart from the drift of the method.
-"""
-FEWEST = 5
-"""Number of step sizes over which the order must be observed."""
+FEWEST = 5  #: Number of step sizes over which the order must be observed.
 
 
 def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:

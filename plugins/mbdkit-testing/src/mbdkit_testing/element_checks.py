@@ -31,8 +31,8 @@ from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.example_checks import SAME, TINY, balance, checkpoint, tangents, without_plugin
 from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed
 
+#: Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`.
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
-"""Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`."""
 
 
 class ElementUnderTest(ExampleUnderTest):

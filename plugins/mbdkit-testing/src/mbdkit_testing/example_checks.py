@@ -17,8 +17,8 @@ from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed
 
+#: Relative steps of differences, largest relative error of derivatives and of equal values, and smallest divisor.
 STEPS, DERIVATIVE, SAME, TINY = (1e-4, 1e-5, 1e-6, 1e-7), 1e-5, 1e-9, 1e-300
-"""Relative steps of differences, largest relative error of derivatives and of equal values, and smallest divisor."""
 
 
 @check("energy.balance")

@@ -21,8 +21,8 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import Skip
 from mbdkit_testing.item_checks import ItemUnderTest
 
+#: Method for examples with adaptive steps, where it matters.
 ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
-"""Method for examples with adaptive steps, where it matters."""
 
 
 class ExampleUnderTest(ItemUnderTest):

@@ -18,8 +18,7 @@ from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
-NOT_OF_METHODS = ("event", "plugin-error")
-"""Codes with which a method does not end a run by itself."""
+NOT_OF_METHODS = ("event", "plugin-error")  #: Codes with which a method does not end a run by itself.
 
 
 def _fault(run: Run) -> str:

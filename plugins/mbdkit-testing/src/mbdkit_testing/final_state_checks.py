@@ -11,31 +11,26 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.order_checks import ENDS, HIGH, NEAR_ROUNDING, PROBLEMS, error_at_tolerance, reference
 from mbdkit_testing.trial_models import COASTING_BODY, FORCED_PENDULUM, RESTING
 
+#: Largest error of free fall [m, rad, m/s] with fixed and with adaptive steps, and number of steps before the last.
+#:
+#: The first error counts as rounding; the second is larger, because adaptive methods may begin with order 1.
 FALL, FALL_ADAPTIVE, FALL_STEPS = 1e-10, 1e-3, 100
-"""Largest error of free fall [m, rad, m/s] with fixed and with adaptive steps, and number of steps before the last.
-
-The first error counts as rounding; the second is larger, because adaptive methods may begin with order 1.
-"""
-LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)
-"""Sizes of a shorter last step, relative to the other steps."""
+LAST_STEPS = (0.97, 0.6, 0.3, 0.04, 1e-3, 1e-6)  #: Sizes of a shorter last step, relative to the other steps.
+#: Number of steps before the shorter last one, and largest factor by which the last step may increase the error.
 LAST_COUNT, LAST_TIMES = 24, 10.0
-"""Number of steps before the shorter last one, and largest factor by which the last step may increase the error."""
+#: Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance.
 RESTING_TOLERANCES, RESTING_TIMES = (1e-4, 1e-7), 1e3
-"""Tolerances of adaptive methods in runs from rest, and largest error as a multiple of the tolerance."""
+#: Errors above this limit [m, rad, m/s, rad/s] show no order. They would hide an error that does not decrease, such as
+#: 0.4 without friction in the joint.
 LARGE = 0.3
-"""Errors above this limit [m, rad, m/s, rad/s] show no order. They would hide an error that does not decrease, such as
-0.4 without friction in the joint.
-"""
+#: Factors by which the number of steps is multiplied; those after the first three are used only until the order is
+#: visible, and the last three only for orders below 2.
 FINER = (1, 2, 4, 8, 16, 32, 64, 128)
-"""Factors by which the number of steps is multiplied; those after the first three are used only until the order is
-visible, and the last three only for orders below 2.
-"""
+#: For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
+#:
+#: Methods of high order begin with half this number of steps. Only some of the starts are tried, because methods with
+#: fixed steps have no error estimate that could vanish by accident.
 FIRST_RESTING, STARTS_OF_FIXED = 24, 3
-"""For methods with fixed steps: smallest number of steps, and number of starts at rest that are tried.
-
-Methods of high order begin with half this number of steps. Only some of the starts are tried, because methods with
-fixed steps have no error estimate that could vanish by accident.
-"""
 
 
 @check("state.free-fall")

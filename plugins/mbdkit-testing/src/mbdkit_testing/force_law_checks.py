@@ -26,33 +26,28 @@ from mbdkit_testing.check_result import Result, at_most, failed, passed, warned
 from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
+#: Largest length or angle, rate and time at which a law without bounds is tested [m or rad, per s, s].
 FAR = 10.0
-"""Largest length or angle, rate and time at which a law without bounds is tested [m or rad, per s, s]."""
-GRID = 25, 9, 4
-"""Numbers of lengths, rates and times of the grid of samples."""
+GRID = 25, 9, 4  #: Numbers of lengths, rates and times of the grid of samples.
+#: Number of further random samples; half of them are close to the ends of the range, zero, or the law's parameters.
 RANDOM = 8000
-"""Number of further random samples; half of them are close to the ends of the range, zero, or the law's parameters."""
-RANDOM_OF_VARIANTS = 2000
-"""Number of random samples for each other value of an option."""
+RANDOM_OF_VARIANTS = 2000  #: Number of random samples for each other value of an option.
+#: Samples close to an end of the range, zero, or a parameter are at distances from it between 1 and ``10**-DECADES``
+#: times the range.
 DECADES = 7.0
-"""Samples close to an end of the range, zero, or a parameter are at distances from it between 1 and ``10**-DECADES``
-times the range.
-"""
+#: Number of intervals of the length over which the change of the potential is compared with the force.
 FINE = 4000
-"""Number of intervals of the length over which the change of the potential is compared with the force."""
+#: Number of samples from which a random search for a gain of energy starts, and number of rounds of the search.
 CLIMBERS, ROUNDS = 16, 40
-"""Number of samples from which a random search for a gain of energy starts, and number of rounds of the search."""
-AGREE = 1e-5
-"""Largest relative difference between a derivative and finite differences."""
+AGREE = 1e-5  #: Largest relative difference between a derivative and finite differences.
+#: Smallest size of derivatives in comparisons, relative to the largest value divided by the range.
+#:
+#: Rounding may dominate smaller derivatives.
 SMALL = 2e-4
-"""Smallest size of derivatives in comparisons, relative to the largest value divided by the range.
-
-Rounding may dominate smaller derivatives.
-"""
+#: Steps of the finite differences, as shares of the range of the argument.
 STEPS = 1e-6, 1e-7, 1e-8, 1e-9, 1e-10
-"""Steps of the finite differences, as shares of the range of the argument."""
+#: Relative change of a force or state, or share of a force that adds energy, that counts as rounding.
 ROUNDING = 1e-9
-"""Relative change of a force or state, or share of a force that adds energy, that counts as rounding."""
 ARGUMENTS = ("length", "rate", "time")
 
 
@@ -376,8 +371,7 @@ def states(law: ForceLawUnderTest) -> Result:
     return failed(f"its state '{name}' in a run does not converge with the step", coarse=coarse, fine=fine)
 
 
-STATE_STEPS = 0.01, 0.005, 0.0025
-"""Steps of the runs whose final states are compared [s]."""
+STATE_STEPS = 0.01, 0.005, 0.0025  #: Steps of the runs whose final states are compared [s].
 
 
 def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:

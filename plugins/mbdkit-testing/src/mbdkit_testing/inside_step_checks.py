@@ -34,24 +34,17 @@ from mbdkit_testing.single_steps import (
 )
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAGGING_PENDULUM
 
-INTERVAL = 0.03
-"""Interval of rows [s]."""
-HIGH = 5
-"""For dense output of orders above this, few steps are neither too coarse nor dominated by round-off."""
+INTERVAL = 0.03  #: Interval of rows [s].
+HIGH = 5  #: For dense output of orders above this, few steps are neither too coarse nor dominated by round-off.
+#: Gap between dense output and the ends of a step that counts as rounding, and the share of the gap in the largest step
+#: that may remain in the smallest one.
 JOINED, VANISHES = 1e-10, 0.1
-"""Gap between dense output and the ends of a step that counts as rounding, and the share of the gap in the largest step
-that may remain in the smallest one.
-"""
-TOO_SMALL = 2.0
-"""Largest ratio of an error to its estimate, at the middle of the steps that show the order."""
+TOO_SMALL = 2.0  #: Largest ratio of an error to its estimate, at the middle of the steps that show the order.
+#: Number of steps of a library that are checked, and the largest error inside them, as a multiple of the tolerance and
+#: of the largest error at their ends.
 LIBRARY_STEPS, LIBRARY_TIMES, LIBRARY_SHARE = 20, 300.0, 30.0
-"""Number of steps of a library that are checked, and the largest error inside them, as a multiple of the tolerance and
-of the largest error at their ends.
-"""
-FEWEST = 5
-"""Fewest sizes of steps with history that show an order; otherwise the first step is taken."""
-LEAST = 2.0
-"""Order that is required of quadrature nodes and of work, unless the method has a lower one."""
+FEWEST = 5  #: Fewest sizes of steps with history that show an order; otherwise the first step is taken.
+LEAST = 2.0  #: Order that is required of quadrature nodes and of work, unless the method has a lower one.
 
 
 @check("order.dense-output")
@@ -104,8 +97,8 @@ def _insides(steps: tuple[SingleStep, ...]) -> _Inside:
     return [(step.size, step.inside, step.exact) for step in steps]
 
 
+#: Size of each step [s], and the states found and those expected in `SHARES`.
 _Inside = list[tuple[float, tuple[Moment, ...], tuple[Moment, ...]]]
-"""Size of each step [s], and the states found and those expected in `SHARES`."""
 
 
 def _by_framework(integrator: IntegratorUnderTest) -> _Inside:

@@ -14,14 +14,11 @@ from mbdkit_testing.check_result import Figure, Result, at_most, failed, passed,
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.trial_models import FREE_FOUR_BAR, HARMONIC, ORBIT, SWINGING, Model
 
-REVERSED = 1e-9
-"""Distance from the start, after integrating forward and backward, that counts as rounding."""
-CONSERVED = 1e-10
-"""Relative change of a quadratic invariant that counts as rounding."""
-SYMPLECTIC = 1e-7
-"""Defect of the symplectic form that counts as an error of the finite differences."""
+REVERSED = 1e-9  #: Distance from the start, after integrating forward and backward, that counts as rounding.
+CONSERVED = 1e-10  #: Relative change of a quadratic invariant that counts as rounding.
+SYMPLECTIC = 1e-7  #: Defect of the symplectic form that counts as an error of the finite differences.
+#: Step sizes [s] by order at which errors are well above rounding.
 STEPS_OF_ORDER = {1: 0.01, 2: 0.02, 3: 0.04, 4: 0.05, 5: 0.08, 6: 0.1, 7: 0.14, 8: 0.2}
-"""Step sizes [s] by order at which errors are well above rounding."""
 
 
 def coarse_step(integrator: IntegratorUnderTest) -> float:

@@ -23,8 +23,7 @@ from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
 from mbdkit.registry.target import Target
 
-PAGES = 3
-"""Largest number of pages of the guide that are named for an item."""
+PAGES = 3  #: Largest number of pages of the guide that are named for an item.
 
 
 def whereabouts(name: str, installed: Registry | None = None) -> dict[str, object]:

@@ -26,16 +26,15 @@ from mbdkit_testing.example_checks import balance, checkpoint, tangents, without
 from mbdkit_testing.example_under_test import completed
 from mbdkit_testing.joint_under_test import SMOOTH, JointUnderTest, Pair, recorded, slope
 
+#: Largest errors of derivatives and of equal values, in parts of the size of the joint.
 DERIVATIVE, SAME = 1e-8, 1e-9
-"""Largest errors of derivatives and of equal values, in parts of the size of the joint."""
-MOVED = 0.01
-"""Largest displacement by which assembly may close a joint of the example, as a part of its size."""
+MOVED = 0.01  #: Largest displacement by which assembly may close a joint of the example, as a part of its size.
+#: Displacements from the start at which all rows are finite, as a part of the size of the joint, and their number.
 NEXT_TO_START, TRIES = 1e-3, 200
-"""Displacements from the start at which all rows are finite, as a part of the size of the joint, and their number."""
-WORTH = 20.0
-"""Factor by which the change of a row may differ from the displacement that causes it."""
+WORTH = 20.0  #: Factor by which the change of a row may differ from the displacement that causes it.
+#: Largest difference of motions by several methods, in parts of the motion, and number of the steps of these runs.
 MOTION, SHORT = 1e-7, 12
-"""Largest difference of motions by several methods, in parts of the motion, and number of the steps of these runs."""
+#: Methods and formulations that are compared with Gauss collocation of order 8 on index 1.
 METHODS: tuple[dict[str, Any], ...] = (
     {"integrator": {"name": "dop853", "adaptive": True, "rtol": 1e-11}, "formulation": "index-1"},
     {"integrator": {"name": "radau-iia", "stages": 5}, "formulation": "index-2"},
@@ -43,7 +42,6 @@ METHODS: tuple[dict[str, Any], ...] = (
     {"integrator": {"name": "radau-iia", "stages": 5}, "formulation": "ggl"},
     {"integrator": {"name": "gauss", "stages": 4}, "formulation": "joint-coordinates"},
 )
-"""Methods and formulations that are compared with Gauss collocation of order 8 on index 1."""
 
 
 @check("joint.class")

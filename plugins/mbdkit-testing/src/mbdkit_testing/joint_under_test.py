@@ -23,13 +23,12 @@ from mbdkit.registry.element_items import JointKind
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.example_under_test import ExampleUnderTest
 
+#: Displacements of the states at which rows are compared, relative to the size of the joint, and in rad.
 NEAR = 0.01
-"""Displacements of the states at which rows are compared, relative to the size of the joint, and in rad."""
-STEPS = 2e-3, 2e-4, 2e-5, 2e-6
-"""Steps of differences, in the same parts."""
+STEPS = 2e-3, 2e-4, 2e-5, 2e-6  #: Steps of differences, in the same parts.
+#: Angle of a step of a walk [rad], turns of a walk, largest row after a step relative to the size of the joint, and how
+#: often a step is halved until the row is smaller.
 STRIDE, TURNS, SMOOTH, HALVINGS = np.pi / 24, 1.25, 0.25, 6
-"""Angle of a step of a walk [rad], turns of a walk, largest row after a step relative to the size of the joint, and how
-often a step is halved until the row is smaller."""
 
 
 class JointUnderTest(ExampleUnderTest):

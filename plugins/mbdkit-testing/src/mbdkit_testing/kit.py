@@ -56,6 +56,7 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *failure_checks.CHECKS,
     *restart_checks.CHECKS,
 )
+#: Checks of the kinds that have some of their own.
 CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "integrator": INTEGRATOR_CHECKS,
     "model": model_checks.CHECKS,
@@ -65,7 +66,6 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "element-kind": (*item_checks.CHECKS, *element_checks.CHECKS),
     "joint-kind": (*item_checks.CHECKS, *joint_checks.CHECKS),
 }
-"""Checks of the kinds that have some of their own."""
 Watch = Callable[[int, int, str], None]
 
 

@@ -18,8 +18,8 @@ from mbdkit_testing.check_result import Result, failed, passed, warned
 from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated
 
+#: Packaged examples; a measure is applied to a short run of each of them.
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
-"""Packaged examples; a measure is applied to a short run of each of them."""
 
 
 class MeasureUnderTest(ItemUnderTest):

@@ -22,10 +22,8 @@ from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 END = 1.0
-START = 1e-10
-"""Largest residual of an initial state [m, rad, m/s, rad/s]."""
-DERIVATIVE = 1e-6
-"""Largest relative difference between a derivative and finite differences."""
+START = 1e-10  #: Largest residual of an initial state [m, rad, m/s, rad/s].
+DERIVATIVE = 1e-6  #: Largest relative difference between a derivative and finite differences.
 
 
 class ModelUnderTest(ItemUnderTest):

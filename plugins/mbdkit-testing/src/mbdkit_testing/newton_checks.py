@@ -11,8 +11,7 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
 from mbdkit_testing.order_checks import NEAR_ROUNDING
 from mbdkit_testing.trial_models import FORCED_PENDULUM
 
-SAME = 0.01
-"""Largest change of the result by further iterations, as a share of the error of the result."""
+SAME = 0.01  #: Largest change of the result by further iterations, as a share of the error of the result.
 
 
 @check("newton.tolerance")

@@ -18,12 +18,12 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest, final_stat
 from mbdkit_testing.options_under_test import variants
 from mbdkit_testing.trial_models import FORCED_PENDULUM
 
+#: Number of random sets of options at which an option that had no effect before is varied again, and number of changes
+#: per option from one set to the next.
+#:
+#: An option may act only in a branch that other options select, as an exponent of a damping does unless the damping is
+#: 0.
 DRAWS, STRIDE = 16, 2
-"""Number of random sets of options at which an option that had no effect before is varied again, and number of changes
-per option from one set to the next.
-
-An option may act only in a branch that other options select, as an exponent of a damping does unless the damping is 0.
-"""
 
 
 @check("law.option-effects")

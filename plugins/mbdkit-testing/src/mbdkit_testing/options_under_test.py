@@ -16,8 +16,7 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
 from mbdkit_testing.check_result import Result, failed, passed, warned
 
-MOST_CHOICES = 4
-"""Largest number of choices of an option that are tried."""
+MOST_CHOICES = 4  #: Largest number of choices of an option that are tried.
 
 Options = TypeVar("Options", bound=BaseModel)
 

@@ -47,41 +47,33 @@ PROBLEMS: dict[str, Model] = {
     "joint-friction": SLIPPING,
     **{f"resting: {name}": model for name, model in RESTING.items()},
 }
-USUAL = tuple(PROBLEMS)[:4]
-"""Names of the nonlinear problems, each of which has a check of its own."""
+USUAL = tuple(PROBLEMS)[:4]  #: Names of the nonlinear problems, each of which has a check of its own.
+#: Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding.
 ENDS = dict.fromkeys(PROBLEMS, 1.0) | {"driven-pendulum": 3.0}
-"""Duration of each problem [s]; long enough that errors follow a power of the step before they reach rounding."""
+#: An observed order below the claimed one by more than `BELOW` fails; above it by more than `ABOVE` is a warning.
 BELOW, ABOVE = 0.2, 0.5
-"""An observed order below the claimed one by more than `BELOW` fails; above it by more than `ABOVE` is a warning."""
 MOST_STEPS, MOST_PYTHON_STEPS = 8192, 1024
 FIRST_STEPS = 5
-HIGH = 8
-"""For orders above this, errors may reach rounding before they follow a power of the step."""
+HIGH = 8  #: For orders above this, errors may reach rounding before they follow a power of the step.
+#: Replaces `BELOW` for high orders, for which few step sizes are neither too coarse nor dominated by round-off.
+#:
+#: An observed order between the two limits is inconclusive.
 BELOW_HIGH = 0.5
-"""Replaces `BELOW` for high orders, for which few step sizes are neither too coarse nor dominated by round-off.
-
-An observed order between the two limits is inconclusive.
-"""
 TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10)
+#: Smallest factor by which the error of an adaptive method must decrease over four decades of the tolerance.
 OBEYS = 10.0
-"""Smallest factor by which the error of an adaptive method must decrease over four decades of the tolerance."""
+#: Tolerances at which steps are counted, and the least ratio of p + 1 at the two tight ones to that at the two loose
+#: ones, for a method of variable order p.
 COUNTED_TOLERANCES, RISES = (1e-2, 1e-4, 1e-7, 1e-9), 1.25
-"""Tolerances at which steps are counted, and the least ratio of p + 1 at the two tight ones to that at the two loose
-ones, for a method of variable order p.
-"""
+#: Least increase of the mean of the orders that steps report, from the loosest of these tolerances to the tightest.
 REPORTED = 0.5
-"""Least increase of the mean of the orders that steps report, from the loosest of these tolerances to the tightest."""
-STATES_FLOOR = 1e-14
-"""Errors of first-order states of this size count as rounding."""
+STATES_FLOOR = 1e-14  #: Errors of first-order states of this size count as rounding.
+#: Size of the first attempt of a step [s], and the largest number of attempts.
 LARGEST_TRIAL, MOST_TRIALS = 1.7, 200
-"""Size of the first attempt of a step [s], and the largest number of attempts."""
-NO_GROWTH = 1e-3
-"""Smallest growth of the logarithm of the number of steps, which keeps the order finite."""
+NO_GROWTH = 1e-3  #: Smallest growth of the logarithm of the number of steps, which keeps the order finite.
 POLYNOMIAL = 1e-13
-NEAR_ROUNDING = 1e-11
-"""Errors below this count as rounding, for which the order need not hold."""
-FINEST = 3
-"""Number of refinements over which the order at the finest steps is measured."""
+NEAR_ROUNDING = 1e-11  #: Errors below this count as rounding, for which the order need not hold.
+FINEST = 3  #: Number of refinements over which the order at the finest steps is measured.
 
 
 @cache

@@ -21,17 +21,15 @@ from mbdkit_testing.single_steps import equations_for, model_for, step_method, s
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, LAGGING_PENDULUM
 
 STEPS, END = 60, 0.6
-STORED_AFTER = (1, 7, 25)
-"""Numbers of steps after which the state is stored."""
+STORED_AFTER = (1, 7, 25)  #: Numbers of steps after which the state is stored.
+#: Columns of rows that have to be the same.
 COLUMNS = ("time", "q", "v", "z", "work", "dissipated", "multipliers")
-"""Columns of rows that have to be the same."""
+#: Number of steps before a discontinuity, and sizes of these steps [s], in two attempts.
 PAST, LARGE, SMALL = 6, 0.02, 0.0025
-"""Number of steps before a discontinuity, and sizes of these steps [s], in two attempts."""
+#: Difference that counts as rounding, and the factor by which a larger one must fall from `LARGE` to `SMALL`.
+#:
+#: It falls by 8 where the memory is wrong, and by 64 or more where it is not.
 SAME, FALLS = 1e-9, 16.0
-"""Difference that counts as rounding, and the factor by which a larger one must fall from `LARGE` to `SMALL`.
-
-It falls by 8 where the memory is wrong, and by 64 or more where it is not.
-"""
 
 
 @check("restart.stretches")

@@ -22,14 +22,15 @@ from mbdkit.spec.loading import load_spec
 
 EQUAL, OTHER_BITS = "equal", "other bits"
 _DIGEST = re.compile("[0-9a-f]{64}")
-STORED = Path(__file__).with_name("self_test.json")
-"""The stored hashes by name of the run."""
+STORED = Path(__file__).with_name("self_test.json")  #: The stored hashes by name of the run.
 
 
 def _steps(step: float, count: int = 40) -> dict[str, Any]:
     return {"step": step, "end": step * count}
 
 
+#: Example and changes of each run: explicit and implicit methods, control of the step, projection, loops, a moving
+#: driver, a beam, contacts and muscles.
 RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "pendulum": ("pendulum", {"integrator": {"name": "rk-gill"}, "time": _steps(0.01)}),
     "double-pendulum": (
@@ -45,9 +46,6 @@ RUNS: dict[str, tuple[str, dict[str, Any]]] = {
     "bouncing-ball": ("bouncing-ball", {}),
     "elbow-curl": ("elbow-curl", {"time": _steps(0.005)}),
 }
-"""Example and changes of each run: explicit and implicit methods, control of the step, projection, loops, a moving
-driver, a beam, contacts and muscles.
-"""
 
 
 def hashes() -> dict[str, str]:

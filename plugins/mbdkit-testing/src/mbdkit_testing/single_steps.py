@@ -21,23 +21,18 @@ from mbdkit_testing.check import Skip
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import FORCED_PENDULUM, LAGGING_PENDULUM, Model
 
-STEPS = tuple(0.4 / 1.4**k for k in range(14))
-"""Sizes of the single steps from the start [s]."""
-SHARES = (0.3, 0.5, 0.8, 1.0)
-"""Shares of a step at which reference states are known."""
-FLOOR = 1e-15
-"""Errors of this size count as rounding."""
+STEPS = tuple(0.4 / 1.4**k for k in range(14))  #: Sizes of the single steps from the start [s].
+SHARES = (0.3, 0.5, 0.8, 1.0)  #: Shares of a step at which reference states are known.
+FLOOR = 1e-15  #: Errors of this size count as rounding.
+#: Number of steps of one size before the one that shows what a method with memory does after its start.
+#:
+#: The errors of a start of low order have then left the memory, or have been damped.
 HISTORY = 12
-"""Number of steps of one size before the one that shows what a method with memory does after its start.
-
-The errors of a start of low order have then left the memory, or have been damped.
-"""
+#: Sizes of steps with history, as a share of `STEPS`, so that the motion before them is short and hardly depends on the
+#: size; and the error of their reference states.
 LATER_SHARE, LATER_FLOOR = 1 / 16, 1e-13
-"""Sizes of steps with history, as a share of `STEPS`, so that the motion before them is short and hardly depends on the
-size; and the error of their reference states.
-"""
+#: Tolerance of methods that choose their steps themselves, and reject the sizes above with their own.
 LOOSE = 0.1
-"""Tolerance of methods that choose their steps themselves, and reject the sizes above with their own."""
 REFERENCE = {"name": "mbdkit:gauss", "stages": 6}
 
 

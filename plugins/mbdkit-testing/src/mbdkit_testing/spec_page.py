@@ -52,8 +52,7 @@ and those of installed plugins, as a JSON schema for editors; `mbdkit plugins sh
 model, integrator, controller of steps or force law.
 """
 
-PARTS = ("model", "integrator", "stabilization")
-"""Keys of a run spec that are described in separate sections."""
+PARTS = ("model", "integrator", "stabilization")  #: Keys of a run spec that are described in separate sections.
 
 
 def page(installed: Registry) -> str:

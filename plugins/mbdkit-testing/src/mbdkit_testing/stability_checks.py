@@ -16,23 +16,21 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 from mbdkit_testing.trial_models import oscillators
 
 STEP = 0.01
+#: Damping ratios of the oscillators: from the imaginary axis, on which multistep methods of order 3 and more fail, to
+#: the real axis.
 DAMPING = (0.0, 0.02, 0.1, 0.3, 0.7, 1.5)
-"""Damping ratios of the oscillators: from the imaginary axis, on which multistep methods of order 3 and more fail, to
-the real axis.
-"""
+#: Moduli of the eigenvalues of the undamped oscillator times the step.
 PRODUCTS = tuple(10.0**power for power in np.linspace(-1.0, 3.0, 13))
-"""Moduli of the eigenvalues of the undamped oscillator times the step."""
+#: Number of steps, and largest ratio of the amplitudes of their last and second quarters that counts as stable.
 STEPS, GROWTH = 80, 1.0 + 1e-6
-"""Number of steps, and largest ratio of the amplitudes of their last and second quarters that counts as stable."""
+#: Frequencies [rad/s], tolerance and relative deflection of oscillators for adaptive methods, and the largest ratio of
+#: the numbers of steps that counts as stable: what is so small needs small steps only for stability, which are then in
+#: proportion to the period.
 FREQUENCIES, LOOSE, SMALL, MORE = (1e2, 1e4), 1e-3, 1e-4, 10.0
-"""Frequencies [rad/s], tolerance and relative deflection of oscillators for adaptive methods, and the largest ratio of
-the numbers of steps that counts as stable: what is so small needs small steps only for stability, which are then in
-proportion to the period.
-"""
+#: Number of steps of the test of L-stability, and its two products of eigenvalue and step.
 DAMPED_STEPS, STIFF, STIFFEST = 4, 1e3, 1e6
-"""Number of steps of the test of L-stability, and its two products of eigenvalue and step."""
+#: L-stable methods leave at `STIFFEST` at most this share of what they leave at `STIFF`, or a negligible amplitude.
 LEFT, NEGLIGIBLE = 0.1, 1e-12
-"""L-stable methods leave at `STIFFEST` at most this share of what they leave at `STIFF`, or a negligible amplitude."""
 
 
 def amplitudes(integrator: IntegratorUnderTest, product: float, damping: tuple[float, ...], steps: int) -> np.ndarray:

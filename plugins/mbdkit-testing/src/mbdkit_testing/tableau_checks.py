@@ -88,8 +88,7 @@ def stability(integrator: IntegratorUnderTest) -> Result:
     return passed(**figures)
 
 
-ROUNDING = 1e-9
-"""Excess of the stability function, and real part of eigenvalues, that counts as rounding."""
+ROUNDING = 1e-9  #: Excess of the stability function, and real part of eigenvalues, that counts as rounding.
 
 
 def stability_function(tableau: ButcherTableau, z: complex) -> complex:

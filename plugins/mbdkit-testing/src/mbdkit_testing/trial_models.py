@@ -68,10 +68,12 @@ def _two_rods(angles: tuple[float, float], first_rate: float = 0.0, forces: Mode
     return _model(bodies, forces or {}, joints=joints)
 
 
+#: Two rods with springs and dampers, a torque and a force that depend on time: nonlinear and not autonomous.
 FORCED_PENDULUM = _two_rods((-0.6, 0.1), forces=_forces())
-"""Two rods with springs and dampers, a torque and a force that depend on time: nonlinear and not autonomous."""
 
 
+#: The forced pendulum with first-order states that depend on its motion, and a torque that is one of them; there are
+#: several, because the error of a single one may change its sign.
 LAGGING_PENDULUM = {
     **FORCED_PENDULUM,
     "forces": _forces() | {"drive": _torque("rod1", "1.5*states.lag")},
@@ -81,9 +83,6 @@ LAGGING_PENDULUM = {
         "free": {"rate": "states.free*cos(5*t) + rod1.angular_velocity", "initial": 1.0},
     },
 }
-"""The forced pendulum with first-order states that depend on its motion, and a torque that is one of them; there are
-several, because the error of a single one may change its sign.
-"""
 
 
 def forced_pendulum(start: float) -> Model:
@@ -91,11 +90,12 @@ def forced_pendulum(start: float) -> Model:
     return {**FORCED_PENDULUM, "forces": _forces(start)}
 
 
+#: The forced pendulum with a driver on its first rod: constraints that depend on time.
 DRIVEN_PENDULUM = _two_rods((-1.2, 0.1), 1.5, _forces())
-"""The forced pendulum with a driver on its first rod: constraints that depend on time."""
 _MOTOR = {"type": "driver", "bodies": ["ground", "rod1"], "coordinate": "angle", "motion": "-1.2 + 0.6*sin(2.5*t)"}
 DRIVEN_PENDULUM["joints"]["motor"] = _MOTOR
 
+#: A closed loop under a torque that depends on time, with a spring between a body and a point that is not a joint.
 FOUR_BAR = _model(
     {
         "crank": _rod(0.4, 1.0, (0.0, 0.0), 1.2),
@@ -115,9 +115,9 @@ FOUR_BAR = _model(
     },
     assembly={"fix": ["crank"]},
 )
-"""A closed loop under a torque that depends on time, with a spring between a body and a point that is not a joint."""
 
 _CLAMP = [0.4 * math.cos(0.3), 0.4 * math.sin(0.3)]
+#: A soft beam of two elements, clamped to a crank under a time-dependent torque.
 BEAM = _model(
     {"crank": _rod(0.4, 1.0, (0.0, 0.0), 0.3)},
     {"motor": _torque("crank", "4 + 2*sin(5*t)")},
@@ -138,22 +138,22 @@ BEAM = _model(
         "clamp": {"type": "weld", "bodies": ["crank", "blade.0"], "at": _CLAMP},
     },
 )
-"""A soft beam of two elements, clamped to a crank under a time-dependent torque."""
 
+#: A conservative double pendulum with large swings, which are not chaotic within some seconds.
 SWINGING = _two_rods((-1.0, -1.9))
-"""A conservative double pendulum with large swings, which are not chaotic within some seconds."""
 
+#: The four-bar linkage without loads in weak gravity, a conservative closed loop.
 FREE_FOUR_BAR = {**FOUR_BAR, "forces": {}, "gravity": [0.0, -2.0]}
-"""The four-bar linkage without loads in weak gravity, a conservative closed loop."""
 
 _ORIGIN = [[0.0, 0.0], [0.0, 0.0]]
 _ORBITING = {"mass": {"mass": 1.0, "position": [1.0, 0.0], "velocity": [0.0, 0.7]}}
+#: A point mass on a spring that is fixed at the origin: no joints, nonlinear, conserves energy and angular momentum.
 ORBIT = _floating(_ORBITING, {"spring": _spring("ground", "mass", _ORIGIN, stiffness=2.0, free_length=0.3)})
-"""A point mass on a spring that is fixed at the origin: no joints, nonlinear, conserves energy and angular momentum."""
 
+#: A point mass on a spring without a free length: linear, so that its energy is a quadratic invariant.
 HARMONIC = _floating(_ORBITING, {"spring": _spring("ground", "mass", _ORIGIN, stiffness=2.0, free_length=0.0)})
-"""A point mass on a spring without a free length: linear, so that its energy is a quadratic invariant."""
 
+#: Two free bodies on the ends of a spring beside their centers: conserves energy and both momenta, without joints.
 FLOATING = _floating(
     {
         "one": {"mass": 1.0, "inertia": 0.2, "position": [-0.6, 0.1], "velocity": [0.3, -0.8], "angular_velocity": 1.5},
@@ -167,15 +167,14 @@ FLOATING = _floating(
     },
     {"spring": _spring("one", "two", [[0.2, 0.1], [-0.3, 0.2]], stiffness=5.0, free_length=0.6)},
 )
-"""Two free bodies on the ends of a spring beside their centers: conserves energy and both momenta, without joints."""
 
 SLIPPING = _two_rods((-0.6, 0.1), 4.0) | {"gravity": [0.0, -1.0]}
+#: Two rods with friction in the first joint, whose slip is always far above the transition speed, so that the motion is
+#: smooth. Friction depends on the reaction of the joint.
 SLIPPING["joints"]["J1"]["friction"] = {"coefficient": 0.3, "radius": 0.1}
-"""Two rods with friction in the first joint, whose slip is always far above the transition speed, so that the motion is
-smooth. Friction depends on the reaction of the joint.
-"""
 
 _ELBOW_VELOCITY = [-0.6 * math.sin(0.4) - 0.2 * math.sin(0.5), 0.6 * math.cos(0.4) - 0.2 * math.cos(0.5)]
+#: Two free rods with a joint and a torsion spring between them: conserves energy and both momenta.
 FLOATING_RODS = _floating(
     {
         "left": _rod(1.0, 1.0, (0.0, 0.0), 0.4, 0.6),
@@ -184,20 +183,19 @@ FLOATING_RODS = _floating(
     {"spring": {"type": "torsion-spring", "bodies": ["left", "right"], "stiffness": 0.2}},
     joints={"J": _pin("left", "right", 0.5, -0.4)},
 )
-"""Two free rods with a joint and a torsion spring between them: conserves energy and both momenta."""
 
 COASTING = {**SWINGING, "gravity": [0.0, 0.0]}
+#: Two moving rods without applied forces.
 COASTING["bodies"] = {
     "rod1": _rod(1.0, 1.0, (0.0, 0.0), -1.0, 1.0),
     "rod2": {**_rod(0.8, 0.7, (math.cos(1.0), -math.sin(1.0)), -1.9), "velocity": [math.sin(1.0), math.cos(1.0)]},
 }
-"""Two moving rods without applied forces."""
 
+#: A torque that is undefined after half a second.
 NO_NUMBER = {**SWINGING, "forces": {"torque": _torque("rod1", "sqrt(0.5 - t)")}}
-"""A torque that is undefined after half a second."""
 
+#: Two rods; a driver pulls their far end beyond their reach within a second.
 OUT_OF_REACH = _two_rods((-0.8, 0.8))
-"""Two rods; a driver pulls their far end beyond their reach within a second."""
 OUT_OF_REACH["joints"]["pull"] = {
     "type": "driver",
     "bodies": ["ground", "rod2"],
@@ -206,15 +204,18 @@ OUT_OF_REACH["joints"]["pull"] = {
     "motion": f"{math.cos(0.8) + 0.8 * math.cos(0.8):.15f} + t**2",
 }
 
+#: Two rods with a joint at a point far out of reach.
 CANNOT_MEET = SWINGING | {"joints": SWINGING["joints"] | {"far": _pin("ground", "rod2", 9.0, 0.4)}}
-"""Two rods with a joint at a point far out of reach."""
 
 
 _SPINNING = {"mass": 2.0, "inertia": 0.3, "position": [0.4, -0.2], "velocity": [30.0, -7.0], "angular_velocity": 9.0}
+#: A free body in free fall that rotates fast; its acceleration is constant.
 COASTING_BODY = _model({"mass": _SPINNING}, {}, gravity=[0.0, -9.81])
-"""A free body in free fall that rotates fast; its acceleration is constant."""
 
 _BESIDE = _spring("ground", "rod1", [[0.5, -0.5], [0.0, 0.0]], stiffness=40.0, free_length=0.5)
+#: Starts at rest at which derivatives of the motion vanish, by symmetry or in equilibrium.
+#:
+#: At such a start, an error estimate may vanish by accident.
 RESTING: dict[str, Model] = {
     "a horizontal rod": _model(
         {"rod1": _rod(1.0, 1.0, (0.0, 0.0), 0.0)}, {}, joints={"J1": _pin("ground", "rod1", 0.0, -0.5)}
@@ -226,10 +227,6 @@ RESTING: dict[str, Model] = {
     ),
     "a spring in equilibrium beside a rod that swings": _two_rods((-math.pi / 2, 0.3), forces={"spring": _BESIDE}),
 }
-"""Starts at rest at which derivatives of the motion vanish, by symmetry or in equilibrium.
-
-At such a start, an error estimate may vanish by accident.
-"""
 
 
 def pushed(power: int) -> Model:
@@ -254,10 +251,10 @@ def oscillators(frequency: float, damping: tuple[float, ...], deflection: float 
     )
 
 
+#: A mass under a force that is a first-order state.
 WITH_STATE = pushed(0) | {
     "forces": {"push": _push("mass", [0.0, 0.0], "states.lag", "0")},
     "states": {"lag": {"rate": "cos(3*t) - 2*states.lag", "initial": 0.5}},
 }
-"""A mass under a force that is a first-order state."""
+#: Closed form of this state after 1 s.
 LAG_AT_1 = (2.0 * math.cos(3.0) + 3.0 * math.sin(3.0)) / 13.0 + (0.5 - 2.0 / 13.0) * math.exp(-2.0)
-"""Closed form of this state after 1 s."""

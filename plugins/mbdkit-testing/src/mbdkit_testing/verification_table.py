@@ -14,8 +14,7 @@ from mbdkit_report import Trend
 from mbdkit_testing.check_result import Figure, Report
 from mbdkit_testing.kit import verify
 
-ROUNDING = 1e-12
-"""Change of energy [J] that counts as rounding."""
+ROUNDING = 1e-12  #: Change of energy [J] that counts as rounding.
 BEGIN, END = "<!-- table: begin -->", "<!-- table: end -->"
 VARIANTS: tuple[tuple[str, Mapping[str, object]], ...] = (
     ("rk4", {}),

@@ -21,11 +21,11 @@ from mbdkit.plugin import FunctionJoint, Point, Pose, PoseFunction, Positive, Sp
 from mbdkit.plugin.mechanisms import Profile
 from mbdkit_transmissions.profiles import OfAngle, OfX, check_closed
 
+#: Bisections of half a turn that lead to the point of contact, and iterations of Newton's method after them.
+#:
+#: For 100 drawn profiles with up to nine lobes, they find it at all of 2,000 poses if the radius of the roller is 99 %
+#: of the least radius of curvature of a hollow, and at 99.98 % of them if it is 99.9 %.
 BISECTIONS, ITERATIONS = 12, 4
-"""Bisections of half a turn that lead to the point of contact, and iterations of Newton's method after them.
-
-For 100 drawn profiles with up to nine lobes, they find it at all of 2,000 poses if the radius of the roller is 99 % of
-the least radius of curvature of a hollow, and at 99.98 % of them if it is 99.9 %."""
 
 Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]
 

@@ -18,8 +18,8 @@ from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Posi
 from mbdkit.plugin.mechanisms import pair
 
 TURN = 2 * math.pi
+#: Largest deviation of the distance of the centres at the start from that of the pitch circles, as a fraction of it.
 PITCH = 1e-3
-"""Largest deviation of the distance of the centres at the start from that of the pitch circles, as a fraction of it."""
 
 Radii = Annotated[tuple[Positive, Positive], BeforeValidator(pair("two radii, [of a, of b]"))]
 Teeth = Annotated[tuple[int, int], BeforeValidator(pair("two numbers of teeth, [of a, of b]"))]

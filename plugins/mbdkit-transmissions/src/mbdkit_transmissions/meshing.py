@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
 
-ROUNDING = 1e-9
-"""A pin may pass the end of a table by this share of the length of the table."""
+ROUNDING = 1e-9  #: A pin may pass the end of a table by this share of the length of the table.
 
 
 class Range(NamedTuple):

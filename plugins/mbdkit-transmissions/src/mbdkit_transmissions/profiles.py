@@ -16,8 +16,7 @@ else:
     OfAngle = Profile.key("angle")
     OfX = Profile.key("x")
 
-CLOSED = 1e-9
-"""Largest jump of a closed curve, relative to its size, where its angle passes 180 degrees."""
+CLOSED = 1e-9  #: Largest jump of a closed curve, relative to its size, where its angle passes 180 degrees.
 
 
 def check_closed(radius: Profile, key: str) -> np.ndarray:

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
 
+#: Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
+#: and radians.
 MOVE, STILL = 0.05, 1e-9
-"""Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
-and radians."""
+#: Relative difference up to which two ratios agree, and distance [m] up to which two points do.
 AGREEMENT = 1e-9
-"""Relative difference up to which two ratios agree, and distance [m] up to which two points do."""
 
+#: For each body, the bodies that it turns: the ratio of their angles, and the joint.
 Ratios = dict[str, dict[str, tuple[float, str]]]
-"""For each body, the bodies that it turns: the ratio of their angles, and the joint."""
 
 
 @element_check

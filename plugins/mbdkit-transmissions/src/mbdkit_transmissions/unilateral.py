@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
 
+#: Forces up to this share of the largest reaction at the bodies of a joint are rounding errors.
 ROUND_OFF = 1e-9
-"""Forces up to this share of the largest reaction at the bodies of a joint are rounding errors."""
 
 
 class _Touching(NamedTuple):

@@ -28,8 +28,8 @@ from mbdkit.plugin.mechanisms import Attachment, BodyPair
 if TYPE_CHECKING:
     from mbdkit.plugin import Body
 
+#: Components of displacements and forces, in the order of archives.
 DIRECTIONS = ("normal", "tangential", "rotation")
-"""Components of displacements and forces, in the order of archives."""
 
 
 class CuffStiffness(StrictModel):

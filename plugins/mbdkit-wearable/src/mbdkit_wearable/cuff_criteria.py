@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from mbdkit.plugin.equations import CompiledMechanism
     from mbdkit_wearable.acting_cuffs import ActingCuff
 
-SHOWN = 4
-"""Largest number of cuffs in a summary."""
+SHOWN = 4  #: Largest number of cuffs in a summary.
 
 
 class LoadedCuffs:

@@ -40,13 +40,11 @@ from mbdkit_wearable.cuff import Tissue
 if TYPE_CHECKING:
     from mbdkit.plugin import Element
 
+#: Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
 REACH = 1.5
-"""Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
-"""
 
 
-CLOSED = 1e-12
-"""Largest residual of the joints of a device at the start [m, rad, m/s, rad/s]."""
+CLOSED = 1e-12  #: Largest residual of the joints of a device at the start [m, rad, m/s, rad/s].
 
 
 class DeviceAttachment(StrictModel):

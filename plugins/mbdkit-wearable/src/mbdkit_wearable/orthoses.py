@@ -49,12 +49,11 @@ GROUP3 = """@misc{group3exoskeleton,
 }"""
 REFERENCES, FOUR_BAR, SELF_ALIGNING = (WINTER,), (WINTER, GROUP3), (WINTER, STIENEN)
 
-ARM, THIGH = 0.09, 0.245
-"""Distance of a cuff from the knee, and length of the thigh, relative to body height."""
+ARM, THIGH = 0.09, 0.245  #: Distance of a cuff from the knee, and length of the thigh, relative to body height.
 FOUR_BAR_HEIGHT = 1.78
+#: Pins of the four-bar linkage at this body height [m], in the straight leg: A and B of the lower link, C and D of the
+#: upper one, so that its links have the lengths and pitches of the model `four-bar-knee`, rounded to 0.1 mm.
 PINS = {"A": (-0.0210, -0.0016), "B": (0.0210, -0.0164), "C": (-0.0101, 0.0244), "D": (0.0261, 0.0056)}
-"""Pins of the four-bar linkage at this body height [m], in the straight leg: A and B of the lower link, C and D of the
-upper one, so that its links have the lengths and pitches of the model `four-bar-knee`, rounded to 0.1 mm."""
 
 
 class DeviceOptions(StrictModel):

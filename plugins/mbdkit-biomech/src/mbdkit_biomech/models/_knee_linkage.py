@@ -9,8 +9,8 @@ from mbdkit.mechanism.bodies import Body
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, LinkagePose
 from mbdkit_biomech.models._segments import RigidSegment
 
+#: Distance of the midpoint of the tibial link below the knee, as a share of body height.
 MOUNTING = 0.009 / 1.78
-"""Distance of the midpoint of the tibial link below the knee, as a share of body height."""
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 
-SUFFIX = "_left"
-"""Suffix of the names of the second leg."""
+SUFFIX = "_left"  #: Suffix of the names of the second leg.
 
 
 class LegPose(StrictModel):

@@ -41,14 +41,13 @@ GAIT2D = """@misc{gait2d,
   note         = {Commit 44bb269cc3be09d4c36936d47b15f83a130e1ab3; height 1.8 m, heel 0.06 m behind the ankle}
 }"""
 
+#: Distance of the heel behind the ankle, and height of the ankle, as shares of body height; used with all tables.
 HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039
-"""Distance of the heel behind the ankle, and height of the ankle, as shares of body height; used with all tables."""
+#: Height of the centre of mass of head, arms and trunk above the hips, and their radius of gyration.
+#:
+#: Both are shares of body height, and are used with all tables. They are computed from the segments of gait2d, which
+#: uses Winter's fractions for 75 kg and 1.8 m.
 TRUNK_CENTRE, TRUNK_GYRATION = 0.3155 / 1.8, math.sqrt(3.1777 / 50.85) / 1.8
-"""Height of the centre of mass of head, arms and trunk above the hips, and their radius of gyration.
-
-Both are shares of body height, and are used with all tables. They are computed from the segments of gait2d, which uses
-Winter's fractions for 75 kg and 1.8 m.
-"""
 
 
 @dataclass(frozen=True)
@@ -104,6 +103,8 @@ class SegmentTable:
     foot: Fractions
 
 
+#: Tables by name: Winter's, and de Leva's table 4 for women (1.735 m) and men (1.741 m), with the shank that ends at
+#: the lateral malleolus and the radii of gyration of the column "transverse".
 TABLES = {
     "winter": SegmentTable(
         Fractions(0.1, 0.245, 0.433, 0.323),
@@ -121,8 +122,6 @@ TABLES = {
         Fractions(0.0137, 0.2581 / 1.741, 0.4415, 0.245),
     ),
 }
-"""Tables by name: Winter's, and de Leva's table 4 for women (1.735 m) and men (1.741 m), with the shank that ends at
-the lateral malleolus and the radii of gyration of the column "transverse"."""
 
 
 @dataclass(frozen=True)

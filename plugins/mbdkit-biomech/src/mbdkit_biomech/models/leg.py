@@ -74,8 +74,7 @@ REFERENCES = (WINTER, DE_LEVA, FRACTIONS, GAIT2D)
 FOUR_BAR_REFERENCES = (EXOSKELETON, *REFERENCES)
 
 
-MUSCLE_SETS = ("walking-muscles", "walking-two-legs")
-"""Packaged examples whose muscles other legs may have."""
+MUSCLE_SETS = ("walking-muscles", "walking-two-legs")  #: Packaged examples whose muscles other legs may have.
 
 
 def _packaged(value: object) -> object:

@@ -49,16 +49,14 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.spec.run_spec import RunSpec
 
+#: Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there.
 SHORTEST = 0.2
-"""Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there."""
 
-SAMPLES = 1001
-"""Number of times at which excitations are compared with 0 and 1."""
+SAMPLES = 1001  #: Number of times at which excitations are compared with 0 and 1.
 
+#: Excitations outside the range 0 to 1 by more than this count as wrong; splines through 0 and 1 exceed the range a
+#: little.
 OVERSHOOT = 0.01
-"""Excitations outside the range 0 to 1 by more than this count as wrong; splines through 0 and 1 exceed the range a
-little.
-"""
 
 
 @dataclass(frozen=True)

@@ -10,30 +10,28 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+#: Largest number of iterations; bisection alone determines the parameter to the last bit in 55.
 ITERATIONS = 80
-"""Largest number of iterations; bisection alone determines the parameter to the last bit in 55."""
 
+#: Changes of the parameter, and differences of x, that count as rounding errors.
 ROUNDING = 4 * np.finfo(float).eps
-"""Changes of the parameter, and differences of x, that count as rounding errors."""
 
+#: Parameters of the table from which Newton's method starts; it then usually takes two or three iterations.
 GRID = np.linspace(0.0, 1.0, 129)
-"""Parameters of the table from which Newton's method starts; it then usually takes two or three iterations."""
 
 
+#: Number of Halley iterations after which the parameter of each of Millard's curves is accurate to 1e-12. The initial
+#: value is the parameter on a straight line between the ends of the segment.
+#:
+#: A step of Newton's method follows.
 HALLEY = 4
-"""Number of Halley iterations after which the parameter of each of Millard's curves is accurate to 1e-12. The initial
-value is the parameter on a straight line between the ends of the segment.
 
-A step of Newton's method follows.
-"""
+MORE_HALLEY = 6  #: Number of Halley iterations for weighted sums of the two coordinates of a curve.
 
-MORE_HALLEY = 6
-"""Number of Halley iterations for weighted sums of the two coordinates of a curve."""
-
+#: A number or an array, or a symbol of either that `mbdkit.plugin.TracedLaw` follows through a formula.
 Traced: TypeAlias = Any
-"""A number or an array, or a symbol of either that `mbdkit.plugin.TracedLaw` follows through a formula."""
+#: First distinct control point of a segment, and the differences between consecutive distinct control points.
 Points = Sequence[Traced]
-"""First distinct control point of a segment, and the differences between consecutive distinct control points."""
 
 
 class CurvePoint(NamedTuple):

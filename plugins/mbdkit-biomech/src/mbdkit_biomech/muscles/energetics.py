@@ -29,19 +29,16 @@ from mbdkit.base import elementary
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle import Muscle
 
-LEAST_HEAT = 1.0
-"""Smallest rate of heat, also at rest [W/kg]."""
+LEAST_HEAT = 1.0  #: Smallest rate of heat, also at rest [W/kg].
+#: Largest rate of heat of slow fibres due to shortening [W/kg], which is reached at their largest velocity.
 LARGEST_SLOW_HEAT = 100.0
-"""Largest rate of heat of slow fibres due to shortening [W/kg], which is reached at their largest velocity."""
-FAST_HEAT = 153.0
-"""Rate of heat of fast fibres due to shortening at their largest velocity [W/kg]."""
+FAST_HEAT = 153.0  #: Rate of heat of fast fibres due to shortening at their largest velocity [W/kg].
+#: Ratio of the largest velocities of fast and slow fibres.
+#:
+#: The largest velocity of a muscle is that of its fast fibres.
 FAST_OVER_SLOW = 2.5
-"""Ratio of the largest velocities of fast and slow fibres.
-
-The largest velocity of a muscle is that of its fast fibres.
-"""
+#: Ratio of the rate of heat during lengthening to the rate of heat of slow fibres that shorten at the same speed.
 LENGTHENING = 0.3
-"""Ratio of the rate of heat during lengthening to the rate of heat of slow fibres that shorten at the same speed."""
 
 
 def fiber_power(muscle: Muscle, tension: np.ndarray, length: np.ndarray, rate: np.ndarray) -> np.ndarray:

@@ -15,8 +15,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit_biomech.muscles.bezier_curve import BezierCurve, CurvePoint
 
-Curve = tuple[np.ndarray, np.ndarray]
-"""Values of a curve and its slopes, both of the shape of the argument."""
+Curve = tuple[np.ndarray, np.ndarray]  #: Values of a curve and its slopes, both of the shape of the argument.
 
 
 class ForceCurves(Protocol):
@@ -67,8 +66,8 @@ class DeGrooteFregly:
         grown = elementary.exp(shape * (length - 1.0) / strain) / (elementary.exp(shape) - start)
         return grown - start / (elementary.exp(shape) - start), grown * shape / strain
 
+    #: Constants d1 to d4 of the force-velocity curve.
     VELOCITY: ClassVar[tuple[float, float, float, float]] = -0.3211346127989808, -8.149, -0.374, 0.8825327733249912
-    """Constants d1 to d4 of the force-velocity curve."""
 
     def velocity(self, velocity: np.ndarray) -> Curve:
         """Return the factor of the active force that depends on velocity, -0.0015 at -1 and 1.004 at 0."""
@@ -90,12 +89,12 @@ class DeGrooteFregly:
         return 1.0 + elementary.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
 
 
+#: Height, center, width, and growth of the width of each Gaussian.
 _GAUSSIANS = (
     (0.8150671134243542, 1.055033428970575, 0.162384573599574, 0.063303448465465),
     (0.433004984392647, 0.716775413397760, -0.029947116970696, 0.200356847296188),
     (0.1, 1.0, 0.353553390593274, 0.0),
 )
-"""Height, center, width, and growth of the width of each Gaussian."""
 
 
 class Millard:
@@ -197,5 +196,5 @@ def _tendon() -> BezierCurve:
     )
 
 
+#: Curves by their name in specs.
 CURVES: Mapping[str, ForceCurves] = {"de-groote-fregly": DeGrooteFregly(), "millard": Millard()}
-"""Curves by their name in specs."""

@@ -40,17 +40,15 @@ from mbdkit_biomech.muscles.bezier_curve import Traced
 from mbdkit_biomech.muscles.force_curves import CURVES, DeGrooteFregly, ForceCurves, Millard
 from mbdkit_biomech.muscles.muscle import Activation, Muscle
 
+#: Steepness of the transition between rising and falling activation.
+#:
+#: With 0.1, which is also in use, the two time constants would hardly differ; 10 is the default of SymPy
+#: (`sympy.physics.biomechanics`).
 STEEPNESS = 10.0
-"""Steepness of the transition between rising and falling activation.
 
-With 0.1, which is also in use, the two time constants would hardly differ; 10 is the default of SymPy
-(`sympy.physics.biomechanics`).
-"""
-
+#: Number of Halley iterations in `solved`: four are exact to rounding errors, and one more makes the derivatives
+#: exact.
 ITERATIONS = 5
-"""Number of Halley iterations in `solved`: four are exact to rounding errors, and one more makes the derivatives
-exact.
-"""
 
 LAW_ID = "mbdkit:muscle"
 
@@ -155,8 +153,7 @@ def solved(p: Traced, q: Traced, r: Traced) -> Traced:
     return y
 
 
-TINY = 1e-100
-"""Added to divisors that may be 0; it does not change other divisors."""
+TINY = 1e-100  #: Added to divisors that may be 0; it does not change other divisors.
 
 
 class TableForm(NamedTuple):
@@ -170,17 +167,15 @@ class TableForm(NamedTuple):
     is_periodic: bool
 
 
+#: Form of an excitation that is a function of time; empty for other excitations.
+#:
+#: The form does not contain the numbers in the excitation, which are parameters of the law.
 Form = Program | TableForm
-"""Form of an excitation that is a function of time; empty for other excitations.
 
-The form does not contain the numbers in the excitation, which are parameters of the law.
-"""
-
+#: Largest number of numbers in an excitation, by the curves of the muscle.
+#:
+#: It is limited because programs of laws have `mbdkit.engine.kernels.law_programs.REGISTERS` registers.
 MOST_NUMBERS: Mapping[str, int] = {"de-groote-fregly": 440, "millard": 360}
-"""Largest number of numbers in an excitation, by the curves of the muscle.
-
-It is limited because programs of laws have `mbdkit.engine.kernels.law_programs.REGISTERS` registers.
-"""
 
 
 def excitation_of(form: Form, time: Traced, numbers: Sequence[Traced]) -> Traced:

@@ -27,12 +27,12 @@ from mbdkit.mechanism.values import Motion, NotNegative, Number, Point, Positive
 from mbdkit.registry.target import Target
 from mbdkit_biomech.muscles.patella import Patella
 
+#: Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
+#: enumerated.
 MOST_CIRCLES = 4
-"""Largest number of circles between two points of a path. It is limited because all patterns of touched circles are
-enumerated."""
 
+#: Pennation angles from this value on are refused, because the force along the tendon would almost vanish.
 TOO_STEEP = math.radians(80)
-"""Pennation angles from this value on are refused, because the force along the tendon would almost vanish."""
 
 
 def _point(value: object) -> object:

@@ -12,8 +12,7 @@ from mbdkit.mechanism.mechanism_seams import element_lines
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.muscles.muscle import Muscle
 
-Place = tuple[str, tuple[float, float]]
-"""Body, and point in its frame [m]."""
+Place = tuple[str, tuple[float, float]]  #: Body, and point in its frame [m].
 
 
 @element_lines

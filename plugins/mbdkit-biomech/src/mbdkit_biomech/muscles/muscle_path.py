@@ -29,17 +29,16 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.patella import PatellaPath
 
+#: Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
+#:
+#: The angle is counted from minus `BEHIND` to 2 pi minus `BEHIND`. It is negative for straight paths that pass the
+#: circle at a distance on the side that is not its `side`, and close to 2 pi for paths that turn by almost 2 pi around
+#: it.
 BEHIND = np.pi / 6
-"""Lower limit of the angle that a path sweeps about the center of a circle, from the point before to the point after.
 
-The angle is counted from minus `BEHIND` to 2 pi minus `BEHIND`. It is negative for straight paths that pass the circle
-at a distance on the side that is not its `side`, and close to 2 pi for paths that turn by almost 2 pi around it.
-"""
-
+#: If the angle changes by more than this between two frames, it has jumped from one end of its range to the other; see
+#: `BEHIND`.
 WIDEST = np.pi
-"""If the angle changes by more than this between two frames, it has jumped from one end of its range to the other; see
-`BEHIND`.
-"""
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from mbdkit.base.errors import MbdkitError
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
 PULLING = (0.4, 1.6)
-"""Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero."""
 
 
 @summary_lines

@@ -15,8 +15,8 @@ from mbdkit_biomech.muscles.acting_muscles import ActingMuscle
 from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
 from mbdkit_biomech.muscles.muscle import Muscle
 
+#: Quantities of muscles that are functions of other quantities.
 ENERGETICS = ("fiber_power", "metabolic_power")
-"""Quantities of muscles that are functions of other quantities."""
 
 
 def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:

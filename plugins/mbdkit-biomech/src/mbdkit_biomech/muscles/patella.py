@@ -28,14 +28,12 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.values import Positive
 
 FLEXION = np.radians(np.arange(0.0, 121.0, 10.0))
+#: Angle of the ligament [rad].
 ANGLE = np.radians([20.6, 19.2, 15.9, 13.7, 11.6, 8.3, 5.0, 1.9, -1.9, -6.6, -9.7, -13.7, -17.3])
-"""Angle of the ligament [rad]."""
+#: Force of the ligament, as a share of the tension of the quadriceps.
 SHARE = np.array([1.05, 1.05, 1.0, 0.95, 0.88, 0.81, 0.74, 0.67, 0.62, 0.58, 0.56, 0.55, 0.55])
-"""Force of the ligament, as a share of the tension of the quadriceps."""
-ARM = (0.046, 2.8e-4, -1.3e-5, 8e-8)
-"""Coefficients of the powers of x in the lever arm [m]."""
-FARTHEST = 100.0
-"""Flexion from which the lever arm is constant [deg]."""
+ARM = (0.046, 2.8e-4, -1.3e-5, 8e-8)  #: Coefficients of the powers of x in the lever arm [m].
+FARTHEST = 100.0  #: Flexion from which the lever arm is constant [deg].
 
 
 class Patella(StrictModel):

@@ -26,18 +26,17 @@ from mbdkit_biomech.persons.motion_plane import MotionPlane
 from mbdkit_biomech.persons.person_sections import Center, Midpoint
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses, poses_of, rate_of
 
+#: A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad].
 LEAST_TURN = np.radians(20.0)
-"""A calibration trial is used for a functional centre if the joint turns by at least this angle in it [rad]."""
 
+#: A person stands still in frames in which no segment is faster than this [m/s]; smallest number of such frames.
 STILL, LEAST_FRAMES = 0.05, 5
-"""A person stands still in frames in which no segment is faster than this [m/s]; smallest number of such frames."""
 
-LEAST_ROWS = 10
-"""Least number of rows of a motion."""
+LEAST_ROWS = 10  #: Least number of rows of a motion.
 
 
+#: Joints at the ends of the segments whose lengths are measured.
 ENDS = {"thigh": ("hip", "knee"), "shank": ("knee", "ankle")}
-"""Joints at the ends of the segments whose lengths are measured."""
 
 
 def legs_of(count: int) -> tuple[str, ...]:
@@ -84,17 +83,12 @@ class Trial:
 class Segments:
     """The segments of a person in a motion, and in a calibration trial if there is one."""
 
-    legs: tuple[str, ...]
-    """Suffixes of the names of the legs."""
-    clusters: Mapping[str, MarkerCluster]
-    """Clusters by body."""
+    legs: tuple[str, ...]  #: Suffixes of the names of the legs.
+    clusters: Mapping[str, MarkerCluster]  #: Clusters by body.
     motion: Trial
-    static: Trial | None
-    """The trials."""
-    reference: int
-    """The first frame of the motion in which all segments are seen."""
-    belt: float = 0.0
-    """Speed with which the belt of a treadmill moves backward [m/s]."""
+    static: Trial | None  #: The trials.
+    reference: int  #: The first frame of the motion in which all segments are seen.
+    belt: float = 0.0  #: Speed with which the belt of a treadmill moves backward [m/s].
 
     @classmethod
     def of(

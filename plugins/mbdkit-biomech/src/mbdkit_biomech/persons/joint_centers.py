@@ -30,82 +30,78 @@ from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvec
 from mbdkit_biomech.persons.landmarks import Side
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses
 
-MOST_FRAMES = 300
-"""Largest number of frames, evenly spaced, in a functional calibration."""
+MOST_FRAMES = 300  #: Largest number of frames, evenly spaced, in a functional calibration.
 
-ACROSS = 0.05
-"""Standard deviation of the pseudo-observation across the plane of motion [m]."""
+ACROSS = 0.05  #: Standard deviation of the pseudo-observation across the plane of motion [m].
 
+#: Standard deviation of the residual of a functional calibration that weighs the pseudo-observation [m].
 EXPECTED = 0.005
-"""Standard deviation of the residual of a functional calibration that weighs the pseudo-observation [m]."""
 
+#: Functional centres are refused if their standard deviation in the plane of motion is larger [m], about a tenth of a
+#: thigh or shank. In walking, that of hips and ankles by the motion alone is 20 to 40 mm along the segments.
 LARGEST_DEVIATION = 0.05
-"""Functional centres are refused if their standard deviation in the plane of motion is larger [m], about a tenth of a
-thigh or shank. In walking, that of hips and ankles by the motion alone is 20 to 40 mm along the segments."""
 
+#: Functional centres are refused if the root mean square distance of both points is larger [m]. In walking it is below
+#: 10 mm; a squat whose thigh moves within its skin gave 25 mm and a shank of 0.72 m.
 LARGEST_RESIDUAL = 0.02
-"""Functional centres are refused if the root mean square distance of both points is larger [m]. In walking it is below
-10 mm; a squat whose thigh moves within its skin gave 25 mm and a shank of 0.72 m."""
 
+#: Standard deviation of the middle of two landmarks along each axis [m]. Marks of different examiners at the side of
+#: the knee are 12 mm apart on average (M. J. Simmonds and S. Kumar, Int. J. Ind. Ergonomics 11 (1993) 145-151), which
+#: is 12 / sqrt(pi) = 6.8 mm along each axis of the skin. The middle of two such landmarks would be known to 4.8 mm;
+#: this contains 5 mm by which it may differ from the centre of rotation, an assumption.
 LANDMARKS = 0.007
-"""Standard deviation of the middle of two landmarks along each axis [m]. Marks of different examiners at the side of
-the knee are 12 mm apart on average (M. J. Simmonds and S. Kumar, Int. J. Ind. Ergonomics 11 (1993) 145-151), which is
-12 / sqrt(pi) = 6.8 mm along each axis of the skin. The middle of two such landmarks would be known to 4.8 mm; this
-contains 5 mm by which it may differ from the centre of rotation, an assumption."""
 
+#: Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44
+#: (2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults, which is 7.9 mm along
+#: each axis, from landmarks on the bone. Their skin, 9.7 +- 7.0 mm in front and 19.6 +- 10.9 mm behind, and markers
+#: with a radius of 7 mm add 6.4 +- 5.9 mm forward, which is not corrected. The root mean square of 11.7 mm forward and
+#: 7.9 mm up is 10 mm, a distance of 16 mm on average; R. Hara et al., Sci. Rep. 6 (2016) 37707, quote 15 to more than
+#: 30 mm.
 REGRESSION = 0.01
-"""Standard deviation of `hip_center` along each axis [m]: G. Mantovani, K. C. G. Ng and M. Lamontagne, Gait Posture 44
-(2016) 48-54, found distances of 12.3 mm with a standard deviation of 5.9 mm for 67 adults, which is 7.9 mm along each
-axis, from landmarks on the bone. Their skin, 9.7 +- 7.0 mm in front and 19.6 +- 10.9 mm behind, and markers with a
-radius of 7 mm add 6.4 +- 5.9 mm forward, which is not corrected. The root mean square of 11.7 mm forward and 7.9 mm up
-is 10 mm, a distance of 16 mm on average; R. Hara et al., Sci. Rep. 6 (2016) 37707, quote 15 to more than 30 mm."""
 
 
+#: Translations along and rotations about each axis by which the skin moves all markers of a segment together, relative
+#: to the bone [m, rad]: standard deviations of oscillations with the ranges 18 mm and 10 degrees of the thigh, 17 mm
+#: and 7 degrees of the shank, which A. Ancillao, E. Aertbelien and J. De Schutter, Hum. Mov. Sci. 80 (2021) 102866,
+#: found in walking by fluoroscopy. In the angle of the knee they add up to 4.3 degrees; D. L. Benoit et al., Gait
+#: Posture 24 (2006) 152-164, found up to 4.4 degrees with markers on bone pins.
 TOGETHER: Mapping[str, tuple[float, float]] = {"thigh": (0.006, 0.061), "shank": (0.006, 0.044)}
-"""Translations along and rotations about each axis by which the skin moves all markers of a segment together, relative
-to the bone [m, rad]: standard deviations of oscillations with the ranges 18 mm and 10 degrees of the thigh, 17 mm and 7
-degrees of the shank, which A. Ancillao, E. Aertbelien and J. De Schutter, Hum. Mov. Sci. 80 (2021) 102866, found in
-walking by fluoroscopy. In the angle of the knee they add up to 4.3 degrees; D. L. Benoit et al., Gait Posture 24 (2006)
-152-164, found up to 4.4 degrees with markers on bone pins."""
 
+#: Angle over which skin moves by `TOGETHER` in step with a joint [rad]: that of a knee in walking. Skin of larger
+#: motions moves in proportion (T. Bonci et al., J. Biomech. 47 (2014) 2354-2361).
 WALKING = 1.05
-"""Angle over which skin moves by `TOGETHER` in step with a joint [rad]: that of a knee in walking. Skin of larger
-motions moves in proportion (T. Bonci et al., J. Biomech. 47 (2014) 2354-2361)."""
 
 
 @dataclass(frozen=True)
 class CenterFit:
     """How the points of two segments stay together in a calibration."""
 
-    residual: float
-    """Root mean square distance of both points [m]."""
+    residual: float  #: Root mean square distance of both points [m].
+    #: Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
+    #: [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
+    #: `TOGETHER` divides the residual among both segments.
     slip: tuple[float, float]
-    """Standard deviations along each axis by which the skin moves all markers of each segment together at the joint
-    [m]. They explain the part of the residual that the motion of the markers relative to each other does not.
-    `TOGETHER` divides the residual among both segments."""
+    #: Weights of both points in the position of the centre, by their variances; their sum is 1.
     weights: tuple[float, float]
-    """Weights of both points in the position of the centre, by their variances; their sum is 1."""
 
 
 @dataclass(frozen=True)
 class JointCenter:
     """The centre of a joint between a proximal and a distal segment."""
 
+    #: ``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one.
     method: str
-    """``functional``, ``hip-regression``, ``midpoint``, ``static``, or ``combined`` of the first and another one."""
     proximal: np.ndarray
-    distal: np.ndarray
-    """(3,) the centre in the frames of the clusters of both segments [m]."""
+    distal: np.ndarray  #: (3,) the centre in the frames of the clusters of both segments [m].
+    #: (3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
+    #: the reference frame of the person [m^2].
     covariance: np.ndarray
-    """(3, 3) covariance of the position, along the axes forward, up and right of the plane of motion, in the pose of
-    the reference frame of the person [m^2]."""
     fit: CenterFit
-    turn: float
-    """Range of the angle between both segments in these frames [rad]."""
+    turn: float  #: Range of the angle between both segments in these frames [rad].
+    #: Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others.
     misfit: float = 0.0
-    """Root mean square difference of two combined centres, relative to what their covariances explain; 0 for others."""
+    #: Square of this difference in the plane, relative to its covariance: chi-square with two degrees of freedom.
     square: float = 0.0
-    """Square of this difference in the plane, relative to its covariance: chi-square with two degrees of freedom."""
 
     @property
     def deviation(self) -> tuple[float, float]:
@@ -125,14 +121,11 @@ class SegmentPair:
 
     joint: str
     clusters: tuple[MarkerCluster, MarkerCluster]
+    #: Clusters of the proximal and the distal segment, and their artefacts.
     artefacts: tuple[Artefact, Artefact]
-    """Clusters of the proximal and the distal segment, and their artefacts."""
-    poses: tuple[Poses, Poses]
-    """Their poses in the frames of the calibration."""
-    reference: tuple[np.ndarray, np.ndarray]
-    """Their rotations (3, 3) in the reference frame of the person."""
-    axes: np.ndarray
-    """(3, 3) rows: directions forward, up and right in the laboratory."""
+    poses: tuple[Poses, Poses]  #: Their poses in the frames of the calibration.
+    reference: tuple[np.ndarray, np.ndarray]  #: Their rotations (3, 3) in the reference frame of the person.
+    axes: np.ndarray  #: (3, 3) rows: directions forward, up and right in the laboratory.
 
     def in_step(self, points: tuple[np.ndarray, np.ndarray], turn: float) -> np.ndarray:
         """Return the covariance (3, 3), in the laboratory, of the shift of a functional centre, `points` in the frames

@@ -9,10 +9,11 @@ from typing import Literal
 Side = Literal["r", "l"]
 SIDES: tuple[Side, Side] = ("r", "l")
 
-LEFT = "_left"
-"""Suffix of the names of the second leg."""
+LEFT = "_left"  #: Suffix of the names of the second leg.
 
 _KNEE, _ANKLE = r"(knee|kne|femoral)?(epicondyle|epi|condyle)?(knee|kne)?", r"(ankle|ank)?(malleolus|mal)?(ankle|ank)?"
+#: Patterns of names by landmark, in lower case, without subject, side and signs: ``Subject:R.Knee.Lateral`` is
+#: ``kneelateral``. A name of which the joint is missing, such as ``RMedial``, is left out by `landmark`.
 PATTERNS = {
     "asis": r"asis?|ias",
     "psis": r"psis?|ips",
@@ -22,8 +23,6 @@ PATTERNS = {
     "ankle.lateral": rf"ank|ankle|lmal|fal|(lateral|lat){_ANKLE}|{_ANKLE}(lateral|lat)",
     "ankle.medial": rf"anm|mank|anklem|mmal|tam|(medial|med){_ANKLE}|{_ANKLE}(medial|med)",
 }
-"""Patterns of names by landmark, in lower case, without subject, side and signs: ``Subject:R.Knee.Lateral`` is
-``kneelateral``. A name of which the joint is missing, such as ``RMedial``, is left out by `landmark`."""
 
 _WORDS = {"knee": r"kn|fe|fle|fme|epi|condyle", "ankle": r"an|mal|fal|tam"}
 

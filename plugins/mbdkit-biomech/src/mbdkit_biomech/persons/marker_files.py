@@ -12,8 +12,7 @@ from mbdkit_biomech.inverse_dynamics.files.measured_table import HEADINGS_SHOWN,
 from mbdkit_biomech.inverse_dynamics.motion.measured import si_values, times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable, TimeColumn
 
-LARGEST_LABORATORY = 1e4
-"""Largest coordinate of a marker [m]."""
+LARGEST_LABORATORY = 1e4  #: Largest coordinate of a marker [m].
 
 
 @dataclass(frozen=True)

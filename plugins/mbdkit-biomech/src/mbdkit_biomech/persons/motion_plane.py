@@ -12,24 +12,21 @@ from mbdkit.base.errors import SpecError
 from mbdkit_biomech.persons.person_sections import PlaneAxes
 from mbdkit_biomech.persons.rigid_clusters import Poses, rate_of
 
+#: A motion has no plane if its root mean square velocity across the best one exceeds this share of that along it.
 SIDEWAYS = 0.5
-"""A motion has no plane if its root mean square velocity across the best one exceeds this share of that along it."""
 
 
 @dataclass(frozen=True)
 class MotionPlane:
     """The plane of motion."""
 
-    axes: np.ndarray
-    """(3, 3) rows: the directions forward, up, and right of the person, in the laboratory."""
-    is_fitted: bool
-    """Whether the plane was found from the motion."""
+    axes: np.ndarray  #: (3, 3) rows: the directions forward, up, and right of the person, in the laboratory.
+    is_fitted: bool  #: Whether the plane was found from the motion.
+    #: Root mean square horizontal velocity of the segments across the plane, relative to that along the plane.
     sideways: float
-    """Root mean square horizontal velocity of the segments across the plane, relative to that along the plane."""
-    off: float = 0.0
-    """Angle between this plane and the one with the least motion across [rad]."""
+    off: float = 0.0  #: Angle between this plane and the one with the least motion across [rad].
+    #: Root mean square deviation of the joint centres from their mean distances to the plane [m].
     residual: float = 0.0
-    """Root mean square deviation of the joint centres from their mean distances to the plane [m]."""
 
     def coordinates(self, points: np.ndarray) -> np.ndarray:
         """Return points or vectors (..., 3) of the laboratory as (forward, up, right)."""

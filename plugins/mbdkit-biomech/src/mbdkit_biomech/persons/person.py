@@ -21,47 +21,43 @@ from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
 from mbdkit_biomech.persons.rigid_clusters import Artefact, rate_of
 
+#: Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
+#: length can be right.
 TRUNK_ABOVE_FEET = 0.2, 1.2
-"""Heights of the markers of the trunk above those of the feet, as shares of body height, between which the unit of
-length can be right."""
 
-LEAST_FLEXION = np.radians(20.0)
-"""Flexion of a knee that shows in which direction the person faces [rad]."""
+LEAST_FLEXION = np.radians(20.0)  #: Flexion of a knee that shows in which direction the person faces [rad].
 
+#: Length of thigh and shank together, as shares of body height, outside of which it is doubtful: tables give 0.462 to
+#: 0.492, and persons differ from them by about 3 % (standard deviation).
 LEG_SHARE = 0.42, 0.535
-"""Length of thigh and shank together, as shares of body height, outside of which it is doubtful: tables give 0.462 to
-0.492, and persons differ from them by about 3 % (standard deviation)."""
 
+#: Standard deviation of the length of a segment over time from which its markers are doubtful [m].
 VARIES = 0.03
-"""Standard deviation of the length of a segment over time from which its markers are doubtful [m]."""
 
+#: Angle between the stated and the found plane [deg], and residual of the plane [m], from which it is doubtful.
 STATED, THICKNESS = 10.0, 0.04
-"""Angle between the stated and the found plane [deg], and residual of the plane [m], from which it is doubtful."""
 
+#: Misfit of a centre by landmarks and by the motion from which it is doubtful: 0.03 % of such centres exceed it by
+#: chance.
 MISFIT = 2.5
-"""Misfit of a centre by landmarks and by the motion from which it is doubtful: 0.03 % of such centres exceed it by
-chance."""
 
+#: Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
+#: [m]: half the width of the compartments, less a third.
 ACROSS = 0.015
-"""Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
-[m]: half the width of the compartments, less a third."""
 
+#: Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m].
 APART = 0.02
-"""Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m]."""
 
+#: Mean distance across the plane of motion of the ground's force from the ankle from which it is doubtful [m], about
+#: half the width of a foot: in walks of two persons, it is 2 to 20 mm.
 BESIDE = 0.04
-"""Mean distance across the plane of motion of the ground's force from the ankle from which it is doubtful [m], about
-half the width of a foot: in walks of two persons, it is 2 to 20 mm.
-"""
 
+#: Root mean square change of the mean places of the markers of a cluster from the static trial to the motion, as a
+#: share of the size of the cluster, from which it is doubtful, and the median over all clusters: in walks of two
+#: persons, shares are 0.001 to 0.03.
 CHANGED, CHANGED_ALL = 0.15, 0.08
-"""Root mean square change of the mean places of the markers of a cluster from the static trial to the motion, as a
-share of the size of the cluster, from which it is doubtful, and the median over all clusters: in walks of two persons,
-shares are 0.001 to 0.03.
-"""
 
-SIDES = 3.0
-"""Difference of the lengths of two legs that is doubtful, in standard deviations."""
+SIDES = 3.0  #: Difference of the lengths of two legs that is doubtful, in standard deviations.
 
 
 @dataclass(frozen=True)
@@ -91,32 +87,24 @@ class Person:
     """What the markers of a motion tell about a person."""
 
     subject: Subject
-    plane: MotionPlane
-    """Mass, height and sex, and the plane of motion."""
-    centers: Mapping[str, JointCenter]
-    """Joint centres by joint, each with its covariance."""
-    lengths: Mapping[str, SegmentLength]
-    """Lengths of `thigh` and `shank`."""
-    masses: Mapping[str, float]
-    """Masses of trunk, thigh, shank and foot [kg]."""
-    artefacts: Mapping[str, Artefact]
-    """Artefacts of the markers by body."""
+    plane: MotionPlane  #: Mass, height and sex, and the plane of motion.
+    centers: Mapping[str, JointCenter]  #: Joint centres by joint, each with its covariance.
+    lengths: Mapping[str, SegmentLength]  #: Lengths of `thigh` and `shank`.
+    masses: Mapping[str, float]  #: Masses of trunk, thigh, shank and foot [kg].
+    artefacts: Mapping[str, Artefact]  #: Artefacts of the markers by body.
+    #: Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known.
     zeros: Mapping[str, float]
-    """Standard deviations of the zeros of the angles of trunk and feet, by body [rad]; nan where it is not known."""
-    plates: PlateResult
-    """Contacts and loads of the feet."""
-    findings: tuple[Finding, ...]
-    """Doubts and remarks."""
+    plates: PlateResult  #: Contacts and loads of the feet.
+    findings: tuple[Finding, ...]  #: Doubts and remarks.
     time: np.ndarray
+    #: Times (T,) and observed quantities (T,) of the model by name; nan in gaps.
     columns: Mapping[str, np.ndarray]
-    """Times (T,) and observed quantities (T,) of the model by name; nan in gaps."""
-    reference: int
-    """Index of the frame in whose pose the covariances of the centres and `shifts` are given."""
+    reference: int  #: Index of the frame in whose pose the covariances of the centres and `shifts` are given.
+    #: (C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
+    #: deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster.
     shifts: Mapping[str, np.ndarray]
-    """(C, E) shifts of the C columns, by body, for artefacts of its cluster: E independent errors with the standard
-    deviation 1, six of its pose, and two of each of its joints by the slip of the whole cluster."""
+    #: Knees by joint, whose foot stands on a plate, and whose place across the plane landmarks show.
     knees: Mapping[str, KneeLoad]
-    """Knees by joint, whose foot stands on a plate, and whose place across the plane landmarks show."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the person without motion and loads as dicts, lists and arrays, for the archive."""
@@ -149,13 +137,11 @@ class Skeleton:
     subject: Subject
     segments: Segments
     plane: MotionPlane
-    centers: Mapping[str, JointCenter]
-    """Joint centres by joint."""
-    points: Mapping[str, np.ndarray]
-    """(T, 3) joint centres by joint, as (forward, up, right)."""
+    centers: Mapping[str, JointCenter]  #: Joint centres by joint.
+    points: Mapping[str, np.ndarray]  #: (T, 3) joint centres by joint, as (forward, up, right).
     lengths: Mapping[str, SegmentLength]
+    #: (T,) angles of trunk and feet by body [rad], zero as when the person stands upright.
     angles: Mapping[str, np.ndarray]
-    """(T,) angles of trunk and feet by body [rad], zero as when the person stands upright."""
     zeros: Mapping[str, float]
     findings: tuple[Finding, ...]
 

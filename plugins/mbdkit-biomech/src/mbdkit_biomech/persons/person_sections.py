@@ -53,7 +53,7 @@ class Midpoint(Section):
 
 
 CenterMethod = Literal["functional", "hip-regression", "static"]
+#: Keys of `motion` that only specs with `subject` have.
 OF_PERSONS = ("plane", "clusters", "centers", "static")
-"""Keys of `motion` that only specs with `subject` have."""
 
 Center = CenterMethod | Midpoint

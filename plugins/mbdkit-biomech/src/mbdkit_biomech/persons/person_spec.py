@@ -21,8 +21,8 @@ from mbdkit_biomech.persons.scaled_model import leg_options, scaled_model
 if TYPE_CHECKING:
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
+#: Names of the loads of feet if a spec has no loads, but the file has force plates.
 LOADS = {"foot": "ground", "foot_left": "ground_left"}
-"""Names of the loads of feet if a spec has no loads, but the file has force plates."""
 
 
 def person_of_spec(spec: InverseSpec) -> tuple[Person, InverseSpec]:

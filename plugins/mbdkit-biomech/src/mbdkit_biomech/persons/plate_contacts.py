@@ -21,35 +21,32 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.motion_plane import MotionPlane
 
-SHORTEST = 0.05
-"""Shorter contacts [s] are vibrations of the plate, and left out."""
+SHORTEST = 0.05  #: Shorter contacts [s] are vibrations of the plate, and left out.
 
+#: Largest mean horizontal distance of the point of application from the middle of the markers of a foot [m]: half a
+#: foot and a tolerance of 0.1 m.
 FARTHEST = 0.25
-"""Largest mean horizontal distance of the point of application from the middle of the markers of a foot [m]: half a
-foot and a tolerance of 0.1 m."""
 
+#: Two feet stand on a plate if both rest within this share of `FARTHEST` of its point of application for this share of
+#: a contact.
 BOTH = 0.5
-"""Two feet stand on a plate if both rest within this share of `FARTHEST` of its point of application for this share of
-a contact."""
 
-AT_REST = 0.15
-"""Speed below which a foot rests [m/s]."""
+AT_REST = 0.15  #: Speed below which a foot rests [m/s].
 
+#: A foot stands flat while its angle changes more slowly than this [rad/s] and its height more slowly than `AT_REST`;
+#: smallest number of such frames from which the speed of a belt is found.
 FLAT, LEAST_FLAT = 0.5, 5
-"""A foot stands flat while its angle changes more slowly than this [rad/s] and its height more slowly than `AT_REST`;
-smallest number of such frames from which the speed of a belt is found."""
 
+#: Feet that stand flat on plates and move faster than this [m/s], with a scatter below this share, are on a belt.
 SLIDES, EVENLY = 0.3, 0.2
-"""Feet that stand flat on plates and move faster than this [m/s], with a scatter below this share, are on a belt."""
 
-LARGEST_OFFSET = 0.1
-"""Largest offset between the times of plates and markers that is looked for [s]."""
+LARGEST_OFFSET = 0.1  #: Largest offset between the times of plates and markers that is looked for [s].
 
 
+#: Standard deviation of the offset by feet that are not rigid [s]. In a walk with known joints, heel pads that yield by
+#: 9 mm (D. De Clercq, P. Aerts and M. Kunnen, J. Biomech. 27 (1994) 1213-1222) changed the offset by 1 to 2 ms, balls
+#: of the foot that yield by 5 mm by 1 to 4 ms, and toes that bend by 50 degrees by 1 ms.
 SOFT = 0.004
-"""Standard deviation of the offset by feet that are not rigid [s]. In a walk with known joints, heel pads that yield by
-9 mm (D. De Clercq, P. Aerts and M. Kunnen, J. Biomech. 27 (1994) 1213-1222) changed the offset by 1 to 2 ms, balls of
-the foot that yield by 5 mm by 1 to 4 ms, and toes that bend by 50 degrees by 1 ms."""
 
 
 class FootMotion(NamedTuple):

@@ -22,23 +22,18 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.linear_systems import inverse_of, product, symmetric_eigenvectors
 
-LEAST_MARKERS = 3
-"""Number of markers that determine a pose."""
+LEAST_MARKERS = 3  #: Number of markers that determine a pose.
 
+#: Markers count as lying on a line if their root mean square distance from it is less than this [m].
 LEAST_WIDTH = 0.01
-"""Markers count as lying on a line if their root mean square distance from it is less than this [m]."""
 
-TEMPLATE_FRAMES = 100
-"""Number of frames, evenly spaced, from which a template is averaged."""
+TEMPLATE_FRAMES = 100  #: Number of frames, evenly spaced, from which a template is averaged.
 
-CAMERA = 1e-4
-"""Least standard deviation of a coordinate of a marker [m], of cameras and of rounding in files."""
+CAMERA = 1e-4  #: Least standard deviation of a coordinate of a marker [m], of cameras and of rounding in files.
 
-SPAN = 2
-"""Rates are differences over this number of frames in both directions."""
+SPAN = 2  #: Rates are differences over this number of frames in both directions.
 
-ROUNDS = 3
-"""Number of averages for a template; further ones change it by rounding errors."""
+ROUNDS = 3  #: Number of averages for a template; further ones change it by rounding errors.
 
 
 def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -53,12 +48,10 @@ def rate_of(values: np.ndarray, time: np.ndarray) -> np.ndarray:
 class Poses:
     """Poses of a segment in T frames; nan where too few of its markers were seen."""
 
-    rotation: np.ndarray
-    """(T, 3, 3) from the frame of the segment to the laboratory."""
-    position: np.ndarray
-    """(T, 3) origin of the segment in the laboratory [m]."""
+    rotation: np.ndarray  #: (T, 3, 3) from the frame of the segment to the laboratory.
+    position: np.ndarray  #: (T, 3) origin of the segment in the laboratory [m].
+    #: (T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen.
     residual: np.ndarray
-    """(T, N, 3) markers minus template, in the frame of the segment [m]; nan where a marker was not seen."""
 
     @property
     def known(self) -> np.ndarray:
@@ -83,11 +76,10 @@ class MarkerCluster:
     """Markers that count as fixed to a segment."""
 
     body: str
-    names: tuple[str, ...]
-    """Names of the N markers."""
+    names: tuple[str, ...]  #: Names of the N markers.
+    #: (N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
+    #: parallel to those of the laboratory in the first frame of the template.
     template: np.ndarray
-    """(N, 3) positions of the markers in the frame of the segment, whose origin is their centroid [m]. Its axes are
-    parallel to those of the laboratory in the first frame of the template."""
 
     @classmethod
     def of(cls, body: str, names: tuple[str, ...], markers: np.ndarray) -> MarkerCluster:
@@ -184,11 +176,10 @@ def _rotation(s: np.ndarray) -> np.ndarray:
 class Artefact:
     """Motion of the markers of a cluster relative to each other."""
 
-    deviation: float
-    """Standard deviation of a coordinate of a marker [m]."""
+    deviation: float  #: Standard deviation of a coordinate of a marker [m].
+    #: (L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
+    #: artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small.
     correlation: np.ndarray
-    """(L,) correlation of errors that are 0, 1, ..., L - 1 frames apart, up to its first zero. The correlation of
-    artefacts that oscillate is negative beyond, and without it, covariances are too large rather than too small."""
 
     @classmethod
     def of(cls, poses: Poses) -> Artefact:

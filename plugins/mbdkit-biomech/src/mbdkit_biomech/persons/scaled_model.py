@@ -25,8 +25,8 @@ from mbdkit_biomech.persons.person_sections import Subject
 if TYPE_CHECKING:
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
+#: Options with the pose of a leg, which are left out for the upright pose.
 POSE = ("hip_flexion", "knee_flexion", "ankle_dorsiflexion", "trunk_angle", "left")
-"""Options with the pose of a leg, which are left out for the upright pose."""
 
 
 def leg_options(model: object) -> LegOptions:

@@ -37,20 +37,18 @@ from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
 from mbdkit_biomech.uncertainty.sources import Place, segment_of
 
-MOVING = ("centers", "lengths", "angles")
-"""Keys of places that change the motion."""
+MOVING = ("centers", "lengths", "angles")  #: Keys of places that change the motion.
 
+#: Keys of places that change the mechanism.
 MODEL = ("centers", "lengths", "masses", "inertias", "muscle_points")
-"""Keys of places that change the mechanism."""
 
+#: Keys of places that leave the paths of muscles as they are.
 OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset", "followers"))
-"""Keys of places that leave the paths of muscles as they are."""
 
-PROPERTIES = ("max_force", "optimal_length", "tendon_length")
-"""Properties of muscles that have factors."""
+PROPERTIES = ("max_force", "optimal_length", "tendon_length")  #: Properties of muscles that have factors.
 
+#: Changes by place: of lengths [m], angles [rad] and times [s], and of logarithms of shares.
 Change = Mapping[Place, float]
-"""Changes by place: of lengths [m], angles [rad] and times [s], and of logarithms of shares."""
 
 
 @dataclass(frozen=True)

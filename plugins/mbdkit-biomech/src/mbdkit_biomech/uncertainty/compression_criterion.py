@@ -11,15 +11,14 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression, reacti
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.persons.landmarks import LEFT
 
+#: A foot stands alone if its load exceeds this share of the largest load of all plates, and no other one acts.
 STANCE = 0.5
-"""A foot stands alone if its load exceeds this share of the largest load of all plates, and no other one acts."""
 
+#: Compression is doubtful if it is smaller than without muscles by more than the first share of the ground's force in
+#: more than the second share of the rows in single stance.
 LESS, FRAMES = 0.05, 0.05
-"""Compression is doubtful if it is smaller than without muscles by more than the first share of the ground's force in
-more than the second share of the rows in single stance."""
 
-PULLED = 0.01
-"""A knee is pulled if muscles leave a tension of more than this share of its largest force."""
+PULLED = 0.01  #: A knee is pulled if muscles leave a tension of more than this share of its largest force.
 
 
 def compression_doubts(result: Inverse) -> Iterator[Finding]:

@@ -19,17 +19,15 @@ from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-SHOWN = 0.005
-"""Smallest share of a source in the printed table."""
+SHOWN = 0.005  #: Smallest share of a source in the printed table.
 
-NAMED, JOINTS_NAMED = 3, 4
-"""Number of sources that a sentence names, and of joints in the summary."""
+NAMED, JOINTS_NAMED = 3, 4  #: Number of sources that a sentence names, and of joints in the summary.
 
+#: What error bars of persons do not include, if their uncertainty is left out.
 PERSON_ERROR = "the uncertainty of the person's joint centres, lengths, masses and strength"
-"""What error bars of persons do not include, if their uncertainty is left out."""
 
+#: What error bars of persons do not include otherwise.
 PERSON_MODEL_ERROR = "muscles that the model lacks, and motion out of the plane"
-"""What error bars of persons do not include otherwise."""
 
 
 @excluded_words
@@ -44,17 +42,14 @@ def excluded_error(run: Run) -> str:
 class Contributions:
     """What contributes to the error bar of the force of a joint at a time."""
 
-    joint: str
-    """Name of the joint."""
-    time: float
-    """Time of the row [s]."""
+    joint: str  #: Name of the joint.
+    time: float  #: Time of the row [s].
     force: float
-    error: float
-    """Force of the joint and its error bar, which holds with a probability of 95 % [N]."""
+    error: float  #: Force of the joint and its error bar, which holds with a probability of 95 % [N].
+    #: Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
+    #: ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction, and
+    #: all of them together in the other.
     shares: dict[str, float]
-    """Shares of the sources in the square of the error bar, the largest first; their sum is 1. The share of
-    ``interactions`` is what the others leave. A share is negative if a source shifts the force in one direction, and
-    all of them together in the other."""
 
     @property
     def advice(self) -> str:

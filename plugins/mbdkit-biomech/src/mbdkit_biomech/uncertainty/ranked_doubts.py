@@ -15,13 +15,13 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 
+#: First words of the names of the sources of error that a criterion doubts.
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "centers": ("centre",), "lengths": ("centre", "lengths"), "load-point": ("pressure",), "load-time": ("offset",),
     "load-offset": ("gain",), "misfit": ("centre", "pressure", "gain", "mass", "inertia", "zero"),
     "fibers": ("fibre", "tendon"), "max-force": ("strength",), "inertia": ("inertia",),
     **dict.fromkeys(("noise", "fit", "cutoff", "gaps", "ends", "large-errors", "outliers"), ("noise",)),
 }  # fmt: skip
-"""First words of the names of the sources of error that a criterion doubts."""
 
 
 def ranked_doubts(result: Inverse, bars: ResultBars | None, findings: Sequence[Finding]) -> list[Finding]:

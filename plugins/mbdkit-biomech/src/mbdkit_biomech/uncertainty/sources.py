@@ -19,27 +19,26 @@ from mbdkit.base.text import did_you_mean
 from mbdkit_biomech.persons.calibration import require_known
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
+#: `mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one.
 InverseProblem: TypeAlias = Any
-"""`mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one."""
 
+#: What is changed: the key of `uncertainty`, the element, and the axis or the body if there are several.
 Place: TypeAlias = tuple[str, ...]
-"""What is changed: the key of `uncertainty`, the element, and the axis or the body if there are several."""
 
 Kind: TypeAlias = Literal["person", "muscles", "devices"]
 
+#: Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each.
 DEFAULTS: Mapping[str, Any] = {
     "masses": {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3},
     "inertias": {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}, "pressure": 0.005, "plate_gain": 0.01,
     "max_force": 0.2, "optimal_length": 0.05, "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02,
     "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
 }  # fmt: skip
-"""Values of keys that are left out with `subject`; the page `persons` of the guide gives the source of each."""
 
-TRUNK_ZERO = 0.05
-"""Standard deviation of the zero of the angle of a trunk without static trial [rad]."""
+TRUNK_ZERO = 0.05  #: Standard deviation of the zero of the angle of a trunk without static trial [rad].
 
+#: Number of values of a scalar that is distributed uniformly over a range: the middles of as many parts.
 LEVELS = 4
-"""Number of values of a scalar that is distributed uniformly over a range: the middles of as many parts."""
 
 WORDS = {
     "masses": "mass of the {}",
@@ -52,6 +51,7 @@ WORDS = {
     "plate_gain": "gain of {}",
 }
 
+#: What reduces the uncertainty of a source, by the first word of its name.
 ADVICE = {
     "centre": "measure medial and lateral landmarks of the joint, or calibrate its centre by a motion",
     "mass": "measure the segments, or use a scan",
@@ -73,21 +73,17 @@ ADVICE = {
     "place": "measure medial and lateral landmarks of the knee",
     "EMG": "measure maximal contractions",
 }
-"""What reduces the uncertainty of a source, by the first word of its name."""
 
 
 @dataclass(frozen=True)
 class UncertainScalar:
     """A scalar that is not known exactly."""
 
-    group: str
-    """Name of the source in tables, which several scalars may share."""
-    kind: Kind
-    """``person``, ``muscles`` or ``devices``."""
-    moves: Mapping[Place, float]
-    """Changes of places for a change of the scalar by 1."""
+    group: str  #: Name of the source in tables, which several scalars may share.
+    kind: Kind  #: ``person``, ``muscles`` or ``devices``.
+    moves: Mapping[Place, float]  #: Changes of places for a change of the scalar by 1.
+    #: None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two.
     span: tuple[float, float] | None = None
-    """None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two."""
 
     @property
     def levels(self) -> np.ndarray:

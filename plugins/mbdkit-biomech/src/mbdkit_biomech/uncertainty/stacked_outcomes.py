@@ -39,26 +39,24 @@ from mbdkit_biomech.uncertainty.changed_problem import (
 )
 from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
 
+#: Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
+#: many steps, more cost memory: two blocks of this size take about 1 GB.
 ROWS = 24_000
-"""Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
-many steps, more cost memory: two blocks of this size take about 1 GB.
-"""
 
-THREADS = 2
-"""Number of blocks that are solved at once. Results do not depend on it."""
+THREADS = 2  #: Number of blocks that are solved at once. Results do not depend on it.
 
+#: Least length of fibres along the tendon [m]; samples whose tendons leave less have no solution in these frames.
 SHORTEST = 1e-3
-"""Least length of fibres along the tendon [m]; samples whose tendons leave less have no solution in these frames."""
 
+#: Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments.
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
-"""Quantities of muscles that are taken to first order; lengths of fibres and tendons follow the scaled segments."""
 
+#: Keys of places that are not taken to first order.
 EXACT = (*PROPERTIES, "muscle_delay", "exponent", "minimum", "across", "emg")
-"""Keys of places that are not taken to first order."""
 
 
+#: Why frames of samples have no result.
 LOST = ("muscles are too weak", "tendons are longer than their paths", "no optimal activations were found")
-"""Why frames of samples have no result."""
 
 
 class Outcomes(NamedTuple):

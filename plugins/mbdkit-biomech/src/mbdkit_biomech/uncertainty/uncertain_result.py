@@ -37,47 +37,40 @@ from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, as
 from mbdkit_biomech.uncertainty.stacked_outcomes import LOST, Outcomes, StackedOutcomes
 
 _TJ = ("time", "joint")
+#: Names of the first and the last row of contributions.
 OF_DATA, INTERACTIONS = "noise of the data", "interactions"
-"""Names of the first and the last row of contributions."""
 
 KINDS: tuple[Kind, ...] = ("person", "muscles", "devices")
 
+#: Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
+#: number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there.
 GAUSSIAN = 0.95
-"""Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
-number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there."""
 
-LARGEST_SCATTER = 0.1
-"""Relative standard error of bars from which the number of samples is too small."""
+LARGEST_SCATTER = 0.1  #: Relative standard error of bars from which the number of samples is too small.
 
 
 @dataclass(frozen=True)
 class UncertainResult:
     """Effects of uncertain scalars on a result in T frames."""
 
+    #: Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
+    #: 3), and tensions (T, M); each bound holds with the probability `LEVEL`.
     squares: list[np.ndarray]
-    """Squared bounds of actuators (T, U), forces (T, J) and torques (T, J) of joints, positions and velocities (T, B,
-    3), and tensions (T, M); each bound holds with the probability `LEVEL`."""
-    peaks: np.ndarray
-    """(J,) bounds of the errors of the largest forces of joints over the motion [N]."""
+    peaks: np.ndarray  #: (J,) bounds of the errors of the largest forces of joints over the motion [N].
+    #: (J,) expected excess of the largest forces of joints over the true ones, without noise [N]; see the module.
     peak_bias: np.ndarray
-    """(J,) expected excess of the largest forces of joints over the true ones, without noise [N]; see the module."""
+    #: (J,) relative standard errors of the bounds of forces, by the number of samples, where the forces are largest.
     scatter: np.ndarray
-    """(J,) relative standard errors of the bounds of forces, by the number of samples, where the forces are largest."""
-    kinds: Mapping[str, Kind]
-    """Kinds of the G sources by name."""
-    shares: np.ndarray
-    """(G, T, J) shares of the sources in the mean square changes of the forces of joints."""
+    kinds: Mapping[str, Kind]  #: Kinds of the G sources by name.
+    shares: np.ndarray  #: (G, T, J) shares of the sources in the mean square changes of the forces of joints.
     scalars: int
     samples: int
-    failed: int
-    """Number of scalars, of samples, and of samples in which some frames have no result."""
+    failed: int  #: Number of scalars, of samples, and of samples in which some frames have no result.
+    #: Bounds (T, J) of the forces of joints without the bodies that follow the motion, and of what these add [N]; None
+    #: without such bodies.
     added: tuple[np.ndarray, np.ndarray] | None
-    """Bounds (T, J) of the forces of joints without the bodies that follow the motion, and of what these add [N]; None
-    without such bodies."""
-    failed_rows: float
-    """Share of the frames of all samples that have no result."""
-    reasons: str
-    """Why, with the numbers of samples."""
+    failed_rows: float  #: Share of the frames of all samples that have no result.
+    reasons: str  #: Why, with the numbers of samples.
 
     @property
     def failures(self) -> str:

@@ -20,8 +20,7 @@ from mbdkit_report.seams import report_charts, report_sections
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-DRAWN = 6
-"""Number of sources of a chart; those that are left out have smaller shares."""
+DRAWN = 6  #: Number of sources of a chart; those that are left out have smaller shares.
 
 
 @report_sections

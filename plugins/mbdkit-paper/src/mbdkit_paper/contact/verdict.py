@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
 G = 9.81
+#: Errors of event-driven runs, and penetration [m] and creep [m/s] of rigid bodies, count as zero below this.
 EXACT = 1e-9
-"""Errors of event-driven runs, and penetration [m] and creep [m/s] of rigid bodies, count as zero below this."""
-PER_STEP = 3.0
-"""Largest accepted error of time-stepping, divided by the step [m/s]."""
+PER_STEP = 3.0  #: Largest accepted error of time-stepping, divided by the step [m/s].
 SOFT = "-compliant"
 FINEST = "event-driven, DOP853"
 WORDS = Words(__file__)
@@ -69,18 +68,17 @@ def _along(run: Run) -> np.ndarray:
     return run["block"].position @ [math.cos(math.radians(30.0)), 0.5]
 
 
+#: Coordinate of a run to be compared, and its closed form, for each case.
 CLOSED: dict[str, tuple[Callable[[Run], np.ndarray], Callable[[np.ndarray], np.ndarray]]] = {
     "ball": (lambda run: run["ball"].position[:, 1], ball),
     "incline": (_along, _block(0.3)),
     "hold": (_along, _block(0.7)),
     "belt": (lambda run: run["block"].position[:, 0], belt),
 }
-"""Coordinate of a run to be compared, and its closed form, for each case."""
-FRICTION = ("incline", "hold", "belt")
-"""Cases in which contacts have friction and no restitution."""
+FRICTION = ("incline", "hold", "belt")  #: Cases in which contacts have friction and no restitution.
+#: Share of its energy that the rocking block retains in an impact: (1 - 1.5 sin^2 alpha)^2. Here, sin^2 alpha = 1/17
+#: with the angle alpha between the diagonal and the vertical side of the block (G. W. Housner, 1963).
 HOUSNER = (1.0 - 1.5 / 17.0) ** 2
-"""Share of its energy that the rocking block retains in an impact: (1 - 1.5 sin^2 alpha)^2. Here, sin^2 alpha = 1/17
-with the angle alpha between the diagonal and the vertical side of the block (G. W. Housner, 1963)."""
 
 
 @dataclass(frozen=True)

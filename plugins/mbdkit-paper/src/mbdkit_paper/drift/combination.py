@@ -15,27 +15,24 @@ from mbdkit_studies import STEP, Points, family
 if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
-COMBINATION = "method"
-"""Axis of the combinations."""
+COMBINATION = "method"  #: Axis of the combinations.
+#: Suffix of the family of long runs, after the name of the family of short runs of the same mechanism.
 LONG = "-long"
-"""Suffix of the family of long runs, after the name of the family of short runs of the same mechanism."""
+#: Error level below which round-off makes an order indeterminable.
+#:
+#: It is relative to the size of the mechanism for positions, to this size per second for velocities, and to the largest
+#: multiplier for multipliers.
 ROUND_OFF = 1e-12
-"""Error level below which round-off makes an order indeterminable.
-
-It is relative to the size of the mechanism for positions, to this size per second for velocities, and to the largest
-multiplier for multipliers.
-"""
+#: Round-off level of errors is assumed to be at least this, in the same relative units; close to double precision.
 EPSILON = 5e-16
-"""Round-off level of errors is assumed to be at least this, in the same relative units; close to double precision."""
+#: Slopes at neighbouring steps agree if they differ by at most this; the stricter tolerance is tried first.
 CLOSE = (0.1, 0.25)
-"""Slopes at neighbouring steps agree if they differ by at most this; the stricter tolerance is tried first."""
+#: Largest logarithm of the ratio of neighbouring steps; a larger one means that a run between them failed.
 NEIGHBOURS = math.log(2.5)
-"""Largest logarithm of the ratio of neighbouring steps; a larger one means that a run between them failed."""
-SPENT = 1e-12
-"""Change of energy over a run that counts as round-off, relative to the largest kinetic energy."""
+SPENT = 1e-12  #: Change of energy over a run that counts as round-off, relative to the largest kinetic energy.
 
+#: Reason why a number is missing, for example `failed`, `not installed`, `round-off` or `not reversible`.
 Undetermined = str
-"""Reason why a number is missing, for example `failed`, `not installed`, `round-off` or `not reversible`."""
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from mbdkit_studies import Study
 
 DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
+#: Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible.
 WORDS = Words(__file__)
-"""Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible."""
 
 
 def errors(results: Sequence[Combination], added: Collection[str] = ()) -> tuple[Figure, ...]:

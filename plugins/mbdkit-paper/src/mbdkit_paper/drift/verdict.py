@@ -15,12 +15,11 @@ from mbdkit_studies.results.judge import study_verdict
 if TYPE_CHECKING:
     from mbdkit_studies import Study
 
+#: Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.
 NEAR, APART = 0.2, 0.3
-"""Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.
-"""
 TENFOLD = Range.around(10.0, 3.0)
+#: Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain.
 REVERSIBLE = 1e-11
-"""Largest reversibility defect, relative to the size, that round-off over about 20,000 steps can explain."""
 NAMES = ("q", "v", "lambda")
 
 #: Orders from the literature: name of the claim, label on the axis `method`, orders of positions q, velocities v and

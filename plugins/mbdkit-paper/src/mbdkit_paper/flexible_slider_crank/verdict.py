@@ -24,14 +24,13 @@ if TYPE_CHECKING:
     from mbdkit_studies import Study
 
 REFERENCE = ("Gauss 3", 2e-6)
-HELD = 1e-7
-"""Joints count as closed if their misalignment [m] is below this."""
+HELD = 1e-7  #: Joints count as closed if their misalignment [m] is below this.
+#: Joint forces are right if their errors, relative to the root mean squares of the forces, are below `SMALL`, and wrong
+#: if the errors are above `LARGE`.
 SMALL, LARGE = 0.1, 0.2
-"""Joint forces are right if their errors, relative to the root mean squares of the forces, are below `SMALL`, and wrong
-if the errors are above `LARGE`."""
 EXPLICIT = 2e-6
+#: Largest stable step of explicit methods, which is limited by the fastest oscillation of the rod [s].
 WORDS = Words(__file__)
-"""Largest stable step of explicit methods, which is limited by the fastest oscillation of the rod [s]."""
 
 
 @dataclass(frozen=True)

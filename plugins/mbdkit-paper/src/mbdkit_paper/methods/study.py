@@ -19,13 +19,14 @@ from mbdkit.spec.formulation_choice import choice_of
 from mbdkit_paper.methods.problems import Problem, problems
 from mbdkit_studies import IN_TOLERANCES, claims_of
 
+#: Options that stand for families of methods; the other integrators have their default options.
 OPTIONS: Mapping[str, tuple[dict[str, int], ...]] = {
     "gauss": ({"stages": 2}, {"stages": 3}),
     "radau-iia": ({"stages": 3},),
     "lobatto-pair": ({"stages": 3},),
 }
-"""Options that stand for families of methods; the other integrators have their default options."""
 
+#: Families of integrators; another integrator is a family of its own.
 FAMILIES: Mapping[str, tuple[str, ...]] = {
     "explicit Runge-Kutta": ("rk4", "rk-gill", "dopri5", "dop853", "scipy-dop853"),
     "implicit Runge-Kutta": (
@@ -38,9 +39,7 @@ FAMILIES: Mapping[str, tuple[str, ...]] = {
     "line integrals": ("discrete-gradient", "hbvm"),
     "Newmark": ("generalized-alpha", "nonsmooth-generalized-alpha"),
 }  # fmt: skip
-"""Families of integrators; another integrator is a family of its own."""
-OTHERS = ("scipy-", "sundials-")
-"""Beginnings of the names of integrators that are codes of others."""
+OTHERS = ("scipy-", "sundials-")  #: Beginnings of the names of integrators that are codes of others.
 
 
 def family_of(integrator: str) -> str:

@@ -21,16 +21,13 @@ from mbdkit_studies.results.judge import study_verdict
 if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
-TARGET = 1e-6
-"""Relative error at which costs are compared, unless the references are less accurate."""
-DRAWN = 6
-"""Largest number of integrators in a figure, besides added ones; there are no more colours."""
+TARGET = 1e-6  #: Relative error at which costs are compared, unless the references are less accurate.
+DRAWN = 6  #: Largest number of integrators in a figure, besides added ones; there are no more colours.
+#: Number of families of integrators that have to reach a published result, and where no more than three take part.
 ENOUGH, FEW = 3, 2
-"""Number of families of integrators that have to reach a published result, and where no more than three take part."""
+#: A code of others with less than this share of the error of a published result shows that this has an error.
 SHARE = 1 / 3
-"""A code of others with less than this share of the error of a published result shows that this has an error."""
-LEAST = 1e-17
-"""Smallest error in figures, whose axes are logarithmic."""
+LEAST = 1e-17  #: Smallest error in figures, whose axes are logarithmic.
 WORDS = Words(__file__)
 
 

@@ -16,8 +16,8 @@ from mbdkit_studies.results.judge import study_verdict
 if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
+#: Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism.
 HELD = 1e-12
-"""Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism."""
 
 WORDS = Words(__file__)
 

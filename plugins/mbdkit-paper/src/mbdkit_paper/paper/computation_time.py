@@ -17,15 +17,14 @@ from mbdkit_studies import METHOD, OPERATIONS, family, value
 if TYPE_CHECKING:
     from mbdkit_studies import Study
 
+#: Claimed ratio of the time of an evaluation by substitution to that of a compiled evaluation, for two bodies.
 SPEED_UP = 10_000.0
-"""Claimed ratio of the time of an evaluation by substitution to that of a compiled evaluation, for two bodies."""
 SYMBOLIC_BODIES = (1, 2, 3)
 SECONDS, SLOW_SECONDS = "wall_min_s", "wall_q3_s"
+#: Growth of time with the number of bodies counts as steep if its exponent is larger than this.
+#:
+#: The exponent is 3 if dense matrices are solved, and 1 if the work for a chain is proportional to its length.
 STEEP = 2.0
-"""Growth of time with the number of bodies counts as steep if its exponent is larger than this.
-
-The exponent is 3 if dense matrices are solved, and 1 if the work for a chain is proportional to its length.
-"""
 WORDS = Words(__file__)
 
 

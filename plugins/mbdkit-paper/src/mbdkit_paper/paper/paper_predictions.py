@@ -155,8 +155,8 @@ def _interpolated(steps: np.ndarray, values: np.ndarray, step: float) -> float:
     return float(np.exp(np.interp(math.log(step), np.log(steps[keep]), np.log(values[keep]))))
 
 
+#: Number of steps of 0.1 s in a swing (a period) of the paper's single pendulum: 7.5 s with the assumed parameters.
 PER_SWING = 75
-"""Number of steps of 0.1 s in a swing (a period) of the paper's single pendulum: 7.5 s with the assumed parameters."""
 
 
 def swing(study: Study) -> float:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from mbdkit_studies import Study, StudyPoint
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
+#: The methods of the paper. Methods that were added to the study appear in its tables and figures, not in claims.
 METHODS = (GILL, GAUSS2, GAUSS3)
-"""The methods of the paper. Methods that were added to the study appear in its tables and figures, not in claims."""
 
 #: Misalignment stated in the paper [m], by model and method.
 PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
@@ -25,8 +25,8 @@ FACTOR = 3.0
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
+#: Distances between two paths above this share of the length of the pendulum are visible in a figure.
 WORDS = Words(__file__)
-"""Distances between two paths above this share of the length of the pendulum are visible in a figure."""
 
 
 def methods_of(points: Points) -> tuple[str, ...]:

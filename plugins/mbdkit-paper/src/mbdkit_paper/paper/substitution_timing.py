@@ -19,8 +19,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.spec.run_spec import RunSpec
 
+#: Number of timed evaluations. The minimum of this many is reproducible even on a busy machine.
 EVALUATIONS = 24
-"""Number of timed evaluations. The minimum of this many is reproducible even on a busy machine."""
 FILE = "substitution.json"
 
 

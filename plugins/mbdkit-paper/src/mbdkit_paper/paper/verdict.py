@@ -62,11 +62,10 @@ def verdict(study: Study) -> Verdict:
 
 COORDINATES = "coordinates"
 BODIES, JOINTS = "bodies", "joints"
-ROUND_OFF = 1e-12
-"""Misalignment [m] of rods of 20 m counts as round-off below this."""
+ROUND_OFF = 1e-12  #: Misalignment [m] of rods of 20 m counts as round-off below this.
 FAR = 1e3
+#: Misalignment does not measure the accuracy of a method if an error is more than this many times larger.
 WORDS = Words(__file__)
-"""Misalignment does not measure the accuracy of a method if an error is more than this many times larger."""
 
 
 def coordinates(study: Study) -> tuple[Claim, Table]:

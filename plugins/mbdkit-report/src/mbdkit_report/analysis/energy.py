@@ -26,8 +26,8 @@ class Trend:
         Largest distance of the series from the line.
     """
 
+    #: A slope counts as a drift if its magnitude is larger than this multiple of its standard error.
     SURE: ClassVar[float] = 3.0
-    """A slope counts as a drift if its magnitude is larger than this multiple of its standard error."""
 
     slope: float
     error: float

@@ -14,20 +14,17 @@ from mbdkit.archive.run import Run
 
 Law = Literal["none", "bounded", "linear", "quadratic", "exponential", "unclear"]
 
+#: Largest number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
 BLOCKS = 24
-"""Largest number of blocks: enough to distinguish growth laws, but so few that each block should span an oscillation.
-"""
-FEWEST = 6
-"""Minimum number of blocks needed to determine a law."""
+FEWEST = 6  #: Minimum number of blocks needed to determine a law.
+#: Difference in AICc above which a law counts as worse than the best one.
+#:
+#: Burnham and Anderson describe differences of 4 to 7 as "considerably less support".
 CLEAR = 4.0
-"""Difference in AICc above which a law counts as worse than the best one.
-
-Burnham and Anderson describe differences of 4 to 7 as "considerably less support".
-"""
+#: The law is unclear if the root mean square of log(block maxima / best law) is larger than this.
 LOOSE = math.log(2.0)
-"""The law is unclear if the root mean square of log(block maxima / best law) is larger than this."""
+#: A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded.
 STEADY = 1.5
-"""A law counts as growth if it rises over the series by at least this factor; otherwise, it counts as bounded."""
 
 
 class LawFit(NamedTuple):
@@ -133,8 +130,8 @@ def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
     return Growth(candidates[0], candidates, exponent)
 
 
+#: A fit: residuals, factor by which the law rises over the series, and number of parameters.
 _Found = tuple[np.ndarray, float, int]
-"""A fit: residuals, factor by which the law rises over the series, and number of parameters."""
 
 
 def _bounded(s: np.ndarray, y: np.ndarray) -> _Found:

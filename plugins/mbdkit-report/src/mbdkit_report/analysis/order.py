@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+#: Within the asymptotic window, the slopes between neighbouring steps differ from each other by at most this.
 AGREE = 0.25
-"""Within the asymptotic window, the slopes between neighbouring steps differ from each other by at most this."""
+#: Errors in the asymptotic window are larger than this multiple of the round-off floor. At this multiple, round-off
+#: changes the slope between two steps with the ratio 2 by about 0.07.
 ABOVE_FLOOR = 20.0
-"""Errors in the asymptotic window are larger than this multiple of the round-off floor. At this multiple, round-off
-changes the slope between two steps with the ratio 2 by about 0.07.
-"""
+#: The errors at the finest steps count as round-off if the slope between them is below this, because every method has
+#: a higher order.
 SLOPE_AT_FLOOR = 0.5
-"""The errors at the finest steps count as round-off if the slope between them is below this, because every method has
-a higher order.
-"""
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ class Range:
         Unit, for example ``mm``; empty if the values have no unit.
     """
 
+    #: Within this factor of a limit the answer is open. Values from different machines differ by less.
     MARGIN: ClassVar[float] = 1.05
-    """Within this factor of a limit the answer is open. Values from different machines differ by less."""
 
     low: float
     high: float

@@ -20,8 +20,7 @@ BLOCK = 4_000_000  # values read at a time
 BEYOND = 1e150  # larger values are left out: the run has failed, and their squares would overflow
 POINTS = 2_000  # points of a curve; more are indistinguishable at the size of a picture
 
-UNKNOWN = "errors unknown afterwards"
-"""Label of the time until which errors are known."""
+UNKNOWN = "errors unknown afterwards"  #: Label of the time until which errors are known.
 
 
 @dataclass(frozen=True)

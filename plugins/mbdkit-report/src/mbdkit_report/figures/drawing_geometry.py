@@ -88,8 +88,8 @@ class Drawing:
         Points whose paths can be drawn: markers first, then free ends and moving joints.
     """
 
+    #: Number of links above which joints, centres of mass, loads and names are not drawn.
     CROWD: ClassVar[int] = 40
-    """Number of links above which joints, centres of mass, loads and names are not drawn."""
 
     bodies: tuple[str, ...]
     owner: NDArray[np.intp]

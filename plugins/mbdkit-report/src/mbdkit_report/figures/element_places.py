@@ -16,10 +16,8 @@ from mbdkit.mechanism.pathways import JointAngles
 if TYPE_CHECKING:
     from mbdkit_contact.contact import Shape
 
-Place = tuple[str, tuple[float, float]]
-"""Body, and point in its frame [m]."""
-ON_CIRCLE = 24
-"""Number of points of a circle."""
+Place = tuple[str, tuple[float, float]]  #: Body, and point in its frame [m].
+ON_CIRCLE = 24  #: Number of points of a circle.
 
 
 def cable_places(joints: Mapping[str, Joint], pathway: JointAngles) -> list[Place]:

@@ -11,15 +11,12 @@ import numpy as np
 
 from mbdkit_report.figures.plane_geometry import Array
 
-CHARACTER, LINE = 7.3, 15.0
-"""Mean width of a character and height of a line at a font size of 12 px [px]."""
-SWATCH = 14.0
-"""Width reserved for a patch of colour in front of a name [px]."""
+CHARACTER, LINE = 7.3, 15.0  #: Mean width of a character and height of a line at a font size of 12 px [px].
+SWATCH = 14.0  #: Width reserved for a patch of colour in front of a name [px].
 _DIRECTIONS = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _DISTANCES = np.array([7.0, 13.0, 21.0, 32.0, 46.0, 64.0, 84.0])
 _OUTSIDE, _ON_NAME, _ON_LINE = 1e6, 1e4, 12.0
-LEADER = 24.0
-"""A name and its point are connected by a line if their distance is larger than this [px]."""
+LEADER = 24.0  #: A name and its point are connected by a line if their distance is larger than this [px].
 
 
 @dataclass(frozen=True)

@@ -29,10 +29,8 @@ from mbdkit_report.figures.palette import body_colors, color_key
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 from mbdkit_report.figures.svg_canvas import Canvas, shade
 
-NAMES = 60
-"""Largest number of names in a drawing; more would overlap."""
-LONGEST = 28
-"""Largest number of characters of a name."""
+NAMES = 60  #: Largest number of names in a drawing; more would overlap.
+LONGEST = 28  #: Largest number of characters of a name.
 _SHORT_ARROW = 20.0  # length of the arrows of the distributed load of a beam [px]
 
 

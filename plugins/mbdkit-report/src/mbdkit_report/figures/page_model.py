@@ -187,10 +187,8 @@ def _told_if_zero(line: Line) -> Line:
 class Illustration:
     """A drawing for wide pages, a drawing for narrow pages, and a description for readers who do not see them."""
 
-    WIDE: ClassVar[float] = 900.0
-    """Width of a drawing on a screen or on paper [px]."""
-    NARROW: ClassVar[float] = 350.0
-    """Width of a drawing on a telephone [px]."""
+    WIDE: ClassVar[float] = 900.0  #: Width of a drawing on a screen or on paper [px].
+    NARROW: ClassVar[float] = 350.0  #: Width of a drawing on a telephone [px].
 
     wide: Markup
     narrow: Markup

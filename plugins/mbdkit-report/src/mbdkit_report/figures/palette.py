@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace
 from mbdkit_report.figures.page_model import Figure
 
+#: Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple).
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
-"""Six colours that colour-blind readers can distinguish (Okabe and Ito, with a darker purple)."""
 INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
 ALARM, SPRING, MUSCLE = "#B00020", "#7A4FBF", "#C0392B"
 

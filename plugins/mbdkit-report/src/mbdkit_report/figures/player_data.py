@@ -16,8 +16,7 @@ from mbdkit_report.figures.scene import Scene, scene
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-RATE = 50
-"""Frames per second; fewer if there are many bodies."""
+RATE = 50  #: Frames per second; fewer if there are many bodies.
 _GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen
 _ANGLE = 2e-4  # unit of angles [rad]
 _JOINTS = 40  # largest number of joints with gaps

@@ -21,14 +21,15 @@ from mbdkit_report.figures.palette import FAINT, INK, MUSCLE, PALETTE, PAPER, SP
 from mbdkit_report.figures.plane_geometry import Array, zigzag
 
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
+#: Colours of bending moments from the smallest to the largest.
 BENDING_SHADES = tuple(to_hex(_BENDING(place)) for place in np.linspace(0.0, 1.0, 49))
-"""Colours of bending moments from the smallest to the largest."""
 _GROUND_MARK = Path(
     [(0, 0), (-0.6, -1), (0.6, -1), (0, 0)]
     + [(-1, -1), (1, -1)]
     + [point for x in (-0.9, -0.45, 0.0, 0.45, 0.9) for point in ((x, -1), (x - 0.35, -1.45))],
     [Path.MOVETO, Path.LINETO, Path.LINETO, Path.CLOSEPOLY] + [Path.MOVETO, Path.LINETO] * 6,
 )
+#: Matplotlib styles of the points of a drawing.
 _MARKS: dict[str, dict[str, object]] = {
     "ground": {"marker": _GROUND_MARK, "markersize": 14, "color": FAINT, "fillstyle": "none", "zorder": 2},
     "centre": {"marker": r"$\oplus$", "markersize": 7, "color": INK, "markeredgewidth": 0, "zorder": 6},
@@ -36,7 +37,6 @@ _MARKS: dict[str, dict[str, object]] = {
     "slider": {"marker": "s", "markersize": 8, "color": INK, "markerfacecolor": PAPER, "zorder": 6.5},
     "weld": {"marker": "s", "markersize": 5, "color": INK, "zorder": 7},
 }
-"""Matplotlib styles of the points of a drawing."""
 
 
 class PoseArtists:

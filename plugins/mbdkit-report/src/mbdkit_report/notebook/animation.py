@@ -15,15 +15,13 @@ from mbdkit_report.pages.animate import animate, page
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-_NUMBERS = 150_000
-"""Approximate number of pose values in the output of a cell; they take about one megabyte."""
+_NUMBERS = 150_000  #: Approximate number of pose values in the output of a cell; they take about one megabyte.
+#: Style with which the page in the frame follows the light or dark theme of the notebook.
 _IN_DARK_THEMES = (
     ".mbdkit-player { color-scheme: light; } "
     ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'
 )
-"""Style with which the page in the frame follows the light or dark theme of the notebook."""
-_HEIGHT = 640
-"""Height of the frame [px]."""
+_HEIGHT = 640  #: Height of the frame [px].
 
 
 class Animation:

@@ -91,8 +91,7 @@ class View:
         return render("notebook.html", {"view": self}, FILTERS)
 
 
-_CHART = (5.4, 3.3)
-"""Width and height of a chart of a run [inch]."""
+_CHART = (5.4, 3.3)  #: Width and height of a chart of a run [inch].
 
 
 @OwnSeam

@@ -25,16 +25,15 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.mechanism import Mechanism
 
+#: Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of
+#: more beams, the first ones.
 ROWS = 50
-"""Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of
-more beams, the first ones.
-"""
 
 
+#: Note of tables of values without errors.
 OF_ROWS = (
     "Values are those of the recorded rows, and have no error estimates; checked runs estimate errors of measures."
 )
-"""Note of tables of values without errors."""
 _WORDS = {"N": "force", "N m": "torque"}
 
 

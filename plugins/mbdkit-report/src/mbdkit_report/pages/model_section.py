@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.mechanism import Mechanism
 
-ROWS = 200
-"""Largest number of rows in a table."""
+ROWS = 200  #: Largest number of rows in a table.
 _TIMES = 400  # number of recorded times at which the drawing evaluates loads; up to twice as many may be used
 _PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
 _PLACE |= {"motion", "frame"}

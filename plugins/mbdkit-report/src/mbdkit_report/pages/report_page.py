@@ -149,13 +149,13 @@ def _is_numeric(table: Table, column: int) -> bool:
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
 
 
+#: Filters that the macros in `templates/parts.html` use.
 FILTERS: dict[str, Callable[..., object]] = {
     "cell": cell_text,
     "exact": _exact,
     "mark": _MARKS.__getitem__,
     "numeric": _is_numeric,
 }
-"""Filters that the macros in `templates/parts.html` use."""
 
 
 def _summary(figure: Figure) -> Table:
@@ -182,8 +182,8 @@ def _summary(figure: Figure) -> Table:
     return Table(figure.name, title, tuple(Column(name) for name in columns), tuple(rows))
 
 
+#: Dash patterns that distinguish lines of the same colour.
 DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
-"""Dash patterns that distinguish lines of the same colour."""
 SYMBOLS = ("circle", "square", "diamond", "triangle-up", "cross", "x")
 
 Numbers = list[float | None]

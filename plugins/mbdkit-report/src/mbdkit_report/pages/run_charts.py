@@ -24,13 +24,12 @@ from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-MARKS = 60
-"""No events are marked if a run has more event crossings than this."""
+MARKS = 60  #: No events are marked if a run has more event crossings than this.
+#: Charts that show how well the constraints and the energy hold.
 DRIFT = ("misalignment", "velocity-misalignment", "angle-misalignment", "balance")
-"""Charts that show how well the constraints and the energy hold."""
 _FIRST = ("reactions", "torques", "forces", "beams")
+#: Units of the recorded arrays whose charts come after the chart of the trajectory.
 _OF_MOTION = ("m", "rad", "m/s", "rad/s")
-"""Units of the recorded arrays whose charts come after the chart of the trajectory."""
 _OF_JOINTS = (
     "reactions",
     "torques",
@@ -87,11 +86,10 @@ def _marks(run: Run) -> tuple[Mark, ...]:
     return tuple(marks)
 
 
+#: Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.
 LINES = len(PALETTE)
-"""Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.
-"""
+#: Largest number of joints whose force components are shown: the joints with the largest forces.
 COMPONENTS = 4
-"""Largest number of joints whose force components are shown: the joints with the largest forces."""
 _POINTS = 1_000
 _SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
 

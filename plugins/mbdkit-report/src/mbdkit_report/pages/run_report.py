@@ -22,8 +22,8 @@ from mbdkit_report.plot.caption import caption
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Name of the colour of the first headline (`ReportPage.tone`) for each verdict.
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}
-"""Name of the colour of the first headline (`ReportPage.tone`) for each verdict."""
 _NUMBERS = 240_000  # approximate number of pose values of the animation; they take about 1.5 megabytes
 
 

@@ -19,12 +19,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
     from mbdkit.archive.run import Run
 
-BODIES = 50
-"""Largest number of bodies in the table of errors."""
-JOINTS = 50
-"""Largest number of rows in a table of joints or contacts."""
-EVENTS = 50
-"""Largest number of event crossings, and of changes of contacts, in their table."""
+BODIES = 50  #: Largest number of bodies in the table of errors.
+JOINTS = 50  #: Largest number of rows in a table of joints or contacts.
+EVENTS = 50  #: Largest number of event crossings, and of changes of contacts, in their table.
 
 
 def run_tables(run: Run) -> tuple[Table, ...]:

@@ -29,8 +29,7 @@ _LAWS = {
     "exponential": "it grows exponentially",
 }
 
-MOST_LAWS = 3
-"""The growth is not described if this many laws of growth, or more, fit the data."""
+MOST_LAWS = 3  #: The growth is not described if this many laws of growth, or more, fit the data.
 
 
 def run_verdict(run: Run) -> Verdict:

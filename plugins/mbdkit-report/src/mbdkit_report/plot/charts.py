@@ -29,8 +29,7 @@ _DASHES_OF_GROUPS: tuple[object, ...] = (*_DASHES, (0, (1.0, 3.0)))
 _MARKERS = ("o", "s", "D", "^", "P", "X")
 _FORMATS = (".png", ".svg")
 
-Look = dict[str, Any]
-"""Keyword arguments of Matplotlib for a line or a text."""
+Look = dict[str, Any]  #: Keyword arguments of Matplotlib for a line or a text.
 
 
 @dataclass(frozen=True)

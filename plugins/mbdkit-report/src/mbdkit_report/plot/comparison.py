@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit_report.figures.page_model import Figure, Line
 
+#: Largest number of lines in a comparison if no elements are named; each run has at least one line even if this number
+#: is exceeded.
 _LINES = 6
-"""Largest number of lines in a comparison if no elements are named; each run has at least one line even if this number
-is exceeded."""
 _ALL = 1_000_000
+#: Largest number of differences in a label; if there are more, titles and file names are used instead.
 _DIFFERENCES = 3
-"""Largest number of differences in a label; if there are more, titles and file names are used instead."""
 
 
 def compare(

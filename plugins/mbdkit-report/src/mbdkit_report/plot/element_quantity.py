@@ -25,11 +25,10 @@ if TYPE_CHECKING:
 
     from mbdkit.archive.run import Run
 
+#: Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger.
 SMALLEST = 1e-18
-"""Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger."""
 
-MOST = len(PALETTE)
-"""Largest number of elements in a chart if no elements are named."""
+MOST = len(PALETTE)  #: Largest number of elements in a chart if no elements are named.
 
 
 @dataclass(frozen=True)
@@ -179,12 +178,12 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     return replace(with_errors(run, quantity, error), known=known, peak_errors=peaks)
 
 
+#: Name and unit of each kind of misalignment.
 GAPS: dict[Gap, tuple[str, str]] = {
     "position": ("misalignment", "m"),
     "velocity": ("velocity misalignment", "m/s"),
     "angle": ("angle misalignment", "rad"),
 }
-"""Name and unit of each kind of misalignment."""
 
 
 def misalignment(run: Run, gap: Gap = "position") -> ElementQuantity:

@@ -27,8 +27,8 @@ COLORS = {
     "total": INK,
     "balance": PALETTE[4],
 }
+#: Energies that a chart shows, the most important first.
 TERMS = ("total", "kinetic", "potential", "dissipated", "work")
-"""Energies that a chart shows, the most important first."""
 
 
 def panels(run: Run) -> list[Panel]:

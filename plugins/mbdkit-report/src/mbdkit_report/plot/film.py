@@ -25,8 +25,7 @@ from mbdkit_report.plot.style import dress, new_figure, quietly
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-RATE = 25
-"""Frames per second."""
+RATE = 25  #: Frames per second.
 _LENGTH = {"shortest": 2.0, "longest": 16.0}  # seconds
 _MOST = 401
 _WIDTH = 6.4  # inches, at 100 dpi

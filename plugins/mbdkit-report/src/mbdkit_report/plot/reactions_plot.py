@@ -26,6 +26,7 @@ from mbdkit_report.plot.torques_plot import carried_torque
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Components to draw, by the value of the option `components`; none for the magnitude.
 COMPONENTS: dict[str, tuple[str, ...]] = {
     "magnitude": (),
     "global": ("x", "y"),
@@ -35,7 +36,6 @@ COMPONENTS: dict[str, tuple[str, ...]] = {
     "axial": ("axial",),
     "shear": ("shear",),
 }
-"""Components to draw, by the value of the option `components`; none for the magnitude."""
 
 _AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
 _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}

@@ -132,10 +132,8 @@ def _limit(picture: Figure, x: tuple[float, float] | None, y: tuple[float, float
         axes.set(**{f"{name}lim": limits for name, limits in (("x", x), ("y", y)) if limits is not None})
 
 
-WIDTH = 183.0
-"""Default width [mm]; two columns in many journals."""
-_SHAPE = 0.66
-"""Default ratio of height to width."""
+WIDTH = 183.0  #: Default width [mm]; two columns in many journals.
+_SHAPE = 0.66  #: Default ratio of height to width.
 _SMALLEST, _LARGEST = 30.0, 1000.0  # mm
 _INCH = 25.4  # mm
 _DPI = 300
@@ -143,6 +141,7 @@ _POINTS = 72.0 / _INCH  # in a millimetre
 _TEXT = 7.5  # points
 _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?mm(?: ?x ?(\d+(?:\.\d+)?) ?mm)?", re.IGNORECASE)
 
+#: Settings of Matplotlib for figures in papers.
 STYLE: dict[Any, Any] = {
     **dict.fromkeys(("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), _TEXT),
     **dict.fromkeys(("legend.fontsize", "legend.title_fontsize"), _TEXT),
@@ -164,7 +163,6 @@ STYLE: dict[Any, Any] = {
     "lines.linewidth": 1.1,
     "lines.markersize": 3.0,
 }
-"""Settings of Matplotlib for figures in papers."""
 
 
 def size_in_mm(text: str) -> tuple[float, float]:

@@ -31,12 +31,12 @@ _FILES: dict[Any, Any] = {
     "svg.hashsalt": "mbdkit",
     "savefig.bbox": None,  # the size of the file is that of the figure
 }
+#: Metadata of image files: no dates, and a name by which `mbdkit study --overwrite` recognizes images of reports.
 _METADATA: dict[str, dict[str, str | None]] = {
     "pdf": {"CreationDate": None},
     "png": {"Software": "mbdkit"},
     "svg": {"Date": None, "Creator": "mbdkit"},
 }
-"""Metadata of image files: no dates, and a name by which `mbdkit study --overwrite` recognizes images of reports."""
 
 
 def new_figure(caption: Caption, width: float = 7.2, height: float = 4.8, dpi: int = DPI) -> Figure:

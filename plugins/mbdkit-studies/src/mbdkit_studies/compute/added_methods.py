@@ -29,21 +29,20 @@ from mbdkit_studies.spec.method_claims import METHOD, claims_of
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import Value, is_labelled, label_of
 
+#: The name of an integrator, a mapping of its name and options, or a labelled value ``{label, set}`` of an axis; as
+#: data, or as text in YAML.
 MethodSource: TypeAlias = str | Mapping[str, Any]
-"""The name of an integrator, a mapping of its name and options, or a labelled value ``{label, set}`` of an axis; as
-data, or as text in YAML."""
 
+#: Tolerances of an adaptive method, where a study varies the steps of the others.
 TOLERANCES = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10]
-"""Tolerances of an adaptive method, where a study varies the steps of the others."""
 
-_MOST_CHECKED = 200
-"""Largest number of runs of one family that are checked before a method is added to it."""
+_MOST_CHECKED = 200  #: Largest number of runs of one family that are checked before a method is added to it.
 
+#: Name that the axes of a study without families get if an adaptive method adds a family.
 _ONLY_FAMILY = "steps"
-"""Name that the axes of a study without families get if an adaptive method adds a family."""
 
+#: Keys that are chosen for a method, with their default values.
 _HOW = {"formulation": "index-1", "stabilization": "none"}
-"""Keys that are chosen for a method, with their default values."""
 
 
 @dataclass(frozen=True)

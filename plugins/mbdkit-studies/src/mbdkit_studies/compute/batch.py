@@ -17,8 +17,8 @@ from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.lanes.lane_runs import LaneRuns
 from mbdkit_studies.texts import joined_lines
 
+#: Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together.
 CHUNK = 8 * WIDTH
-"""Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together."""
 
 
 def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -> Iterator[FinishedRun | Outcome]:

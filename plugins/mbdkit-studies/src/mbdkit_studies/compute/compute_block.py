@@ -39,11 +39,10 @@ from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kep
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
-MISALIGNMENT = "misalignment_max"
-"""The measure that blocks store in a column apart from the other measures."""
+MISALIGNMENT = "misalignment_max"  #: The measure that blocks store in a column apart from the other measures.
 
+#: Time to wait for another process that computes the same block, such as one whose parent was killed [s].
 PATIENCE = 10.0
-"""Time to wait for another process that computes the same block, such as one whose parent was killed [s]."""
 
 
 class BlockMeasures:

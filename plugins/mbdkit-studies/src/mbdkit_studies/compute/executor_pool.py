@@ -20,8 +20,7 @@ from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.pool import PROGRAM, Pool
 from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
 
-LOOK = 1.0
-"""Interval between checks whether the client of a Dask cluster is closed [s]."""
+LOOK = 1.0  #: Interval between checks whether the client of a Dask cluster is closed [s].
 
 
 @dataclass(frozen=True)

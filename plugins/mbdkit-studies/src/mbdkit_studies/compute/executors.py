@@ -22,17 +22,13 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, one_line, shown
 from mbdkit_studies.folder.owned_folder import JOBS
 
-MOST_JOBS = 100
-"""Default of the largest number of jobs into which the tasks of a study are divided."""
+MOST_JOBS = 100  #: Default of the largest number of jobs into which the tasks of a study are divided.
 
-INTERVAL = 0.5
-"""Interval at which the jobs are checked [s]."""
+INTERVAL = 0.5  #: Interval at which the jobs are checked [s].
 
-PATIENCE = 10.0
-"""Time to wait for cancelled jobs to end [s]."""
+PATIENCE = 10.0  #: Time to wait for cancelled jobs to end [s].
 
-QUEUE_INTERVAL = 5.0
-"""Interval at which Slurm is asked for its jobs where it has no accounting [s]."""
+QUEUE_INTERVAL = 5.0  #: Interval at which Slurm is asked for its jobs where it has no accounting [s].
 
 
 class SlurmQueue:
@@ -156,14 +152,12 @@ class SubmititExecutor(Executor):
             time.sleep(INTERVAL / 5)
 
 
-TIMEOUT = 10
-"""Time for a Dask scheduler to answer [s]."""
+TIMEOUT = 10  #: Time for a Dask scheduler to answer [s].
 
-MINUTES = 60
-"""Time limit of a job unless `time` is given [min]."""
+MINUTES = 60  #: Time limit of a job unless `time` is given [min].
 
+#: Options of submitit that are lists: commands before and after the job, and arguments of srun.
 _LISTS = ("setup", "teardown", "srun_args")
-"""Options of submitit that are lists: commands before and after the job, and arguments of srun."""
 
 _FLAGS = {"true": True, "false": False}
 

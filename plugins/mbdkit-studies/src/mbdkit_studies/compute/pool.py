@@ -26,16 +26,15 @@ from mbdkit.base.errors import ResourceError
 from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
 from mbdkit_studies.texts import without_numbers
 
-PROGRAM = "mbdkit_studies.compute.worker"
-"""Module that carries out the tasks of studies."""
+PROGRAM = "mbdkit_studies.compute.worker"  #: Module that carries out the tasks of studies.
 
 #: Environment variables for the number of threads of linear algebra libraries. Several threads do not help with small
 #: matrices, and the workers would compete for the cores.
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
+#: Exit statuses of Windows from here on are codes of errors, such as 0xc0000005 for an access violation.
 _WINDOWS_ERROR = 0xC0000000
-"""Exit statuses of Windows from here on are codes of errors, such as 0xc0000005 for an access violation."""
 
 
 class Pool:

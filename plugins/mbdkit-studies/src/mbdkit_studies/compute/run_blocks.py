@@ -24,20 +24,18 @@ from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.blocks import AnotherStudyError, Block
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, NUMBERS, Index
 
+#: Columns of texts and hashes in the index of a study that is stored in blocks.
 OF_BLOCKS = ("run_id", "status", "status_reason", "verdict", "verdict_reasons", "worst_joint", "data_sha256")
-"""Columns of texts and hashes in the index of a study that is stored in blocks."""
 
+#: If a file was last changed longer ago than this [s], its times reveal any further change.
+#:
+#: File systems record times with a resolution of 2 s or better.
 SETTLED = 2.0
-"""If a file was last changed longer ago than this [s], its times reveal any further change.
-
-File systems record times with a resolution of 2 s or better.
-"""
 
 
 UNKNOWN = (0, 0, 0, 0)
 
-TIMES = slice(1, 3)
-"""Times of the last modification and of the last change in the result of `_state`."""
+TIMES = slice(1, 3)  #: Times of the last modification and of the last change in the result of `_state`.
 
 
 class RunBlocks(RunStore[int]):

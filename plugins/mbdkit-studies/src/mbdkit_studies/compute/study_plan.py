@@ -28,11 +28,10 @@ from mbdkit_studies.store.study_blocks import StudyBlocks
 from mbdkit_studies.store.study_index import COLUMNS, axis_column
 from mbdkit_studies.texts import without_numbers
 
+#: Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
+#:
+#: The specs of all other runs are validated when the runs are computed.
 SAMPLES = 8
-"""Number of runs, of a study stored in blocks (files of many runs), whose specs are validated before the first run.
-
-The specs of all other runs are validated when the runs are computed.
-"""
 
 
 class StudyPlan:

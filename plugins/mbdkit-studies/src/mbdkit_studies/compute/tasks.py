@@ -13,8 +13,7 @@ from typing import Any, TypeAlias
 from mbdkit.base.called_functions import may_call
 from mbdkit.base.command_words import command_words
 
-Message: TypeAlias = dict[str, Any]
-"""A task for a worker, or its answer, as plain data that JSON can contain."""
+Message: TypeAlias = dict[str, Any]  #: A task for a worker, or its answer, as plain data that JSON can contain.
 
 #: External reasons of failure: a resource was not available, a process died or was stopped, or mbdkit has a defect.
 PASSING = ("no-resources", "worker-died", "interrupted", "error")
@@ -22,8 +21,8 @@ PASSING = ("no-resources", "worker-died", "interrupted", "error")
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
 TRIED_AGAIN = ("plugin-error", *PASSING)
 
+#: Largest number of processes that may die in one task; after more deaths, the task is not tried again.
 MOST_DEATHS = 20
-"""Largest number of processes that may die in one task; after more deaths, the task is not tried again."""
 
 
 @dataclass(frozen=True)

@@ -21,16 +21,15 @@ from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, block_image
 from mbdkit_studies.store.blocks import Block
 
+#: Smallest processor time between two files [s]. Writing one takes about 0.04 s of it, and 5 s per GB.
 INTERVAL = 2.0
-"""Smallest processor time between two files [s]. Writing one takes about 0.04 s of it, and 5 s per GB."""
 
+#: Share of the wall time that counts as processor time if a process gets less of it, or waits.
 LEAST_SHARE = 0.1
-"""Share of the wall time that counts as processor time if a process gets less of it, or waits."""
 
+#: Bytes of arrays per second of processor time above which runs are not saved, because saving them would take more than
+#: 5 % of the time. At this rate, a block of 64 MB is complete after 6 s.
 LARGEST_RATE = 1e7
-"""Bytes of arrays per second of processor time above which runs are not saved, because saving them would take more than
-5 % of the time. At this rate, a block of 64 MB is complete after 6 s.
-"""
 
 PIECE = ".piece-"
 

@@ -31,11 +31,10 @@ from mbdkit_studies.compute.tasks import Message
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Function that carries out the task described by a message, and returns the answer.
+#:
+#: Its second argument is a function that passes notes to the user.
 Carry = Callable[[Message, Callable[[str], None]], Message]
-"""Function that carries out the task described by a message, and returns the answer.
-
-Its second argument is a function that passes notes to the user.
-"""
 
 
 def main(carry: Carry | None = None) -> None:
@@ -65,10 +64,9 @@ def _read(source: IO[str], tasks: queue.SimpleQueue[str]) -> None:
     os._exit(0)  # the parent process is gone
 
 
+#: Lock held while tasks are computed, because threads of one process would compete for the interpreter and share its
+#: state.
 _ONE_AT_A_TIME = threading.Lock()
-"""Lock held while tasks are computed, because threads of one process would compete for the interpreter and share its
-state.
-"""
 
 
 def compute(tasks: Sequence[Message], of_version: str, carry: Carry | None = None) -> list[Message]:

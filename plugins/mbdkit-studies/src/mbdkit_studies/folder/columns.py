@@ -19,14 +19,13 @@ from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.part_file import LIBVER
 from mbdkit.quantities.array import TEXT, Array
 
+#: Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent.
 _LEVEL = 4
-"""Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent."""
 
-SMALL = 4096
-"""Arrays with fewer bytes are not compressed."""
+SMALL = 4096  #: Arrays with fewer bytes are not compressed.
 
+#: Size of a compressed chunk [bytes]. A chunk holds whole runs, so that reading one run decompresses few others.
 CHUNK = 1 << 18
-"""Size of a compressed chunk [bytes]. A chunk holds whole runs, so that reading one run decompresses few others."""
 
 
 @contextmanager

@@ -59,12 +59,10 @@ class Shard:
         return (self.number - other.number) % math.gcd(self.count, other.count) == 0
 
 
-WHOLE = Shard(1, 1)
-"""The whole study as a single part."""
+WHOLE = Shard(1, 1)  #: The whole study as a single part.
 
 
-LOCK = ".lock-"
-"""Prefix of the names of lock files."""
+LOCK = ".lock-"  #: Prefix of the names of lock files.
 
 _NAME = re.compile(re.escape(LOCK) + r"(\d{1,6})-of-(\d{1,6})")
 

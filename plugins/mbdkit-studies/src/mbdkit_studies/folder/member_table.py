@@ -17,8 +17,7 @@ from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
 from mbdkit_studies.spec.study_spec import StudySpec
 
-FILE = "members.h5"
-"""Name of the table in the folder of a study; see `StudySpec.members`."""
+FILE = "members.h5"  #: Name of the table in the folder of a study; see `StudySpec.members`.
 
 _FORMAT = "mbdkit-members"
 

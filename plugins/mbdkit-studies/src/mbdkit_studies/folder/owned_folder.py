@@ -18,11 +18,10 @@ from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_studies.folder import folder_lock
 from mbdkit_studies.folder.folder_lock import LOCK, WHOLE, Shard
 
-JOBS = ".jobs-"
-"""Prefix of the name of the folder for the files of submitted jobs."""
+JOBS = ".jobs-"  #: Prefix of the name of the folder for the files of submitted jobs.
 
+#: Text that every page of mbdkit contains near its beginning.
 _GENERATOR = b'<meta name="generator" content="mbdkit '
-"""Text that every page of mbdkit contains near its beginning."""
 
 Spec = TypeVar("Spec")
 

@@ -54,8 +54,8 @@ from mbdkit_studies.lanes.lane_stepper import (
 
 _LOG = logger_of(__name__)
 
+#: Largest number of loops that are stored for later batches; each loop is for one mechanism and method.
 MOST_GROUPS = 8
-"""Largest number of loops that are stored for later batches; each loop is for one mechanism and method."""
 
 
 @dataclass(eq=False)
@@ -66,15 +66,11 @@ class LaneMember:
     method: Method
     start: MechanismAtStart
     table: Timetable
-    pivots: StagePivots | None
-    """Pivots of the stage matrix; None if the method is explicit."""
-    size: float
-    """Size of the mechanism at its start [m]."""
+    pivots: StagePivots | None  #: Pivots of the stage matrix; None if the method is explicit.
+    size: float  #: Size of the mechanism at its start [m].
     findings: tuple[Finding, ...]
-    topology: tuple[object, ...]
-    """Key that is equal for mechanisms that differ only in numbers."""
-    seconds: float = 0.0
-    """Wall time of the preparation [s]."""
+    topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
+    seconds: float = 0.0  #: Wall time of the preparation [s].
 
     @property
     def key(self) -> tuple[object, ...]:

@@ -43,37 +43,27 @@ class LaneResults:
     If the step size is controlled, a run may have fewer than T recorded states; its last one is then repeated.
     """
 
+    #: (W,) whether a run must be repeated outside the lanes; its other values are then not valid.
     lost: np.ndarray
-    """(W,) whether a run must be repeated outside the lanes; its other values are then not valid."""
-    time: np.ndarray
-    """(W, T) times [s]."""
-    q: np.ndarray
-    """(W, T, 3 (B + 1)) positions, ground last."""
+    time: np.ndarray  #: (W, T) times [s].
+    q: np.ndarray  #: (W, T, 3 (B + 1)) positions, ground last.
     v: np.ndarray
-    z: np.ndarray
-    """(W, T, Z) first-order states."""
-    energy: np.ndarray
-    """(W, T, 2) work and dissipated energy [J]."""
-    observed: Observed
-    """Values computed for the recorded states; arrays (W, T, ...)."""
-    worst: np.ndarray
-    """(W, P) largest squared misalignments."""
+    z: np.ndarray  #: (W, T, Z) first-order states.
+    energy: np.ndarray  #: (W, T, 2) work and dissipated energy [J].
+    observed: Observed  #: Values computed for the recorded states; arrays (W, T, ...).
+    worst: np.ndarray  #: (W, P) largest squared misalignments.
+    #: (W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of the
+    #: steps since then.
     iterations: np.ndarray
-    """(W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of the
-    steps since then.
-    """
-    rows: np.ndarray
-    """(W,) number of recorded states of each run."""
+    rows: np.ndarray  #: (W,) number of recorded states of each run.
+    #: (W, T, 3) number of steps since the previous recorded state, size of the last step [s], and number of rejected
+    #: steps; None if the steps are fixed.
     work: np.ndarray | None
-    """(W, T, 3) number of steps since the previous recorded state, size of the last step [s], and number of rejected
-    steps; None if the steps are fixed.
-    """
     evidence: tuple[StepEvidence, ...]
     counters: tuple[Counters, ...]
 
 
-AtStart = MechanismAtStart | Workspace
-"""A mechanism at its consistent initial state."""
+AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
 
 
 class LaneStepper:
@@ -242,8 +232,7 @@ def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
         lanes[..., lane] = array
 
 
-FEW_ROWS = 64
-"""Initial number of rows of the buffer of recorded states; it is doubled when it is full."""
+FEW_ROWS = 64  #: Initial number of rows of the buffer of recorded states; it is doubled when it is full.
 
 
 def _rows_by_interval(table: Timetable) -> int:

@@ -29,8 +29,7 @@ from mbdkit_studies.spec.sample_section import unit_of
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit_studies.spec.value_sets import Value, expand, size
 
-HOW = ("formulation", "stabilization")
-"""Keys of a run spec that belong to a method."""
+HOW = ("formulation", "stabilization")  #: Keys of a run spec that belong to a method.
 
 #: Largest number of runs in a study that writes one file per run.
 LARGEST_STUDY = 10_000
@@ -77,8 +76,8 @@ class Grid:
 
     table: Mapping[str, np.ndarray] = field(default_factory=dict)
     table_place: Path = ()
+    #: SI units of those variables of the sample whose distributions have units.
     sample_units: Mapping[str, str] = field(default_factory=dict)
-    """SI units of those variables of the sample whose distributions have units."""
 
     @cached_property
     def base_json(self) -> str:

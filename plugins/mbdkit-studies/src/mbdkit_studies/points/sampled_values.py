@@ -13,8 +13,8 @@ from mbdkit_studies.spec.sample_section import Sample, frozen
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import Members, StudySpec
 
+#: Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions.
 _SMALLEST = 2.0**-54
-"""Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions."""
 
 
 def sampled_values(sample: Sample, estimated: Estimated | None = None) -> dict[str, np.ndarray]:

@@ -24,17 +24,16 @@ from mbdkit_studies.points.planned_points import Grid, grids
 from mbdkit_studies.spec.sample_section import frozen
 from mbdkit_studies.spec.study_spec import StudySpec
 
+#: Mean and standard deviation may be exchanged if the standard deviation exceeds this multiple of the mean.
 WIDE = 3.0
-"""Mean and standard deviation may be exchanged if the standard deviation exceeds this multiple of the mean."""
 
+#: Share of the range of an initial value by which assembly may change this range without a warning.
 KEPT = 0.01
-"""Share of the range of an initial value by which assembly may change this range without a warning."""
 
-ROUNDING = 1e-9
-"""Ranges of initial values below this share of the largest value count as rounding errors."""
+ROUNDING = 1e-9  #: Ranges of initial values below this share of the largest value count as rounding errors.
 
+#: Keys of the initial values of a body.
 KEYS = (("position", 0), ("position", 1), ("angle",), ("velocity", 0), ("velocity", 1), ("angular_velocity",))
-"""Keys of the initial values of a body."""
 
 
 def notes_on_varied_values(spec: StudySpec) -> Iterator[str]:

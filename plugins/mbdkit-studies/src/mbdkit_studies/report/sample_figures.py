@@ -24,18 +24,15 @@ if TYPE_CHECKING:
     from mbdkit_studies.statistics.sensitivity import Sensitivity
     from mbdkit_studies.study import Study
 
-_FEWEST = 8
-"""A distribution is shown only if at least this number of values is known."""
+_FEWEST = 8  #: A distribution is shown only if at least this number of values is known.
 _MOST_BINS = 60
 _MOST_DOTS = 2000
 _MOST_GROUPS = 4
+#: Largest number of variables in charts: those with the largest total Sobol indices or, without indices, with the
+#: largest correlations.
 _MOST_VARIABLES = 6
-"""Largest number of variables in charts: those with the largest total Sobol indices or, without indices, with the
-largest correlations.
-"""
 _BANDS = (0.05, 0.25, 0.5, 0.75, 0.95)
-_RESAMPLES = 200
-"""Number of bootstrap samples for each point in charts of convergence; tables use more."""
+_RESAMPLES = 200  #: Number of bootstrap samples for each point in charts of convergence; tables use more.
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
-_DECADE = 8.0
-"""Ratio of largest to smallest value from which an axis is logarithmic."""
+_DECADE = 8.0  #: Ratio of largest to smallest value from which an axis is logarithmic.
 _SPREAD = f"{TIMED} Bands reach to the upper quartile."
 
 
@@ -72,8 +71,8 @@ _WORK = Quantity(
     Axis("evaluations, Jacobians and factorizations", log=True),
     caption="Operations are evaluations of the right-hand side, evaluations of Jacobians and factorizations.",
 )
+#: A measure is shown against the cost if its name contains one of these words.
 _ERRORS = ("error", "misalignment", "balance", "defect", "trend")
-"""A measure is shown against the cost if its name contains one of these words."""
 _USUAL = ("misalignment_max", "end_error")
 
 
@@ -236,10 +235,8 @@ def _slug(*words: str) -> str:
     return re.sub(r"[^a-z0-9]+", "-", "-".join(filter(None, words)).lower()).strip("-")
 
 
-_NEAR = 0.3
-"""A guide is drawn if the observed order differs from a whole number by at most this."""
-_BELOW = 2.5
-"""Factor by which a guide lies below the curve."""
+_NEAR = 0.3  #: A guide is drawn if the observed order differs from a whole number by at most this.
+_BELOW = 2.5  #: Factor by which a guide lies below the curve.
 
 
 def with_slope_guides(figure: Figure) -> Figure:

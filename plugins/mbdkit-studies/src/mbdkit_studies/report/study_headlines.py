@@ -26,34 +26,32 @@ if TYPE_CHECKING:
     from mbdkit_studies.statistics.sensitivity import Sensitivity
     from mbdkit_studies.study import Study
 
-MOST = 5
-"""Largest number of measures, and of samples of a study, in the headlines."""
+MOST = 5  #: Largest number of measures, and of samples of a study, in the headlines.
 
+#: Headlines mention a variable if it explains at least this share of the variance of a measure, and interactions if
+#: they do.
 LEAST_SHARE = 0.05
-"""Headlines mention a variable if it explains at least this share of the variance of a measure, and interactions if
-they do."""
 
+#: Headlines do not mention Sobol indices whose confidence intervals are wider than the first number. They then
+#: recommend a number of members for which the widths are about the second number.
 WIDEST, WANTED = 0.5, 0.2
-"""Headlines do not mention Sobol indices whose confidence intervals are wider than the first number. They then
-recommend a number of members for which the widths are about the second number."""
 
+#: Smallest number of members whose Sobol indices are mentioned.
+#:
+#: For the Ishigami function and a product of three variables, 95 % intervals from 8 to 16 random members contain the
+#: index in 80 to 95 % of the samples, those from 32 members in 87 to 96 %, and those from 128 members in 90 to 96 %
+#: (`tests.benchmarks.study_intervals`).
 FEWEST_MEMBERS = 32
-"""Smallest number of members whose Sobol indices are mentioned.
 
-For the Ishigami function and a product of three variables, 95 % intervals from 8 to 16 random members contain the index
-in 80 to 95 % of the samples, those from 32 members in 87 to 96 %, and those from 128 members in 90 to 96 %
-(`tests.benchmarks.study_intervals`).
-"""
-
+#: Largest number of variables in a headline. Up to three others follow if their order is uncertain.
 MOST_CAUSES = 3
-"""Largest number of variables in a headline. Up to three others follow if their order is uncertain."""
 
+#: If the relative range of a measure is below this, its values differ by rounding errors only.
 ROUND_OFF = 1e-12
-"""If the relative range of a measure is below this, its values differ by rounding errors only."""
 
+#: Errors of runs are mentioned as a part of the spread of a measure if they exceed this share of its standard
+#: deviation.
 SMALL_ERRORS = 0.1
-"""Errors of runs are mentioned as a part of the spread of a measure if they exceed this share of its standard
-deviation."""
 
 
 def headlines(study: Study, sign: str = "+-") -> list[tuple[str, str]]:

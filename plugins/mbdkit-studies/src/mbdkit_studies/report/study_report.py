@@ -48,12 +48,10 @@ if TYPE_CHECKING:
     from mbdkit_studies.study import Study
 
 _FILMS = 6
-_LISTED = 500
-"""Largest number of runs of a study with a sample that the page lists."""
+_LISTED = 500  #: Largest number of runs of a study with a sample that the page lists.
+#: Number of runs, evenly spaced over a study with a sample, whose specs and provenance the page shows. The first run of
+#: each sample is added.
 _READ = 20
-"""Number of runs, evenly spaced over a study with a sample, whose specs and provenance the page shows. The first run of
-each sample is added.
-"""
 _NUMBERS = 40_000  # approximate number of pose values of each animation
 _COLUMNS = (
     (Column("largest misalignment", "m"), "misalignment_max"),
@@ -69,8 +67,8 @@ _TIMED = (
     (Column("median", "s"), "wall_median_s"),
     (Column("upper quartile", "s"), "wall_q3_s"),
 )
+#: Entries of the provenance that differ between the runs of a study.
 _OF_A_RUN = ("command", "assembly", "model", "integrator")
-"""Entries of the provenance that differ between the runs of a study."""
 
 
 def study_report(study: Study) -> ReportPage:

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
-ADDED = "added"
-"""Name of the table of added methods."""
+ADDED = "added"  #: Name of the table of added methods.
 
 DRIFT = "misalignment_max"
 

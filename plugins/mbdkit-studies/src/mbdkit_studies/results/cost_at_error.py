@@ -18,18 +18,15 @@ if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
-ERROR = "end_error"
-"""Column of the error: the largest distance of a body from the reference at the end [m]."""
+ERROR = "end_error"  #: Column of the error: the largest distance of a body from the reference at the end [m].
 
+#: Errors [m] in the table, the most relevant first.
+#:
+#: If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range, on a
+#: logarithmic scale, if this power is in the range.
 FAVOURITES = (1e-6, 1e-3, 1e-9, 1e-12)
-"""Errors [m] in the table, the most relevant first.
 
-If none is in the range of the runs' errors, the table has the power of ten closest to the middle of this range, on a
-logarithmic scale, if this power is in the range.
-"""
-
-MOST = 3
-"""Largest number of errors in the table."""
+MOST = 3  #: Largest number of errors in the table.
 
 TIMED_ONCE = (
     'Each run was timed once, in parallel with other work, so that wall times are uncertain: "repeats: 5" in the study '

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
+#: Errors below this many units of round-off of the mechanism's size are not used to determine an order.
 _ROUNDINGS = 4.0
-"""Errors below this many units of round-off of the mechanism's size are not used to determine an order."""
 
 
 def general_verdict(study: Study) -> Verdict:

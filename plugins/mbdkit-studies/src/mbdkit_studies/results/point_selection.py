@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 MODEL, STEP = "model", "time.step"
+#: Suffix of the family in which an added method has tolerances in place of the steps of another family.
 IN_TOLERANCES = "-tolerances"
-"""Suffix of the family in which an added method has tolerances in place of the steps of another family."""
 OPERATIONS = ("rhs_evaluations", "jacobian_evaluations", "factorizations")
 """Counters whose sum is the cost of a run in operations."""
 

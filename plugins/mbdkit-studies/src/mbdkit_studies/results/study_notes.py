@@ -22,14 +22,11 @@ if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
-_CODE = re.compile(r"[a-z-]+(?=: )")
-"""Code at the beginning of the reason for a failure."""
+_CODE = re.compile(r"[a-z-]+(?=: )")  #: Code at the beginning of the reason for a failure.
 
-MOST_REASONS = 5
-"""Largest number of different reasons that are printed for failures, and for each verdict."""
+MOST_REASONS = 5  #: Largest number of different reasons that are printed for failures, and for each verdict.
 
-MOST_RUNS = 6
-"""Largest number of runs with the same reason whose numbers are printed."""
+MOST_RUNS = 6  #: Largest number of runs with the same reason whose numbers are printed.
 
 
 def notes(study: Study) -> list[tuple[str, str]]:

@@ -13,8 +13,7 @@ from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
 
-METHOD = "integrator"
-"""Key of the method in a run spec."""
+METHOD = "integrator"  #: Key of the method in a run spec.
 
 
 def claims_of(integrator: object) -> Claims:

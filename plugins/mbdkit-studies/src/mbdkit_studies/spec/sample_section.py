@@ -19,13 +19,11 @@ from mbdkit.spec.sections import Section, whole
 
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 
-LIMITS = ("low", "high")
-"""Parameters of `uniform`; scipy.stats uses the lower limit and the width instead."""
-_NORMAL = {"mean": "loc", "std": "scale"}
-"""Parameters of `normal`, which scipy.stats calls norm."""
+LIMITS = ("low", "high")  #: Parameters of `uniform`; scipy.stats uses the lower limit and the width instead.
+_NORMAL = {"mean": "loc", "std": "scale"}  #: Parameters of `normal`, which scipy.stats calls norm.
 _LOCATION = ("loc", "scale")
+#: Distributions that samples cannot have, because each quantile takes milliseconds in spite of a formula for it.
 _SLOW = ("ksone", "kstwo")
-"""Distributions that samples cannot have, because each quantile takes milliseconds in spite of a formula for it."""
 
 
 def check_distribution(given: object) -> Any:
@@ -214,10 +212,9 @@ Distribution = Annotated[
 ]
 
 
+#: Largest number of variables. The Sobol sequence of scipy.stats.qmc has 21201 dimensions; each variable may need
+#: two.
 MOST_VARIABLES = 1000
-"""Largest number of variables. The Sobol sequence of scipy.stats.qmc has 21201 dimensions; each variable may need
-two.
-"""
 
 
 def _check_number(variables: object) -> Any:

@@ -70,11 +70,10 @@ def velocity_misalignment(spec: RunSpec) -> tuple[float, str]:
         return math.nan, f"error: {error}"
 
 
-LOOKS = 16
-"""Number of states along the run at which the mechanism is tested for reversibility."""
+LOOKS = 16  #: Number of states along the run at which the mechanism is tested for reversibility.
+#: Tolerance for equal accelerations, relative to the largest one, and for equal values of the constraints, relative to
+#: the largest coordinate.
 SAME = 1e-9
-"""Tolerance for equal accelerations, relative to the largest one, and for equal values of the constraints, relative to
-the largest coordinate."""
 
 
 @dataclass(frozen=True)

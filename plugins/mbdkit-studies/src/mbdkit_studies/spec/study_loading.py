@@ -20,8 +20,8 @@ from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import sets_together
 
+#: A file, the name of a packaged study, a mapping, or a validated spec.
 StudySource: TypeAlias = str | FilePath | Mapping[str, object] | StudySpec
-"""A file, the name of a packaged study, a mapping, or a validated spec."""
 
 
 def load_study_spec(source: object, assignments: Iterable[str] = (), *, quick: bool = False) -> StudySpec:

@@ -113,8 +113,7 @@ Reference = Literal["none"] | Overrides
 Repeats = Annotated[int, Field(ge=1, le=1000)]
 Storing = Literal["files", "all", "histories", "summary", "hashes"]
 
-LARGEST_TABLE = 1_000_000
-"""Largest number of runs in a study that is stored in blocks."""
+LARGEST_TABLE = 1_000_000  #: Largest number of runs in a study that is stored in blocks.
 
 
 class Family(Section):

@@ -26,8 +26,8 @@ from mbdkit.base.units import QUANTITY, Unit, read_quantity
 LARGEST_SET = 10_000
 
 SPACED = ("geomspace", "linspace")
+#: Keys of a value with a label; either `value` or `set` is required.
 LABELLED = ("label", "value", "set", "if_installed")
-"""Keys of a value with a label; either `value` or `set` is required."""
 FORMS = "a list of values, {geomspace: [first, last, number]} or {linspace: [first, last, number]}"
 
 #: Significant digits to which spaced numbers are rounded, so that they are identical on all machines.

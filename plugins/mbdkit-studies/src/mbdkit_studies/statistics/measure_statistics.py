@@ -14,8 +14,7 @@ from mbdkit_studies.statistics import sample_statistics
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, Estimate
 
 QUANTILES = (0.05, 0.5, 0.95)
-FEWEST = 3
-"""Smallest number of values that have statistics."""
+FEWEST = 3  #: Smallest number of values that have statistics.
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+#: Largest number of times at which quantiles are computed by default, if all runs recorded the same times.
 MOST_ROWS = 501
-"""Largest number of times at which quantiles are computed by default, if all runs recorded the same times."""
+#: Number of times at which quantiles are computed by default, if the runs recorded different times.
 TIMES = 201
-"""Number of times at which quantiles are computed by default, if the runs recorded different times."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,7 @@ import numpy as np
 
 from mbdkit.archive.headlines import LARGEST_PLACE, SMALLEST_PLACE
 
-CONFIDENCE = 0.95
-"""Probability of the intervals, by default."""
+CONFIDENCE = 0.95  #: Probability of the intervals, by default.
 
 
 @dataclass(frozen=True)

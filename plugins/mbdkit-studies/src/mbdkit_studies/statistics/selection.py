@@ -30,11 +30,9 @@ _FUNCTIONS: Mapping[str, Callable[[Any], Any]] = {
     "isnan": np.isnan,
 }
 
-_QUOTED = r"\"[^\"\\\n]*\"|'[^'\\\n]*'"
-"""A quoted text, without a backslash."""
+_QUOTED = r"\"[^\"\\\n]*\"|'[^'\\\n]*'"  #: A quoted text, without a backslash.
 
-MOST_COMPARED = 1000
-"""Largest number of values in a list after `in`."""
+MOST_COMPARED = 1000  #: Largest number of values in a list after `in`.
 
 
 def select_rows(condition: str, columns: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from mbdkit_studies.points.planned_points import Label
 
-NARROW = 0.05
-"""Width of the intervals of indices for which a note says how many members are needed."""
+NARROW = 0.05  #: Width of the intervals of indices for which a note says how many members are needed.
 
 
 @dataclass(frozen=True, eq=False)

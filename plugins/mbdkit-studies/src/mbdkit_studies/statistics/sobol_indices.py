@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+#: Number of bootstrap samples. With 1000 samples, 25 values lie beyond each end of a 95 % interval.
 RESAMPLES = 1000
-"""Number of bootstrap samples. With 1000 samples, 25 values lie beyond each end of a 95 % interval."""
 
-ROUND_OFF = 1e-13
-"""Values count as equal if their range is at most this share of their largest magnitude."""
+ROUND_OFF = 1e-13  #: Values count as equal if their range is at most this share of their largest magnitude.
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,20 +34,20 @@ FORMAT_VERSION = "1.0"
 Store = Literal["hashes", "summary", "histories", "all"]
 STORES: tuple[Store, ...] = get_args(Store)
 
+#: Paths of the arrays with rows that ``store: histories`` keeps; names are kept as well.
 HISTORIES = frozenset(
     ["trajectory/time"]
     + [array.path for kind in KINDS for array in kind.arrays if isinstance(array, Recorded) and array.is_history]
 )
-"""Paths of the arrays with rows that ``store: histories`` keeps; names are kept as well."""
 
+#: Values of `store` for which a study keeps recorded rows.
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
-"""Values of `store` for which a study keeps recorded rows."""
 
+#: Axes of a run archive that grow during a run, each with the group in which a block stores its length by run.
 COUNTS = (
     ("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"), ("set/number", "inputs"),
     ("sample", "samples"),
 )  # fmt: skip
-"""Axes of a run archive that grow during a run, each with the group in which a block stores its length by run."""
 
 
 def prefix(structure: int) -> str:
@@ -76,14 +76,13 @@ _HASHES = {
     "data_sha256": "hash of all its arrays, kept or not",
 }
 
+#: Names in a block of the axes that grow during a run.
+#:
+#: The scale along such an axis numbers the rows, because the recorded times differ between runs.
 _AXIS = {
     "time": "row", "interval": "interval", "event": "event", "impact": "impact", "set/number": "set/number",
     "sample": "sample",
 }  # fmt: skip
-"""Names in a block of the axes that grow during a run.
-
-The scale along such an axis numbers the rows, because the recorded times differ between runs.
-"""
 
 _UNSET = object()
 

@@ -34,8 +34,7 @@ from mbdkit.trust.criteria import LEVELS, Judgement, Level
 from mbdkit_studies.folder.columns import read_column
 from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
 
-OBJECTS = 100_000
-"""Largest number of groups and arrays in a block, about 60 for each structure."""
+OBJECTS = 100_000  #: Largest number of groups and arrays in a block, about 60 for each structure.
 
 
 class AnotherStudyError(SpecError):

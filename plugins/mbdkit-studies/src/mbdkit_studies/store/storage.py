@@ -22,9 +22,9 @@ from mbdkit_studies.store.blocks import Block
 from mbdkit_studies.store.study_blocks import StudyBlocks
 from mbdkit_studies.store.study_point import StudyPoint
 
+#: Runs that join the rows of one or more runs of a study, each with the numbers of these runs in the study and the
+#: number of rows of each of them.
 JoinedRuns = Iterator[tuple[Run, Sequence[int], np.ndarray]]
-"""Runs that join the rows of one or more runs of a study, each with the numbers of these runs in the study and the
-number of rows of each of them."""
 
 
 class Storage:

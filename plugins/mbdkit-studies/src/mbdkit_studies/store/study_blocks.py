@@ -17,22 +17,18 @@ from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, StudySpec
 from mbdkit_studies.store.block_writer import HISTORIES, Store
 
-MOST_FILES = 500
-"""Number of runs above which studies are stored in blocks, unless files are requested."""
+MOST_FILES = 500  #: Number of runs above which studies are stored in blocks, unless files are requested.
 
-RUNS = 1000
-"""Default of the largest number of runs in a block."""
+RUNS = 1000  #: Default of the largest number of runs in a block.
 
+#: Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
+#: number of runs in each of them, which vectorized runs need; both are defaults.
 BLOCKS, FEWEST = 8, 64
-"""Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
-number of runs in each of them, which vectorized runs need; both are defaults.
-"""
 
+#: Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs.
 BYTES = 1 << 26
-"""Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs."""
 
-ROWS = 1000
-"""Assumed number of recorded rows of a run if it depends on step-size control."""
+ROWS = 1000  #: Assumed number of recorded rows of a run if it depends on step-size control.
 
 
 def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:

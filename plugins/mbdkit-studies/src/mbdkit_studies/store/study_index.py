@@ -32,8 +32,7 @@ from mbdkit_studies.spec.study_spec import StudySpec
 
 FORMAT, FORMAT_VERSION = "mbdkit-study", "1.0"
 
-PLAIN = 10_000
-"""Largest number of runs whose texts are stored as strings."""
+PLAIN = 10_000  #: Largest number of runs whose texts are stored as strings.
 
 STATUSES = ("complete", "failed", "missing", "left-out")
 
@@ -67,11 +66,10 @@ NUMBERS: Mapping[str, Description] = {
     },
 }
 
-HASHES = ("run_id", "data_sha256")
-"""Columns of hashes."""
+HASHES = ("run_id", "data_sha256")  #: Columns of hashes.
 
+#: Separates the reasons for a verdict: two spaces, because a reason may have several sentences.
 BETWEEN_REASONS = "  "
-"""Separates the reasons for a verdict: two spaces, because a reason may have several sentences."""
 
 REPEATS = "wall_repeats_s"
 

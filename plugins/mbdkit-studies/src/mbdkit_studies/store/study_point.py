@@ -18,8 +18,7 @@ from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Label, PlannedPoint, PlannedPoints, point_label
 from mbdkit_studies.store.study_index import Index, Row
 
-KEPT = 1000
-"""Number of points of a study that are kept in memory."""
+KEPT = 1000  #: Number of points of a study that are kept in memory.
 
 
 @dataclass(frozen=True)

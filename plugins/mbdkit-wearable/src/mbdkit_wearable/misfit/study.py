@@ -22,40 +22,35 @@ from mbdkit.plugin import Mechanism
 from mbdkit.plugin.specs import load_spec, read_source
 from mbdkit_wearable.device import turned
 
+#: Models of devices by the name in families of the study.
 DEVICES: Mapping[str, str] = {
     "hinge": "hinge-orthosis", "four-bar": "four-bar-orthosis", "self-aligning": "self-aligning-orthosis",
 }  # fmt: skip
-"""Models of devices by the name in families of the study."""
 
-SPRING = 10.0
-"""Stiffness of the spring at the joint of each device, which extends the knee [N m/rad]."""
+SPRING = 10.0  #: Stiffness of the spring at the joint of each device, which extends the knee [N m/rad].
 
+#: Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart of this stiffness.
 STIFFNESS: Mapping[str, float] = {"normal": 20e3, "tangential": 10e3, "rotation": 200.0}
-"""Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart of this stiffness."""
 
 DAMPING: Mapping[str, float] = {"normal": 60.0, "tangential": 40.0, "rotation": 0.2}
 
+#: Misfit of the device forward and upward [m] and its rotation [rad], and factor of the stiffness of the cuffs.
 VARIABLES: Mapping[str, object] = {
     "parameters.forward": {"uniform": [-0.03, 0.03]},
     "parameters.upward": {"uniform": [-0.03, 0.03]},
     "parameters.turn": {"uniform": [-np.pi / 18, np.pi / 18]},
     "parameters.tissue": {"loguniform": {"a": 1 / 3, "b": 3.0}},
 }
-"""Misfit of the device forward and upward [m] and its rotation [rad], and factor of the stiffness of the cuffs."""
 
-MEMBERS, FEW = 64, 4
-"""Number of members of each sample, and that of the short form."""
+MEMBERS, FEW = 64, 4  #: Number of members of each sample, and that of the short form.
 
-HARMONICS, STEP = 8, 0.005
-"""Number of harmonics of the series, and the largest step of runs [s]."""
+HARMONICS, STEP = 8, 0.005  #: Number of harmonics of the series, and the largest step of runs [s].
 
-HEIGHT = 1.8
-"""Height of the persons of the examples [m]."""
+HEIGHT = 1.8  #: Height of the persons of the examples [m].
 
+#: Time before a stride in which vibrations of the start decay [s]; measures do not contain them. A squat needs none: it
+#: begins in the straight posture, in which the tissue is at rest.
 SETTLING = 0.25
-"""Time before a stride in which vibrations of the start decay [s]; measures do not contain them. A squat needs none: it
-begins in the straight posture, in which the tissue is at rest.
-"""
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,10 @@ WORDS = {
     "parameters.turn": "rotation",
     "parameters.tissue": "tissue",
 }
-BINS = 8
-"""Number of intervals of a variable in which figures show the median of a measure."""
+BINS = 8  #: Number of intervals of a variable in which figures show the median of a measure.
 
+#: Offsets [m] count as large above the first distance, and as small below the second one.
 LARGE, SMALL = 0.02, 0.01
-"""Offsets [m] count as large above the first distance, and as small below the second one."""
 
 
 def verdict(study: Study) -> Verdict:

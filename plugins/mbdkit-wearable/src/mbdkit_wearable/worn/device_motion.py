@@ -30,24 +30,20 @@ if TYPE_CHECKING:
     from mbdkit.plugin import Mechanism, SpecError
 
 NODES = np.array([1 / 3, 1.0])
-INVERSE = np.array([[1.5, 0.5], [-4.5, 2.5]])
-"""Nodes of the method, and the inverse of its matrix."""
+INVERSE = np.array([[1.5, 0.5], [-4.5, 2.5]])  #: Nodes of the method, and the inverse of its matrix.
 
-STEP = 1e-7
-"""Change of a coordinate [m, rad], and of a velocity, for derivatives of forces by differences."""
+STEP = 1e-7  #: Change of a coordinate [m, rad], and of a velocity, for derivatives of forces by differences.
 
-SMALL = 1e-10
-"""Corrections of coordinates [m, rad] below this end an iteration."""
+SMALL = 1e-10  #: Corrections of coordinates [m, rad] below this end an iteration.
 
+#: Largest number of corrections, and largest correction of a coordinate in the search for equilibria [m, rad].
 MOST, LONGEST = 25, 0.1
-"""Largest number of corrections, and largest correction of a coordinate in the search for equilibria [m, rad]."""
 
+#: Derivatives are renewed after this number of corrections in a step, and for all steps together if a correction is
+#: larger than the second share of the previous one. A correction beyond the third number [m, rad] is not nearby.
 RENEWED, SLOW, FAR = 6, 0.2, 0.5
-"""Derivatives are renewed after this number of corrections in a step, and for all steps together if a correction is
-larger than the second share of the previous one. A correction beyond the third number [m, rad] is not nearby."""
 
-INSTANT = 1e-4
-"""Time by which the limbs move for the rates of the equilibrium [s]."""
+INSTANT = 1e-4  #: Time by which the limbs move for the rates of the equilibrium [s].
 
 
 @dataclass(frozen=True)

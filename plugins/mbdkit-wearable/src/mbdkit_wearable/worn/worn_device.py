@@ -19,13 +19,12 @@ if TYPE_CHECKING:
     from mbdkit.plugin import Body
     from mbdkit_wearable.acting_cuffs import ActingCuff
 
+#: Standard deviations that are assumed of the offset of a device [m, rad], and of the logarithm of the stiffness of its
+#: cuffs, unless `uncertainty.devices` states others.
 DEVIATIONS: Mapping[str, float] = {"misfit_x": 0.01, "misfit_y": 0.01, "misfit_angle": 0.05, "tissue": 0.3}
-"""Standard deviations that are assumed of the offset of a device [m, rad], and of the logarithm of the stiffness of its
-cuffs, unless `uncertainty.devices` states others.
-"""
 
+#: Forces of a device on a limb beside those of its cuffs count as zero below this share of the largest force.
 NEGLIGIBLE = 1e-9
-"""Forces of a device on a limb beside those of its cuffs count as zero below this share of the largest force."""
 
 
 @follower

@@ -15,11 +15,11 @@ from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import rows_within, si_values, source_table, times_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable
 
+#: Axes are probably wrong if the root mean square residual with other axes is below the first number (angles
+#: in rad, lengths divided by the longest link) in so many rows, evenly distributed over the motion.
 FITS, ROWS = 0.02, 5
-"""Axes are probably wrong if the root mean square residual with other axes is below the first number (angles
-in rad, lengths divided by the longest link) in so many rows, evenly distributed over the motion.
-"""
 
+#: Matrices that change the axes x and y.
 CHANGES = {
     "x and y exchanged": ((0, 1), (1, 0)),
     "the sign of y reversed": ((1, 0), (0, -1)),
@@ -28,10 +28,9 @@ CHANGES = {
     "a quarter turn clockwise": ((0, 1), (-1, 0)),
     "a quarter turn counter-clockwise": ((0, -1), (1, 0)),
 }
-"""Matrices that change the axes x and y."""
 
+#: Matrices that compute x and y from the axes x, y and z of a table in which z points up.
 OF_Z = {"z in place of y": ((1, 0, 0), (0, 0, 1)), "y in place of x, and z in place of y": ((0, 1, 0), (0, 0, 1))}
-"""Matrices that compute x and y from the axes x, y and z of a table in which z points up."""
 
 
 def changed_axes(problem: InverseProblem) -> str | None:

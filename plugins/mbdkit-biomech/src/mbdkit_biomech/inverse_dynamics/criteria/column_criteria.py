@@ -18,62 +18,54 @@ from mbdkit_biomech.inverse_dynamics.criteria.time_criteria import off_neighbour
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 
+#: Limits for outliers.
+#:
+#: A sample is an outlier if its deviation from its neighbours exceeds both `SPIKE` times the robust standard deviation
+#: of all such deviations, and `LEAST_SPIKE` times the range of the column. Gaussian noise exceeds 8 standard deviations
+#: once in 1e15 samples.
 SPIKE, LEAST_SPIKE = 8.0, 0.005
-"""Limits for outliers.
 
-A sample is an outlier if its deviation from its neighbours exceeds both `SPIKE` times the robust standard deviation of
-all such deviations, and `LEAST_SPIKE` times the range of the column. Gaussian noise exceeds 8 standard deviations once
-in 1e15 samples.
-"""
+FROZEN = 8  #: Number of equal consecutive values that a noisy sensor does not produce.
 
-FROZEN = 8
-"""Number of equal consecutive values that a noisy sensor does not produce."""
-
+#: A column counts as changing in a sequence of rows if its range in these rows is more than this many times the
+#: smallest change of the column between two rows.
 MOVING = 5.0
-"""A column counts as changing in a sequence of rows if its range in these rows is more than this many times the
-smallest change of the column between two rows.
-"""
 
+#: Change of an angle between two rows [rad] from which the number of turns is uncertain. If the true change exceeds pi,
+#: the number is wrong.
 TURN = 1.2
-"""Change of an angle between two rows [rad] from which the number of turns is uncertain. If the true change exceeds pi,
-the number is wrong.
-"""
 
+#: An angle without a unit looks like degrees if its magnitude exceeds `TURNS` [rad]. Angles that turn mostly in one
+#: direction, such as that of a crank, are exceptions: their net change is at least `TURNING` times their total
+#: variation.
 TURNS, TURNING = 4 * np.pi, 0.8
-"""An angle without a unit looks like degrees if its magnitude exceeds `TURNS` [rad]. Angles that turn mostly in one
-direction, such as that of a crank, are exceptions: their net change is at least `TURNING` times their total variation.
-"""
 
+#: Angles declared in degrees look like radians if the largest of their ranges lies between these two numbers of
+#: degrees, and if all values are within a full turn when taken as radians.
+#:
+#: Taken as radians, the two numbers are 17 and 172 degrees.
 SMALL_RANGES = (0.3, 3.0)
-"""Angles declared in degrees look like radians if the largest of their ranges lies between these two numbers of
-degrees, and if all values are within a full turn when taken as radians.
 
-Taken as radians, the two numbers are 17 and 172 degrees.
-"""
-
+#: If no pose fits, a column is named whose range is at least this multiple of the median range of the columns.
 ODD_RANGE = 3.0
-"""If no pose fits, a column is named whose range is at least this multiple of the median range of the columns."""
 
+#: A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size.
 TRAVELS = 30.0
-"""A length without a unit looks like millimetres if its range is at least this multiple of the mechanism's size."""
 
+#: Root mean square residual of a column above which the fit counts as poor, in radians or relative to the longest link.
+#:
+#: For the links of a leg, this is 2 cm, the limit that OpenSim recommends for markers.
 RESIDUAL = 0.05
-"""Root mean square residual of a column above which the fit counts as poor, in radians or relative to the longest link.
 
-For the links of a leg, this is 2 cm, the limit that OpenSim recommends for markers.
-"""
-
+#: The fit is poor for some time if residuals exceed both `SUDDEN` times their robust standard deviation, and
+#: `LEAST_SUDDEN` in the units of `RESIDUAL`. Above `LEAST_SUDDEN`, a single marker may contradict the others.
 SUDDEN, LEAST_SUDDEN = 10.0, 0.01
-"""The fit is poor for some time if residuals exceed both `SUDDEN` times their robust standard deviation, and
-`LEAST_SUDDEN` in the units of `RESIDUAL`. Above `LEAST_SUDDEN`, a single marker may contradict the others.
-"""
 
+#: The stated noise is implausible if the root mean square difference of data and smoothed motion is more than this many
+#: times as large.
+#:
+#: A low cutoff alone gives ratios of up to 5.
 BEYOND_NOISE = 10.0
-"""The stated noise is implausible if the root mean square difference of data and smoothed motion is more than this many
-times as large.
-
-A low cutoff alone gives ratios of up to 5.
-"""
 
 
 def column_doubts(result: Inverse) -> Iterator[Finding]:

@@ -14,14 +14,12 @@ from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_col
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
+#: Two markers are exchanged if the root mean square residual with their columns exchanged is below the first number
+#: (angles in rad, lengths divided by the longest link), and if any other exchange, and none, makes it larger by the
+#: second factor.
 FITS, BETTER = 0.02, 3.0
-"""Two markers are exchanged if the root mean square residual with their columns exchanged is below the first number
-(angles in rad, lengths divided by the longest link), and if any other exchange, and none, makes it larger by the second
-factor.
-"""
 
-MOST = 150
-"""Largest number of pairs that are tried; pairs on the same body come first."""
+MOST = 150  #: Largest number of pairs that are tried; pairs on the same body come first.
 
 
 def exchanged_markers(fitter: Fitter, measured: Measured, row: int, start: np.ndarray) -> str | None:

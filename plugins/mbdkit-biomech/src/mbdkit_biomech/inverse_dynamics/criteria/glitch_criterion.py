@@ -13,25 +13,23 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries, global_point
 
+#: Residual forces and moments from which the balance is doubtful, and jumps of loads that are glitches.
+#:
+#: Forces are given as a share of the largest load or, if it is larger, the weight of the mechanism; moments as a share
+#: of this force times the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015,
+#: 020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean square of moments.
 FORCE, MOMENT = 0.05, 0.02
-"""Residual forces and moments from which the balance is doubtful, and jumps of loads that are glitches.
 
-Forces are given as a share of the largest load or, if it is larger, the weight of the mechanism; moments as a share of
-this force times the height of the mechanism. J. L. Hicks et al. (Journal of Biomechanical Engineering 137, 2015,
-020905) recommend at most 0.05 for peak forces, and 0.01 for the root mean square of moments.
-"""
-
+#: A glitch lasts for at most `LONGEST` rows. The load jumps at both ends, in opposite directions, by more than `JUMP`
+#: times the largest change between two of the `AROUND` rows before and after it.
+#:
+#: A cutoff or a foot makes no such jumps: a load that changes fast enough changes fast in the neighbouring rows, too.
+#: The impact of a foot may be shorter than a row, so that glitches are sought only where all neighbouring rows are
+#: loaded. Gaussian noise gives such jumps once in some 1e9 rows.
 LONGEST, AROUND, JUMP = 5, 5, 4.0
-"""A glitch lasts for at most `LONGEST` rows. The load jumps at both ends, in opposite directions, by more than `JUMP`
-times the largest change between two of the `AROUND` rows before and after it.
 
-A cutoff or a foot makes no such jumps: a load that changes fast enough changes fast in the neighbouring rows, too. The
-impact of a foot may be shorter than a row, so that glitches are sought only where all neighbouring rows are loaded.
-Gaussian noise gives such jumps once in some 1e9 rows.
-"""
-
+#: A row is loaded if the force exceeds this share of the force that a tenth of the rows with a load exceed.
 LOADED = 0.1
-"""A row is loaded if the force exceeds this share of the force that a tenth of the rows with a load exceed."""
 
 
 def limits_of_balance(result: Inverse) -> tuple[float, float, np.ndarray]:

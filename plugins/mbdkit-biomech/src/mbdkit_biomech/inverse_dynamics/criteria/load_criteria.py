@@ -26,88 +26,78 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 
+#: A plate on the ground cannot push its body sideways, on average, with more than this multiple of its vertical force.
+#:
+#: In gait, this share is at most 0.2. Plates in starting blocks or walls are exceptions.
 FRICTION = 1.0
-"""A plate on the ground cannot push its body sideways, on average, with more than this multiple of its vertical force.
 
-In gait, this share is at most 0.2. Plates in starting blocks or walls are exceptions.
-"""
-
+#: The horizontal force of a plate under a free mechanism has the wrong sign if the other sign reduces the root mean
+#: square of the moment of the force about the centre of mass to less than this share.
+#:
+#: In gait, the line of action passes near the centre of mass: in the packaged examples, a wrong sign multiplies the
+#: moment by 8 to 10. In 40 clean data sets of bipeds drawn at random, the share is at least 0.8.
 MIRRORED = 0.3
-"""The horizontal force of a plate under a free mechanism has the wrong sign if the other sign reduces the root mean
-square of the moment of the force about the centre of mass to less than this share.
 
-In gait, the line of action passes near the centre of mass: in the packaged examples, a wrong sign multiplies the moment
-by 8 to 10. In 40 clean data sets of bipeds drawn at random, the share is at least 0.8.
-"""
-
+#: Limits for the offset of a plate.
+#:
+#: The plate is unloaded in the rows in which its force is below `UNLOADED` times its peak. Its offset is examined if at
+#: least eight rows, and at least a share of `UNLOADED` of all rows, are unloaded. The plate has an offset if the median
+#: of a component of the force in these rows exceeds both `LEAST_OFFSET` times the peak and five times the scatter of
+#: this median.
 UNLOADED, LEAST_OFFSET = 0.1, 0.005
-"""Limits for the offset of a plate.
 
-The plate is unloaded in the rows in which its force is below `UNLOADED` times its peak. Its offset is examined if at
-least eight rows, and at least a share of `UNLOADED` of all rows, are unloaded. The plate has an offset if the median of
-a component of the force in these rows exceeds both `LEAST_OFFSET` times the peak and five times the scatter of this
-median.
-"""
-
+#: Noise does not explain a residual if the root mean square of the residual exceeds this share of the root mean square
+#: of its error bar.
+#:
+#: Noise alone gives a share of 0.5.
 NOISY = 0.8
-"""Noise does not explain a residual if the root mean square of the residual exceeds this share of the root mean square
-of its error bar.
 
-Noise alone gives a share of 0.5.
-"""
-
+#: A residual has a peak if it exceeds the median of the rows around it by more than the limit above and by more than
+#: this many standard deviations, which Gaussian noise exceeds once in 1e15 rows.
 PEAK = 8.0
-"""A residual has a peak if it exceeds the median of the rows around it by more than the limit above and by more than
-this many standard deviations, which Gaussian noise exceeds once in 1e15 rows.
-"""
 
+#: A residual force has an implausible size above `OF_LOAD` times the largest load or `OF_WEIGHT` times the weight of
+#: the mechanism.
+#:
+#: If some loads are not measured, or the model is a part of a body, residual forces are honest. A plate that is missing
+#: leaves residuals of about the load on the other plate; a pedal or a handle in place of a plate, some times its load.
+#: For a leg without trunk (16 % of the body), the residual force of running is 20 times the weight of the model, and 50
+#: times for a shank with its foot. Forces in kN or masses in g change these ratios by a factor of 1000.
 OF_LOAD, OF_WEIGHT = 10.0, 100.0
-"""A residual force has an implausible size above `OF_LOAD` times the largest load or `OF_WEIGHT` times the weight of
-the mechanism.
 
-If some loads are not measured, or the model is a part of a body, residual forces are honest. A plate that is missing
-leaves residuals of about the load on the other plate; a pedal or a handle in place of a plate, some times its load. For
-a leg without trunk (16 % of the body), the residual force of running is 20 times the weight of the model, and 50 times
-for a shank with its foot. Forces in kN or masses in g change these ratios by a factor of 1000.
-"""
-
+#: A change of the loads is named as the cause of residual forces if it reduces the sum of their squares to at most this
+#: share.
 EXPLAINS = 0.3
-"""A change of the loads is named as the cause of residual forces if it reduces the sum of their squares to at most this
-share."""
 
+#: Largest time by which loads are shifted, both forward and backward, in the search for a cause [s].
 LATEST = 0.1
-"""Largest time by which loads are shifted, both forward and backward, in the search for a cause [s]."""
 
+#: Below this ratio of the loads that the motion needs to the measured ones, the model may be a part of a body, such as
+#: a leg without trunk.
 PART_OF_BODY = 0.5
-"""Below this ratio of the loads that the motion needs to the measured ones, the model may be a part of a body, such as
-a leg without trunk.
-"""
 
+#: A plate is late or early if a shift by more than `LAG` [s] improves its agreement with the motion. Shifts up to
+#: `LONGEST_LAG` in both directions are tried, `LAGS` in total.
 LAG, LONGEST_LAG, LAGS = 0.02, 0.15, 61
-"""A plate is late or early if a shift by more than `LAG` [s] improves its agreement with the motion. Shifts up to
-`LONGEST_LAG` in both directions are tried, `LAGS` in total.
-"""
 
+#: Limits for the delay of a plate.
+#:
+#: A foot rests, or moves evenly on a treadmill, while it carries a load. The slip is the standard deviation of the
+#: velocity of its point of contact, weighted by the force. A delay is certain if the slip with the shifted load is
+#: below `RESTING` times the standard deviation of the velocity of the body, and the slip with the given load is more
+#: than `SLIPPING` times as large. In the example `walking`, the slip is 0.12 of this standard deviation; a delay of 0.1
+#: s increases it to 2.6 times, and a delay of 0.05 s to 1.3 times. In random motions without rest, no shift gives a
+#: slip below 0.25.
 RESTING, SLIPPING = 0.2, 1.5
-"""Limits for the delay of a plate.
 
-A foot rests, or moves evenly on a treadmill, while it carries a load. The slip is the standard deviation of the
-velocity of its point of contact, weighted by the force. A delay is certain if the slip with the shifted load is below
-`RESTING` times the standard deviation of the velocity of the body, and the slip with the given load is more than
-`SLIPPING` times as large. In the example `walking`, the slip is 0.12 of this standard deviation; a delay of 0.1 s
-increases it to 2.6 times, and a delay of 0.05 s to 1.3 times. In random motions without rest, no shift gives a slip
-below 0.25.
-"""
-
+#: A delay is also certain if the points of the load, in the frame of the body, scatter more than `WIDER` times as much
+#: about a straight line as with the shifted load, whose scatter counts as at least `NARROW` times the longest link, and
+#: if the same holds for the longest shift in this direction.
+#:
+#: A foot has a sole, and a pedal a point, on which the load stays in whatever way the body moves; with a delay, the
+#: motion of the body during the delay adds to the scatter. In the examples and the shared data of walking and running,
+#: a shift reduces the scatter to no less than 0.93 of its value, and to no less than half in random motions.
 WIDER, NARROW = 3.0, 0.002
-"""A delay is also certain if the points of the load, in the frame of the body, scatter more than `WIDER` times as much
-about a straight line as with the shifted load, whose scatter counts as at least `NARROW` times the longest link, and if
-the same holds for the longest shift in this direction.
-
-A foot has a sole, and a pedal a point, on which the load stays in whatever way the body moves; with a delay, the motion
-of the body during the delay adds to the scatter. In the examples and the shared data of walking and running, a shift
-reduces the scatter to no less than 0.93 of its value, and to no less than half in random motions.
-"""
 
 
 def units_of_loads(problem: InverseProblem) -> Iterator[Finding]:

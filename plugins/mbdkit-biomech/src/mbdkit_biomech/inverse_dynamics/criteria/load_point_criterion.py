@@ -18,46 +18,39 @@ from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import spans
 from mbdkit_biomech.inverse_dynamics.loads.loads import UNLOADED_SHARE
 
+#: A point of application is implausible if its distance from the outline of the body on which the load acts exceeds
+#: this share of the extent of the body.
 OUTSIDE = 0.25
-"""A point of application is implausible if its distance from the outline of the body on which the load acts exceeds
-this share of the extent of the body.
-"""
 
-OFTEN = 0.1
-"""Share of the force, summed over time, that must act outside the outline to cause a doubt."""
+OFTEN = 0.1  #: Share of the force, summed over time, that must act outside the outline to cause a doubt.
 
+#: A load seems to act on another body if, for at least the share `ON_OTHER` of its force, its point is within `NEAR`
+#: times the extent of that body from the narrow outline of that body, and farther from that of its own body by more
+#: than `FARTHER` times this extent.
+#:
+#: In 150 loads of 90 clean data sets drawn at random, this share is at most 0.84. If these loads are given to a
+#: neighbour of their body, it exceeds 0.9 in more than half of them.
 ON_OTHER, NEAR, FARTHER = 0.9, 0.1, 0.03
-"""A load seems to act on another body if, for at least the share `ON_OTHER` of its force, its point is within `NEAR`
-times the extent of that body from the narrow outline of that body, and farther from that of its own body by more than
-`FARTHER` times this extent.
 
-In 150 loads of 90 clean data sets drawn at random, this share is at most 0.84. If these loads are given to a neighbour
-of their body, it exceeds 0.9 in more than half of them.
-"""
-
+#: Points of a plate that are declared in a smaller unit look like metres if no coordinate exceeds this value [m], and
+#: if the same numbers in metres are on the body.
 LEAST_POINT = 0.005
-"""Points of a plate that are declared in a smaller unit look like metres if no coordinate exceeds this value [m], and
-if the same numbers in metres are on the body.
-"""
 
+#: Each body is assumed to extend from its centre of mass by at least this multiple of its radius of gyration.
+#:
+#: The value is that of a uniform rod: half its length, divided by its radius of gyration.
 ROD = np.sqrt(3.0)
-"""Each body is assumed to extend from its centre of mass by at least this multiple of its radius of gyration.
 
-The value is that of a uniform rod: half its length, divided by its radius of gyration.
-"""
-
+#: The narrow outline of a body is not widened to the length of the rod if joints and markers extend over at least this
+#: share of the length along x or y. A shank between its knee and its ankle is thus not as wide as it is long.
 COVERED = 0.8
-"""The narrow outline of a body is not widened to the length of the rod if joints and markers extend over at least this
-share of the length along x or y. A shank between its knee and its ankle is thus not as wide as it is long.
-"""
 
 
+#: Coordinates of a point that are exactly zero under load were lost if their second difference, where they become zero,
+#: exceeds `LOST` times the median second difference, and `STEPS` times the smallest change, so that rounded values may
+#: cross zero. They were also lost if all of them are zero, although the body moves across the point by more than
+#: `TRAVELS` times its extent.
 LOST, STEPS, TRAVELS = 8 * TO_DEVIATION, 5.0, 0.1
-"""Coordinates of a point that are exactly zero under load were lost if their second difference, where they become zero,
-exceeds `LOST` times the median second difference, and `STEPS` times the smallest change, so that rounded values may
-cross zero. They were also lost if all of them are zero, although the body moves across the point by more than `TRAVELS`
-times its extent.
-"""
 
 
 def load_point_doubts(result: Inverse) -> Iterator[Finding]:

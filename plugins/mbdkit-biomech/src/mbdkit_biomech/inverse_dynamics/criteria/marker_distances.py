@@ -10,19 +10,17 @@ from mbdkit.base import elementary
 from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
+#: The unit is doubtful if distances between markers of one body differ from the model by more than this factor.
+#:
+#: Wrong units cause factors of 10, 100 or 1000.
 UNLIKE = 5.0
-"""The unit is doubtful if distances between markers of one body differ from the model by more than this factor.
 
-Wrong units cause factors of 10, 100 or 1000.
-"""
-
+#: Markers that are closer to each other in the model than this share of the longest link are not compared.
 LEAST_DISTANCE = 0.05
-"""Markers that are closer to each other in the model than this share of the longest link are not compared."""
 
+#: The unit is suspicious if markers are farther apart than this multiple of the sum of all links, each counted with the
+#: length of the longest one.
 APART = 20.0
-"""The unit is suspicious if markers are farther apart than this multiple of the sum of all links, each counted with the
-length of the longest one.
-"""
 
 
 def unlike_distances(measured: Measured, length: float) -> str | None:

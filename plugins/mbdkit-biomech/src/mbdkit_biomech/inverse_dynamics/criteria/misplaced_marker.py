@@ -12,23 +12,19 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import marker_columns
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget
 
+#: A marker seems to be on another body if the residuals of the other columns are smaller by the first factor without
+#: it, and if the second factor is exceeded by the ratio of its root mean square distances from a fixed point of its own
+#: body and of the other body.
 ON_OTHER, FARTHER = 3.0, 4.0
-"""A marker seems to be on another body if the residuals of the other columns are smaller by the first factor without
-it, and if the second factor is exceeded by the ratio of its root mean square distances from a fixed point of its own
-body and of the other body.
-"""
 
-ALONE = 8.0
-"""A marker contradicts the others if their residuals are smaller by this factor without it."""
+ALONE = 8.0  #: A marker contradicts the others if their residuals are smaller by this factor without it.
 
-CLEARER = 2.0
-"""A marker is named only if leaving out any other one leaves residuals larger by this factor."""
+CLEARER = 2.0  #: A marker is named only if leaving out any other one leaves residuals larger by this factor.
 
-LEAST = 1e-6
-"""Residuals below this size, in rad or longest links, are not compared."""
+LEAST = 1e-6  #: Residuals below this size, in rad or longest links, are not compared.
 
+#: Largest numbers of rows that are fitted, and of markers that are left out: those with the largest residuals.
 ROWS, MOST = 24, 12
-"""Largest numbers of rows that are fitted, and of markers that are left out: those with the largest residuals."""
 
 
 def misplaced_marker(result: Inverse, share: np.ndarray) -> str | None:

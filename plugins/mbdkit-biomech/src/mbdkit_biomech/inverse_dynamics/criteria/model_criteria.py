@@ -32,26 +32,22 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 from mbdkit_biomech.muscles.muscle_summary import PULLING
 
+#: A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.
+#:
+#: OpenSim's user guide recommends peaks of reserves below 10 % of the peak joint moment.
 RESERVE_SHARE = 0.1
-"""A reserve is doubtful if its peak exceeds this share of the peak of the moment to which the reserve contributes.
 
-OpenSim's user guide recommends peaks of reserves below 10 % of the peak joint moment.
-"""
-
+#: A muscle is too weak if it can exert less than this share of the peak of every moment to which it contributes.
+#:
+#: The muscles of the packaged examples can exert 0.8 times the peak or more. A `max_force` given in kN instead of N is
+#: too small by a factor of 1000.
 WEAK = 0.01
-"""A muscle is too weak if it can exert less than this share of the peak of every moment to which it contributes.
 
-The muscles of the packaged examples can exert 0.8 times the peak or more. A `max_force` given in kN instead of N is too
-small by a factor of 1000.
-"""
-
+#: Smallest moment arm that is assumed in the search for weak muscles, as a share of the longest link. Muscles that act
+#: mainly out of the plane may have smaller moment arms, although they are not weak.
 LEAST_ARM = 0.02
-"""Smallest moment arm that is assumed in the search for weak muscles, as a share of the longest link. Muscles that act
-mainly out of the plane may have smaller moment arms, although they are not weak.
-"""
 
-AT_REST = 1e-9
-"""Peaks of moments and forces [N m, N] below this value are rounding errors."""
+AT_REST = 1e-9  #: Peaks of moments and forces [N m, N] below this value are rounding errors.
 
 
 def model_doubts(result: Inverse) -> Iterator[Finding]:
@@ -147,14 +143,13 @@ def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
             )
 
 
+#: A radius of gyration between these shares of the length of a body, the largest distance between its joints, markers
+#: and other points, is probably that about a joint.
+#:
+#: If no mass is beyond these points, the share is at most 0.5. It is 0.58 for a uniform rod about its end, and 0.53 and
+#: 0.54 for the shank and the thigh about the knee and the hip (D. A. Winter, Biomechanics and motor control of human
+#: movement, 4th edition, table 4.1). If the share is larger, the points say nothing about the size of the body.
 ABOUT_JOINT = (0.51, 0.9)
-"""A radius of gyration between these shares of the length of a body, the largest distance between its joints, markers
-and other points, is probably that about a joint.
-
-If no mass is beyond these points, the share is at most 0.5. It is 0.58 for a uniform rod about its end, and 0.53 and
-0.54 for the shank and the thigh about the knee and the hip (D. A. Winter, Biomechanics and motor control of human
-movement, 4th edition, table 4.1). If the share is larger, the points say nothing about the size of the body.
-"""
 
 
 def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:

@@ -17,13 +17,12 @@ from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gap
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 
+#: A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it, or
+#: if the data before smoothing show values near an end that are larger by more than this share.
 OF_ENDS = 0.1
-"""A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it, or
-if the data before smoothing show values near an end that are larger by more than this share.
-"""
 
+#: An element is doubtful if a long gap may hide a change of its value of more than this share of its largest value.
 OF_GAPS = 0.1
-"""An element is doubtful if a long gap may hide a change of its value of more than this share of its largest value."""
 
 
 class _Peak(NamedTuple):
@@ -151,12 +150,12 @@ def _peaks(result: Inverse, bars: ResultBars | None) -> list[_Peak]:
     return found
 
 
+#: The values of an actuator are mostly noise if the root mean square of their error bars exceeds `MOSTLY` times their
+#: own root mean square, and `MOSTLY` times the share `OF_LARGEST` of the largest one of all actuators with the same
+#: unit.
+#:
+#: Noise alone gives 1.96. In the packaged examples of walking, the ratio is at most 1.15.
 MOSTLY, OF_LARGEST = 1.5, 0.1
-"""The values of an actuator are mostly noise if the root mean square of their error bars exceeds `MOSTLY` times their
-own root mean square, and `MOSTLY` times the share `OF_LARGEST` of the largest one of all actuators with the same unit.
-
-Noise alone gives 1.96. In the packaged examples of walking, the ratio is at most 1.15.
-"""
 
 
 def large_errors(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:

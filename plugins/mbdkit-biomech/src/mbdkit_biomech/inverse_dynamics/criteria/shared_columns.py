@@ -14,10 +14,9 @@ from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Load
 
+#: The mechanism ties two quantities if, along its free directions, the part of the gradient of one that is independent
+#: of the gradient of the other is below this share.
 TIED = 1e-6
-"""The mechanism ties two quantities if, along its free directions, the part of the gradient of one that is independent
-of the gradient of the other is below this share.
-"""
 
 
 def shared_columns(problem: InverseProblem) -> Iterator[Finding]:

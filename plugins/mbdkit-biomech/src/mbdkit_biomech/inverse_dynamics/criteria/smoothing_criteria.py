@@ -15,21 +15,19 @@ from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import UNEVEN, cutoff_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth, OpenSimFilter, SmoothingSpline
 
+#: Limits for what the smoothing removes near the cutoff.
+#:
+#: White noise has the same power density at all frequencies. The cutoff is too low if the differences between data and
+#: smoothed motion have more than `EXCESS` times the power density near the cutoff that they have at high frequencies,
+#: and if what is removed there changes the acceleration by more than the share `REMOVED`. In 80 random data sets with
+#: cutoffs of at least 2.5 times the highest frequency of the motion, the share is at most 0.02 where the ratio of the
+#: densities exceeds `EXCESS`; in the example `walking`, it is 0.15 with the usual cutoff of 6 Hz.
 EXCESS, REMOVED = 10.0, 0.2
-"""Limits for what the smoothing removes near the cutoff.
 
-White noise has the same power density at all frequencies. The cutoff is too low if the differences between data and
-smoothed motion have more than `EXCESS` times the power density near the cutoff that they have at high frequencies, and
-if what is removed there changes the acceleration by more than the share `REMOVED`. In 80 random data sets with cutoffs
-of at least 2.5 times the highest frequency of the motion, the share is at most 0.02 where the ratio of the densities
-exceeds `EXCESS`; in the example `walking`, it is 0.15 with the usual cutoff of 6 Hz.
-"""
-
+#: The cutoff is examined if the record has at least so many rows and periods of the cutoff.
 FEWEST_ROWS, FEWEST_PERIODS = 50, 1.0
-"""The cutoff is examined if the record has at least so many rows and periods of the cutoff."""
 
-FEWEST_HIGH = 8
-"""Least number of high frequencies that give the level of the noise."""
+FEWEST_HIGH = 8  #: Least number of high frequencies that give the level of the noise.
 
 
 def cutoff_doubts(result: Inverse) -> Iterator[Finding]:

@@ -13,39 +13,34 @@ from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.signals.rounded_times import grid_of, rounded_to
 
+#: Acceleration [m/s^2] with which the accelerations of a mechanism without gravity are compared.
 STANDARD_GRAVITY = 9.81
-"""Acceleration [m/s^2] with which the accelerations of a mechanism without gravity are compared."""
 
+#: The unit of time is examined if a coordinate changes by at least this much, in longest links or radians.
 MOVED = 0.1
-"""The unit of time is examined if a coordinate changes by at least this much, in longest links or radians."""
 
+#: Times look like milliseconds if the median interval exceeds `COARSE` times sqrt(length / gravity), while no
+#: acceleration exceeds `SLOW` times gravity.
+#:
+#: Samples so far apart do not resolve a motion under gravity, and yet the motion seems to be quasi-static.
 COARSE, SLOW = 1.0, 1e-3
-"""Times look like milliseconds if the median interval exceeds `COARSE` times sqrt(length / gravity), while no
-acceleration exceeds `SLOW` times gravity.
 
-Samples so far apart do not resolve a motion under gravity, and yet the motion seems to be quasi-static.
-"""
-
+#: Times look too short if the median interval is below `FINE` times sqrt(length / gravity), while the root mean square
+#: of an acceleration exceeds `FAST` times gravity.
 FINE, FAST = 1e-4, 1e3
-"""Times look too short if the median interval is below `FINE` times sqrt(length / gravity), while the root mean square
-of an acceleration exceeds `FAST` times gravity.
-"""
 
+#: The times of the rows are examined if the longest and the shortest interval differ by more than this share of the
+#: mean interval.
 UNEVEN = 0.01
-"""The times of the rows are examined if the longest and the shortest interval differ by more than this share of the
-mean interval.
-"""
 
+#: Limits for implausible times.
+#:
+#: A share tells whether the columns fit the given times or evenly spaced times better. Apart from noise, it is 0 if the
+#: given times are right, and 1 if the evenly spaced times are right. The given times are implausible if the share
+#: exceeds both `EVEN` and `CERTAIN` times the standard deviation of the share due to noise.
 EVEN, CERTAIN = 0.5, 6.0
-"""Limits for implausible times.
 
-A share tells whether the columns fit the given times or evenly spaced times better. Apart from noise, it is 0 if the
-given times are right, and 1 if the evenly spaced times are right. The given times are implausible if the share exceeds
-both `EVEN` and `CERTAIN` times the standard deviation of the share due to noise.
-"""
-
-CERTAIN_OF_GRID = 3.0
-"""Replaces `CERTAIN` if the given times are rounded, evenly spaced times."""
+CERTAIN_OF_GRID = 3.0  #: Replaces `CERTAIN` if the given times are rounded, evenly spaced times.
 
 
 def uneven_times(measured: Measured) -> Iterator[Finding]:

@@ -17,10 +17,9 @@ from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 
+#: The number of full turns of an angle is uncertain if the angle in the first row differs from that of the model by
+#: more than this [rad], which is about 160 degrees.
 HALF_TURN = 2.8
-"""The number of full turns of an angle is uncertain if the angle in the first row differs from that of the model by
-more than this [rad], which is about 160 degrees.
-"""
 
 
 def turn_doubts(result: Inverse) -> Iterator[Finding]:
@@ -74,14 +73,12 @@ def _angles_of(result: Inverse, bodies: Iterable[int]) -> str:
     return f" (columns of {listed(names, 'and')})" if names else ""
 
 
-KNEE = "knee_flexion"
-"""Coordinates whose names begin with this are positive if the knee is bent."""
+KNEE = "knee_flexion"  #: Coordinates whose names begin with this are positive if the knee is bent.
 
+#: The sign is doubtful if the knee is hyperextended by more than the first number of degrees in more than this share of
+#: the frames, and flexed by at most half as much in all but this share. Healthy knees extend to between 0 and 10
+#: degrees beyond the straight leg.
 HYPEREXTENDED, FRAMES = 20.0, 0.1
-"""The sign is doubtful if the knee is hyperextended by more than the first number of degrees in more than this share of
-the frames, and flexed by at most half as much in all but this share. Healthy knees extend to between 0 and 10 degrees
-beyond the straight leg.
-"""
 
 
 def knee_doubts(result: Inverse) -> Iterator[Finding]:

@@ -8,13 +8,12 @@ from mbdkit.base import elementary
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body
 
+#: A body stands on the ground if an end of the points at which plates act on it moves more slowly [m/s] and is less
+#: above the ground [m] for a longer time [s]; the ground also acts for this time before and after, while the body is
+#: faster. In swing, heel and toe pass 10 to 20 mm above the ground with more than 1 m/s.
 SLOW, LOW, CONTACT = 0.5, 0.05, 0.1
-"""A body stands on the ground if an end of the points at which plates act on it moves more slowly [m/s] and is less
-above the ground [m] for a longer time [s]; the ground also acts for this time before and after, while the body is
-faster. In swing, heel and toe pass 10 to 20 mm above the ground with more than 1 m/s."""
 
-ENDS = 0.05, 0.95
-"""Quantiles of these points along the body that are their ends."""
+ENDS = 0.05, 0.95  #: Quantiles of these points along the body that are their ends.
 
 
 def unmeasured_frames(result: Inverse) -> dict[str, np.ndarray]:

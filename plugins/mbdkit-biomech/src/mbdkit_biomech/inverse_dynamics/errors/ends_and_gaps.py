@@ -34,24 +34,21 @@ from mbdkit_biomech.inverse_dynamics.motion.measured import bridged
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed, cutoff_of, fixed, smoothed_each, spline_of_ends
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline, Smoothing
 
-NAMED = 4
-"""Largest number of columns, actuators and joints that are named."""
+NAMED = 4  #: Largest number of columns, actuators and joints that are named.
 
+#: Number of samples of noise used to estimate its effect on accelerations and third derivatives at the ends.
 DRAWS = 20
-"""Number of samples of noise used to estimate its effect on accelerations and third derivatives at the ends."""
 
+#: Remainders of columns below this share of the largest column count as zero in fits of polynomials.
 NEGLIGIBLE = 1e-12
-"""Remainders of columns below this share of the largest column count as zero in fits of polynomials."""
 
+#: Ratio of the bound of a Gaussian variable, with a probability of 95 %, to its root mean square.
 END_FACTOR = 1.96
-"""Ratio of the bound of a Gaussian variable, with a probability of 95 %, to its root mean square."""
 
-FEWEST_AT_END = 8
-"""The acceleration at an end is estimated from at least this number of samples."""
+FEWEST_AT_END = 8  #: The acceleration at an end is estimated from at least this number of samples.
 
+#: After this number of intervals, the effect of the ends of a quintic spline has decayed to a few parts in a thousand.
 DECAY = 8
-"""After this number of intervals, the effect of the ends of a quintic spline has decayed to a few parts in a thousand.
-"""
 
 
 @dataclass(frozen=True)

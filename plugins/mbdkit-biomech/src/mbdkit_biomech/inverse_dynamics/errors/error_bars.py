@@ -45,14 +45,12 @@ from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
 from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult, uncertain_result
 
+#: An error is unknown if a long gap may hide a change that exceeds this share of the other errors.
 HIDDEN = 0.1
-"""An error is unknown if a long gap may hide a change that exceeds this share of the other errors."""
 
-FRAMES = 10_000
-"""Number of frames that are computed together."""
+FRAMES = 10_000  #: Number of frames that are computed together.
 
-NAMED = 6
-"""Largest number of columns and coordinates that are named."""
+NAMED = 6  #: Largest number of columns and coordinates that are named.
 LOAD_UNITS = {"force": "N", "point": "m", "torque": "N m"}
 
 

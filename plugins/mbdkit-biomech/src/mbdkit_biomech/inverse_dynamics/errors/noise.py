@@ -29,24 +29,21 @@ from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars, Gaps, Smoothing
 
-CUBIC = Gaps(longest=1.0)
-"""Gaps that cubic splines fill."""
+CUBIC = Gaps(longest=1.0)  #: Gaps that cubic splines fill.
 
+#: Number of noise samples per column used to estimate the share of the noise that remains in the residuals.
 DRAWS = 20
-"""Number of noise samples per column used to estimate the share of the noise that remains in the residuals."""
 
+#: Number of iterations of the method that attributes the residuals to the noise of the columns.
 ITERATIONS = 500
-"""Number of iterations of the method that attributes the residuals to the noise of the columns."""
 
+#: The noise of a column can be estimated if at least this share of it remains in the residuals.
 LEAST_SHARE = 0.01
-"""The noise of a column can be estimated if at least this share of it remains in the residuals."""
 
-NUMBERS_AT_ONCE = 4_000_000
-"""Largest number of noise values that are smoothed together."""
+NUMBERS_AT_ONCE = 4_000_000  #: Largest number of noise values that are smoothed together.
 
 
-CUTOFFS = (0.8, 1.25)
-"""The result is compared with results whose cutoff is multiplied by these factors."""
+CUTOFFS = (0.8, 1.25)  #: The result is compared with results whose cutoff is multiplied by these factors.
 
 
 class NoisePath:

@@ -12,20 +12,17 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, Result
 
 TINY = np.finfo(float).tiny
 
+#: A stated deviation is too large if it exceeds this many times the noise seen in the residuals, and if the
+#: residuals that all deviations lead to expect exceed this many times the actual ones.
 LARGE = 5.0
-"""A stated deviation is too large if it exceeds this many times the noise seen in the residuals, and if the
-residuals that all deviations lead to expect exceed this many times the actual ones.
-"""
 
+#: Columns are not examined if the correlation of consecutive residuals exceeds this number.
+#:
+#: Such data were smoothed before, and their residuals do not show the noise of the measurement. The correlation is
+#: below 0.1 for independent noise, and 0.77 to 0.93 in the example `walking`, whose data are filtered.
 CORRELATED = 0.5
-"""Columns are not examined if the correlation of consecutive residuals exceeds this number.
 
-Such data were smoothed before, and their residuals do not show the noise of the measurement. The correlation is below
-0.1 for independent noise, and 0.77 to 0.93 in the example `walking`, whose data are filtered.
-"""
-
-NAMED = 4
-"""Largest number of columns that are named."""
+NAMED = 4  #: Largest number of columns that are named.
 
 
 def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:

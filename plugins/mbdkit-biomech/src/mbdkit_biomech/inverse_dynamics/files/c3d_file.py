@@ -29,31 +29,29 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import shown
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
+#: A plate counts as unloaded if the force along its normal [N] is below this.
+#:
+#: The point of application is then the quotient of two small numbers.
 UNLOADED = 10.0
-"""A plate counts as unloaded if the force along its normal [N] is below this.
-
-The point of application is then the quotient of two small numbers.
-"""
 
 
+#: Largest normal force [N] of a plate that counts as its offset.
+#:
+#: In frames with a larger force, somebody probably stands on the plate, although the file names them as unloaded.
 LARGEST_OFFSET = 50.0
-"""Largest normal force [N] of a plate that counts as its offset.
-
-In frames with a larger force, somebody probably stands on the plate, although the file names them as unloaded.
-"""
 
 
+#: Time after which the process that reads a file is ended [s]; files of 128 MB take some seconds.
 LONGEST = 300.0
-"""Time after which the process that reads a file is ended [s]; files of 128 MB take some seconds."""
 
 
+#: Address space of this process [bytes], and what a byte of the file adds; damaged headers announce any number of
+#: samples.
 MEMORY = 4 * 2**30, 32
-"""Address space of this process [bytes], and what a byte of the file adds; damaged headers announce any number of
-samples."""
 
 
+#: Coordinates of plates are in mm if a file states no unit and the corners of a plate are farther apart than this.
 LARGEST_PLATE = 20.0
-"""Coordinates of plates are in mm if a file states no unit and the corners of a plate are farther apart than this."""
 
 
 class _Columns(NamedTuple):
@@ -266,12 +264,9 @@ def _of_plate(plate: Any, samples: int, unit: str, baseline: slice) -> dict[str,
     return {"force": force, "point": point, "torque": torque if in_metres else 1e-3 * torque}
 
 
-_BLOCK = 512
-"""Size of a block [bytes]."""
-_FRAMES = 6
-"""Position of the numbers of the first and the last frame in the header."""
-_INTEL, _MIPS = 84, 86
-"""Codes of processors in the file."""
+_BLOCK = 512  #: Size of a block [bytes].
+_FRAMES = 6  #: Position of the numbers of the first and the last frame in the header.
+_INTEL, _MIPS = 84, 86  #: Codes of processors in the file.
 
 
 @contextmanager
@@ -336,8 +331,7 @@ def _entries(content: bytes, first: int, order: str) -> Iterator[tuple[bytes, in
         place += offset
 
 
-_MOST_AXES = 7
-"""Largest number of axes of a parameter."""
+_MOST_AXES = 7  #: Largest number of axes of a parameter.
 
 
 def _in_order_of_intel(content: bytes, first: int) -> bytes:
@@ -366,12 +360,11 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
     return bytes(found)
 
 
+#: Formats of the numbers in the header, and their positions in bytes.
+#:
+#: The numbers are those of points and analog samples, first and last frame and largest gap; the scale; the first block
+#: of data and the number of analog samples per frame; the frame rate.
 _HEADER = (("5h", 2), ("f", 12), ("2h", 16), ("f", 20))
-"""Formats of the numbers in the header, and their positions in bytes.
-
-The numbers are those of points and analog samples, first and last frame and largest gap; the scale; the first block of
-data and the number of analog samples per frame; the frame rate.
-"""
 
 
 def _swapped(content: bytes, size: int) -> bytes:

@@ -7,10 +7,9 @@ import numpy as np
 from mbdkit.base.text import cited
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
+#: Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
+#: would have a greater effect.
 RATE_SAMPLES = 5
-"""Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
-would have a greater effect.
-"""
 
 
 def continued(

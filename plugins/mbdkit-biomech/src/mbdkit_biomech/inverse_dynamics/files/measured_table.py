@@ -16,19 +16,18 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import cited, did_you_mean, listed
 from mbdkit.base.units import Unit, read_quantity, read_unit
 
+#: Texts, in lower case, of cells without a value.
 GAPS = (
     *("", "nan", "-nan", "na", "n/a", "#n/a", "<na>", "n.a.", "null", "none", "-", "--"),
     *("nan(ind)", "-nan(ind)", "1.#qnan", "1.#ind", "-1.#ind"),
 )
-"""Texts, in lower case, of cells without a value."""
 
 HEADINGS_SHOWN = 30
-Cell: TypeAlias = str | float | None
-"""A cell of a table: text of a file, a number, or nothing."""
+Cell: TypeAlias = str | float | None  #: A cell of a table: text of a file, a number, or nothing.
 
 
+#: If the interval between samples is longer than this [s], messages name a wrong unit of time as a possible cause.
 SLOW = 0.1
-"""If the interval between samples is longer than this [s], messages name a wrong unit of time as a possible cause."""
 
 
 def unit_of_time_as_cause(interval: float) -> str:
@@ -237,8 +236,7 @@ class MeasuredTable:
         return times.tolist(), ((unit or stated).factor * values).tolist()
 
 
-DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")
-"""Pattern of a number with a decimal comma."""
+DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")  #: Pattern of a number with a decimal comma.
 
 
 def begins_like_number(cell: Cell) -> bool:

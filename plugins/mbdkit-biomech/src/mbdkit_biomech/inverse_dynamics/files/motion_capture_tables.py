@@ -14,15 +14,14 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import cited, listed
 from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable
 
-Rows = Sequence[tuple[int, list[str]]]
-"""Rows of cells with the numbers of their lines, without empty lines."""
+Rows = Sequence[tuple[int, list[str]]]  #: Rows of cells with the numbers of their lines, without empty lines.
 
+#: Sections of Vicon files that are read; all but the last have one row for each frame of the cameras.
 SECTIONS = ("Trajectories", "Model Outputs", "Joints", "Segments", "Devices")
-"""Sections of Vicon files that are read; all but the last have one row for each frame of the cameras."""
 
 _DEVICES = "Devices"
+#: First words of files of Qualisys Track Manager.
 _QUALISYS = ("NO_OF_FRAMES", "FILE_VERSION", "NO_OF_SAMPLES", "TOT_NO_OF_CHAN")
-"""First words of files of Qualisys Track Manager."""
 
 
 def is_qualisys(first_line: str) -> bool:

@@ -28,17 +28,13 @@ from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
 )
 from mbdkit_biomech.inverse_dynamics.signals.rounded_times import at_rate
 
-LONGEST_PREAMBLE = 100
-"""Number of lines in which the first row of numbers is searched."""
+LONGEST_PREAMBLE = 100  #: Number of lines in which the first row of numbers is searched.
 
-HEAD = 10
-"""Number of lines in which the delimiter of a Vicon file is searched."""
+HEAD = 10  #: Number of lines in which the delimiter of a Vicon file is searched.
 
-LARGEST_FILE = 128 * 2**20
-"""Largest size of a file that is read [bytes]."""
+LARGEST_FILE = 128 * 2**20  #: Largest size of a file that is read [bytes].
 
-MOST_CELLS = 10_000_000
-"""Largest number of cells of a table; a cell takes about 70 bytes of memory."""
+MOST_CELLS = 10_000_000  #: Largest number of cells of a table; a cell takes about 70 bytes of memory.
 
 
 def read_table(path: Path, key: str) -> MeasuredTable:

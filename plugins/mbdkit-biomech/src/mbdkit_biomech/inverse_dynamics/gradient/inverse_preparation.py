@@ -17,12 +17,11 @@ from mbdkit_gradients.differentiated_expressions import Definitions, numbers_of
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import Arrays, Preparation
 
+#: Names of the arrays of a motion.
+#:
+#: In this order: positions, velocities and accelerations, (T, n) each, generalized forces of unit actuators (T, n, U),
+#: generalized forces of the loads (T, n), and weights of the actuators (U,).
 MOTION = ("motion.q", "motion.v", "motion.a", "motion.columns", "motion.loads", "motion.weights")
-"""Names of the arrays of a motion.
-
-In this order: positions, velocities and accelerations, (T, n) each, generalized forces of unit actuators (T, n, U),
-generalized forces of the loads (T, n), and weights of the actuators (U,).
-"""
 
 
 class InversePreparation(Preparation):

@@ -29,8 +29,8 @@ from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads_derivative import ProgrammeChange, change_of_shares
 from mbdkit_biomech.muscles.muscle_values import Muscles
 
+#: Arrays of the muscles of a motion; see `Contraction` and `Sharing`.
 OF_MUSCLES = ("length", "rate", "fiber_length", "fiber_rate", "capacity", "passive", "pull", "arms")
-"""Arrays of the muscles of a motion; see `Contraction` and `Sharing`."""
 
 
 def key_of(name: str) -> str:

@@ -26,10 +26,9 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator
 
+#: A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below
+#: this.
 WEAK = 1e-8
-"""A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below
-this.
-"""
 
 
 @dataclass(frozen=True)

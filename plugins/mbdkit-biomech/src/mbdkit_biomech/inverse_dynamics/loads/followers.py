@@ -23,15 +23,14 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
+#: `mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one.
 InverseProblem: TypeAlias = Any
-"""`mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one."""
 
-LEAST = 0.05
-"""Plates carry no share while less than this share of the weight is needed, as in flight."""
+LEAST = 0.05  #: Plates carry no share while less than this share of the weight is needed, as in flight.
 
+#: Plates with more than the second share of the needed force carry all of a change, those with less than the first one
+#: their own share; in between, what they carry grows linearly.
 PART, WHOLE = 0.7, 0.9
-"""Plates with more than the second share of the needed force carry all of a change, those with less than the first one
-their own share; in between, what they carry grows linearly."""
 
 
 def followers_of(spec: InverseSpec, mechanism: Mechanism) -> dict[str, Follower]:

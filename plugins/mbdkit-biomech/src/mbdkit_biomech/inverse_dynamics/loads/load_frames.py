@@ -21,23 +21,20 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 Array = NDArray[np.float64]
-FRAMES, FRAMES_NARROW = 6, 3
-"""Number of frames side by side on a wide page and on a narrow one."""
+FRAMES, FRAMES_NARROW = 6, 3  #: Number of frames side by side on a wide page and on a narrow one.
+#: Length of the longest arrow, as a share of the height or width of the mechanism, whichever is larger.
 ARROW = 0.45
-"""Length of the longest arrow, as a share of the height or width of the mechanism, whichever is larger."""
-CONTACT = 0.05
-"""A contact begins where a load exceeds this share of its largest value."""
-KEY = 0.15
-"""Height of the space for the legend above the frames, as a share of the height of the frames."""
+CONTACT = 0.05  #: A contact begins where a load exceeds this share of its largest value.
+KEY = 0.15  #: Height of the space for the legend above the frames, as a share of the height of the frames.
+#: Kinds of arrows, which are classes in `templates/drawing.css`, and the texts that explain them.
 KINDS = (("joint", "force in a joint"), ("load", "measured load"), ("spring", "force element"))
-"""Kinds of arrows, which are classes in `templates/drawing.css`, and the texts that explain them."""
 
+#: Phrases for the caption: what the arrows of each kind show, and where they are drawn.
 _PLACES = {
     "joint": "in joints, on the second body",
     "load": "measured loads, from their point of application",
     "spring": "force elements, at both ends",
 }
-"""Phrases for the caption: what the arrows of each kind show, and where they are drawn."""
 
 Arrow = tuple[str, np.ndarray, np.ndarray]
 

@@ -30,18 +30,18 @@ from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interp
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ColumnOfTable, Load, TimeColumn
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
+#: Forces below the first limit [N] and below this share of the largest force of a plate are too small to determine a
+#: centre of pressure.
 UNLOADED, UNLOADED_SHARE = 10.0, 0.05
-"""Forces below the first limit [N] and below this share of the largest force of a plate are too small to determine a
-centre of pressure."""
 
+#: The axis and the number of a plate at the end of a heading in lower case.
 AXIS = re.compile(r"([xyz])(\d*)$")
-"""The axis and the number of a plate at the end of a heading in lower case."""
 
+#: Headings in lower case of points of application, such as ``ground_force_px``, ``plate1.point.x`` and ``COPx1``.
 LIKE_POINT = re.compile(r"(?:^|[^a-z])(?:p|cp|cop|point|position|pressure)[^a-z0-9]?" + AXIS.pattern)
-"""Headings in lower case of points of application, such as ``ground_force_px``, ``plate1.point.x`` and ``COPx1``."""
 
+#: A component of a `LoadSeries`: name of the array, and index along its last axis.
 Component: TypeAlias = tuple[Literal["force", "point", "torque"], int | None]
-"""A component of a `LoadSeries`: name of the array, and index along its last axis."""
 
 
 @dataclass(frozen=True)

@@ -15,35 +15,31 @@ from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 
 MOST_ITERATIONS = 200
+#: Scaled step up to which an iteration has converged.
+#:
+#: A scaled step is the largest change of a coordinate, divided by the scale of the coordinate (`Manifold.scale`).
 ROUND_OFF = 1e-13
-"""Scaled step up to which an iteration has converged.
 
-A scaled step is the largest change of a coordinate, divided by the scale of the coordinate (`Manifold.scale`).
-"""
-
+#: Scaled step below which an iteration also ends if the step is at least half as large as the previous one.
 STAGNANT = 1e-8
-"""Scaled step below which an iteration also ends if the step is at least half as large as the previous one."""
 
+#: Scaled step below which the pose of a key frame is accurate enough to start the fit of other frames.
 SETTLED = 0.03
-"""Scaled step below which the pose of a key frame is accurate enough to start the fit of other frames."""
 
+#: Largest scaled step of an iteration, and largest scaled change of the pose between key frames that are not
+#: consecutive frames.
 LONGEST = 0.5
-"""Largest scaled step of an iteration, and largest scaled change of the pose between key frames that are not
-consecutive frames.
-"""
 
+#: Smallest number of key frames, if there are as many frames. Key frames are fitted one after the other; there are more
+#: of them if the pose changes much.
 KEYS = 50
-"""Smallest number of key frames, if there are as many frames. Key frames are fitted one after the other; there are more
-of them if the pose changes much.
-"""
 
+#: A direction counts as not observed if its effect on the data, relative to the effect of the best observed direction,
+#: is below this.
 UNSEEN = 1e-7
-"""A direction counts as not observed if its effect on the data, relative to the effect of the best observed direction,
-is below this.
-"""
 
+#: A coordinate is named in messages if its component is larger than this share of the largest component.
 MOVES = 1e-3
-"""A coordinate is named in messages if its component is larger than this share of the largest component."""
 
 
 @dataclass(frozen=True)
@@ -251,23 +247,19 @@ class Fitter:
         return listed(found, "and", 6)
 
 
+#: Largest number of Gauss-Newton steps that place the bodies freely. Few suffice, because they start from the fitted
+#: poses, which are close to the solution.
 PLACINGS = 4
-"""Largest number of Gauss-Newton steps that place the bodies freely. Few suffice, because they start from the fitted
-poses, which are close to the solution.
-"""
 
-PLACED = 1e-14
-"""The steps end if a scaled step is below this; the positions are then exact to round-off."""
+PLACED = 1e-14  #: The steps end if a scaled step is below this; the positions are then exact to round-off.
 
+#: A direction counts as not observed if its singular value, relative to the largest one of the Jacobian, is below
+#: this.
 NEGLIGIBLE = 1e-9
-"""A direction counts as not observed if its singular value, relative to the largest one of the Jacobian, is below
-this.
-"""
 
+#: The residual of a constraint row counts as undetermined if the part of the row that the data do not observe exceeds
+#: this share of the row.
 BLIND = 1e-6
-"""The residual of a constraint row counts as undetermined if the part of the row that the data do not observe exceeds
-this share of the row.
-"""
 
 
 def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: FitTarget, q: np.ndarray) -> np.ndarray:

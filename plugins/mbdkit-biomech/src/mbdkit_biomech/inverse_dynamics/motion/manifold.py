@@ -15,13 +15,12 @@ from mbdkit.engine.stacked_matrices import complete_qr, least_norms, products, s
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 
+#: The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share
+#: of the largest one. The constraint rows then count as linearly dependent.
 DEPENDENT = 1e-9
-"""The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share
-of the largest one. The constraint rows then count as linearly dependent.
-"""
 
+#: Remainders of columns of the matrix of a fit below this share of the largest column count as zero.
 NEGLIGIBLE = 1e-12
-"""Remainders of columns of the matrix of a fit below this share of the largest column count as zero."""
 
 
 @dataclass(frozen=True)

@@ -35,19 +35,17 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
 )
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
-LARGEST = 1e30
-"""Largest value of a column in SI units; squares and products of larger values may overflow."""
+LARGEST = 1e30  #: Largest value of a column in SI units; squares and products of larger values may overflow.
 
-SHORTEST, LONGEST = 1e-9, 1e9
-"""Shortest and longest interval between two rows [s]."""
+SHORTEST, LONGEST = 1e-9, 1e9  #: Shortest and longest interval between two rows [s].
 
+#: Share by which an angle may exceed one turn, and a gap its greatest length, because values are rounded.
 ROUNDED = 1e-6
-"""Share by which an angle may exceed one turn, and a gap its greatest length, because values are rounded."""
 
 SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
+#: Key of a column in the spec, its heading, its unit in the spec or None, and its SI unit.
 GivenUnit: TypeAlias = tuple[str, str, str | None, str]
-"""Key of a column in the spec, its heading, its unit in the spec or None, and its SI unit."""
 
 
 @dataclass(frozen=True)

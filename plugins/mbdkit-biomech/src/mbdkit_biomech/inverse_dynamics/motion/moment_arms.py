@@ -19,8 +19,8 @@ from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Mani
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 
+#: A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it.
 DEPENDENT = 1e-6
-"""A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it."""
 
 
 def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:

@@ -17,10 +17,9 @@ from mbdkit.engine.stacked_matrices import products, singular_values
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitError, FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
+#: The other columns determine the pose if the smallest singular value of their derivatives along the free directions is
+#: at least this share of that of all columns.
 DETERMINED = 0.1
-"""The other columns determine the pose if the smallest singular value of their derivatives along the free directions is
-at least this share of that of all columns.
-"""
 
 
 @dataclass(frozen=True)

@@ -30,27 +30,23 @@ from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 
+#: If the observed quantities alone do not suffice, an observed quantity with at least this independence is preferred to
+#: a quantity that is not observed, even if the latter is more independent.
 PREFERRED = 0.2
-"""If the observed quantities alone do not suffice, an observed quantity with at least this independence is preferred to
-a quantity that is not observed, even if the latter is more independent.
-"""
 
+#: The motion passes near a fold if the independence of the observed quantities falls below this share of its largest
+#: value.
+#:
+#: At a fold, such as the dead centre of a measured rocker, these quantities do not determine the motion.
 FOLD = 0.05
-"""The motion passes near a fold if the independence of the observed quantities falls below this share of its largest
-value.
 
-At a fold, such as the dead centre of a measured rocker, these quantities do not determine the motion.
-"""
-
+#: Observed quantities do not determine the motion if their independence is below this, even without a fold.
+#:
+#: The limit is low because quantities of many bodies in series have a small independence, such as 1 / 580 for the
+#: relative angles of 100 links.
 LEAST = 1e-4
-"""Observed quantities do not determine the motion if their independence is below this, even without a fold.
 
-The limit is low because quantities of many bodies in series have a small independence, such as 1 / 580 for the relative
-angles of 100 links.
-"""
-
-ENOUGH = 0.05
-"""Smallest independence that the coordinates of an interval must have in all of its frames."""
+ENOUGH = 0.05  #: Smallest independence that the coordinates of an interval must have in all of its frames.
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,12 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     SmoothingSpline,
 )
 
+#: Times count as evenly spaced if no interval deviates from the mean interval by more than this fraction of the mean.
 UNEVEN = 1e-3
-"""Times count as evenly spaced if no interval deviates from the mean interval by more than this fraction of the mean.
-"""
 
 KEY = "motion.smooth"
 
-FEWEST = 6
-"""Smallest number of samples for a quintic spline."""
+FEWEST = 6  #: Smallest number of samples for a quintic spline.
 
 
 class Smoothed(NamedTuple):

@@ -14,11 +14,10 @@ from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_s
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
-NAMED = 6
-"""Largest number of markers or columns that are named."""
+NAMED = 6  #: Largest number of markers or columns that are named.
 
+#: Headings, in lower case, of columns with the numbers of frames.
 NUMBERS = ("frame", "frame#", "sub frame")
-"""Headings, in lower case, of columns with the numbers of frames."""
 
 
 @dataclass(frozen=True)

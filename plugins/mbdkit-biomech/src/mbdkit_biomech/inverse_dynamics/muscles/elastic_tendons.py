@@ -26,24 +26,19 @@ from mbdkit.base.errors import RunError
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.muscle import Muscle
 
-ITERATIONS = 60
-"""Largest number of programmes for one frame; 4 to 8 are usual."""
+ITERATIONS = 60  #: Largest number of programmes for one frame; 4 to 8 are usual.
+#: The programmes of a frame end when the change of the tensions, relative to `max_force`, is below this.
 SETTLED = 1e-12
-"""The programmes of a frame end when the change of the tensions, relative to `max_force`, is below this."""
-FARTHEST = 0.2
-"""Largest change of a tension from one programme to the next, relative to `max_force`."""
+FARTHEST = 0.2  #: Largest change of a tension from one programme to the next, relative to `max_force`.
+#: Smallest tension, relative to `max_force`. Muscles whose fibres cannot exert an active force have this tension.
 LEAST = 1e-9
-"""Smallest tension, relative to `max_force`. Muscles whose fibres cannot exert an active force have this tension."""
+#: Fibres whose active force at full activation, relative to `max_force`, is below this count as unable to exert a
+#: force.
 WEAK = 1e-6
-"""Fibres whose active force at full activation, relative to `max_force`, is below this count as unable to exert a
-force.
-"""
-SMALLEST = 0.05
-"""Smallest share of a change of the tensions that is applied."""
+SMALLEST = 0.05  #: Smallest share of a change of the tensions that is applied.
+#: Tensions are reduced if their factor of the force-velocity curve is below the first value, or their activation above
+#: the second.
 SLOWEST, STRONGEST = 0.05, 1.5
-"""Tensions are reduced if their factor of the force-velocity curve is below the first value, or their activation above
-the second.
-"""
 
 
 @dataclass(frozen=True)
@@ -186,12 +181,11 @@ def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
     return float(np.clip(size * np.sum(last * bend) / np.sum(bend * bend), SMALLEST, 1.0))
 
 
+#: Function that returns the activations (M,) of a frame; nan if there is no solution.
+#:
+#: Tensions are linear in the activations. The arguments are the number of the frame, the slopes (M,) of the tensions,
+#: and the tensions (M,) at zero activation.
 Share = Callable[[int, np.ndarray, np.ndarray], np.ndarray]
-"""Function that returns the activations (M,) of a frame; nan if there is no solution.
-
-Tensions are linear in the activations. The arguments are the number of the frame, the slopes (M,) of the tensions, and
-the tensions (M,) at zero activation.
-"""
 
 
 def in_equilibrium(

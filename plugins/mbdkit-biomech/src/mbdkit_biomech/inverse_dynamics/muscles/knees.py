@@ -10,8 +10,7 @@ from mbdkit.base.text import cited, listed
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 
-Inverse: TypeAlias = Any
-"""Class of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one."""
+Inverse: TypeAlias = Any  #: Class of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one.
 
 
 def left_out_of_recruitment(result: Inverse) -> list[str]:

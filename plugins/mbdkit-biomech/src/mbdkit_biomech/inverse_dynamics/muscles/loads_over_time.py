@@ -26,16 +26,13 @@ from mbdkit.engine.linear_systems import SparseFactors
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import SOLVED, Shared
 
-ITERATIONS = 80
-"""Largest number of iterations of the interior-point method; 15 to 25 are usual."""
+ITERATIONS = 80  #: Largest number of iterations of the interior-point method; 15 to 25 are usual.
+#: Mean product of slacks and multipliers below which the interior-point method ends, if its residuals are small too.
 GAP = 1e-13
-"""Mean product of slacks and multipliers below which the interior-point method ends, if its residuals are small too."""
-POLISHED = 6
-"""Number of Newton iterations in which active inequalities are equations."""
+POLISHED = 6  #: Number of Newton iterations in which active inequalities are equations.
+#: Entries of the diagonal are preferred as pivots if they have this share of the largest entry of their column.
 PIVOT = 0.1
-"""Entries of the diagonal are preferred as pivots if they have this share of the largest entry of their column."""
-REGULAR = 1e-11
-"""Regularisation of the matrices; its effect is removed by iterative refinement."""
+REGULAR = 1e-11  #: Regularisation of the matrices; its effect is removed by iterative refinement.
 
 
 @dataclass(frozen=True)

@@ -18,18 +18,16 @@ from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments, E
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth, Emg, Frontal, TimeColumn
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
-ENVELOPE = Butterworth(name="butterworth", cutoff=6.0)
-"""Filter of a rectified raw signal."""
+ENVELOPE = Butterworth(name="butterworth", cutoff=6.0)  #: Filter of a rectified raw signal.
 
+#: A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
+#: negative.
 RAW = 0.1
-"""A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
-negative."""
 
-VOLTS = re.compile(r"[\[(]\s*[mun\u00b5\u03bc]?V\s*[\])]")
-"""A voltage as the unit of a column."""
+VOLTS = re.compile(r"[\[(]\s*[mun\u00b5\u03bc]?V\s*[\])]")  #: A voltage as the unit of a column.
 
+#: Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation.
 AT_REST, MOST = 0.01, 1.5
-"""Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation."""
 
 
 def measured_targets(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> Targets:

@@ -44,8 +44,8 @@ from mbdkit_biomech.muscles.muscle_path import MusclePath, PathState
 from mbdkit_biomech.muscles.patella import PatellaPath
 from mbdkit_biomech.persons.plate_contacts import later
 
+#: A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths].
 NO_ARM = 1e-9
-"""A muscle does not act on a coordinate if its moment arm is at most this [m for angles, 1 for lengths]."""
 
 TIMES_NAMED = 6
 

@@ -33,47 +33,40 @@ from mbdkit.engine.stacked_matrices import least_norms, products
 from mbdkit_biomech.inverse_dynamics.muscles.interior_point import near_optimum
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 
+#: Largest numbers of evaluations in the first attempt, and in each further one; 5 to 15 are usual.
 FIRST_STEPS, STEPS = 25, 200
-"""Largest numbers of evaluations in the first attempt, and in each further one; 5 to 15 are usual."""
+#: Proximal terms of the successive problems for p = 2, relative to half the trace of the product of the matrix and its
+#: transpose.
 PROXIMAL = (1e-2, 1e-4, 1e-6, 1e-8, 0.0)
-"""Proximal terms of the successive problems for p = 2, relative to half the trace of the product of the matrix and its
-transpose.
-"""
+#: Regularisation of the Jacobian, likewise, for a residual of 1, and its lower bound.
 REGULAR, ROUNDING = 1e-8, 1e-15
-"""Regularisation of the Jacobian, likewise, for a residual of 1, and its lower bound."""
+#: A step is too long if the derivative of the dual function along it has the other sign at its end, and more than this
+#: share of its size at the beginning.
+#:
+#: Unlike the function, its derivative is not disturbed by rounding errors near the solution (W. W. Hager and H. Zhang,
+#: SIAM J. Optim. 16:170-192, 2005).
 OVERSHOOT = 0.25
-"""A step is too long if the derivative of the dual function along it has the other sign at its end, and more than this
-share of its size at the beginning.
-
-Unlike the function, its derivative is not disturbed by rounding errors near the solution (W. W. Hager and H. Zhang,
-SIAM J. Optim. 16:170-192, 2005).
-"""
+#: Residual of the equations, relative to their size, after which a last step reaches rounding errors.
 ENDED = 1e-10
-"""Residual of the equations, relative to their size, after which a last step reaches rounding errors."""
-REACHED = 1e-13
-"""Certificate (see `Shared`) above which a frame is solved again."""
+REACHED = 1e-13  #: Certificate (see `Shared`) above which a frame is solved again.
+#: Residual below which the iteration also ends if a step does not halve it: the rest are rounding errors.
 NEARLY = 1e-9
-"""Residual below which the iteration also ends if a step does not halve it: the rest are rounding errors."""
+#: Certificate below which a solution for p > 2 is refined by steps of unknowns and multipliers together, and their
+#: number; two reached rounding errors in all frames of a walk with EMG.
 NEAR, REFINEMENTS = 1e-2, 4
-"""Certificate below which a solution for p > 2 is refined by steps of unknowns and multipliers together, and their
-number; two reached rounding errors in all frames of a walk with EMG."""
+#: A frame counts as solved if its certificate (see `Shared`) is at most this; otherwise, it counts as a frame without
+#: solution.
 SOLVED = 1e-9
-"""A frame counts as solved if its certificate (see `Shared`) is at most this; otherwise, it counts as a frame without
-solution.
-"""
+#: Unknowns are at the same bound in all solutions of a linear programme if the magnitude of their reduced cost exceeds
+#: this; the costs in the programme are 1.
 REDUCED_COST = 1e-7
-"""Unknowns are at the same bound in all solutions of a linear programme if the magnitude of their reduced cost exceeds
-this; the costs in the programme are 1.
-"""
-TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-"""Options of HiGHS."""
+TIGHT = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}  #: Options of HiGHS.
+#: Largest coefficient, relative to the size of an equation, of an unknown that does not act in it.
 NO_SHARE = 1e-11
-"""Largest coefficient, relative to the size of an equation, of an unknown that does not act in it."""
+#: Lower bound of the derivatives dx/dg for p > 2, relative to the largest one; smaller values are raised to this bound.
+#:
+#: At x = 0, where the derivative is infinite, it is computed as 0, and then raised to the bound.
 LEAST_SLOPE = 1e-12
-"""Lower bound of the derivatives dx/dg for p > 2, relative to the largest one; smaller values are raised to this bound.
-
-At x = 0, where the derivative is infinite, it is computed as 0, and then raised to the bound.
-"""
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,14 @@ from mbdkit.engine.stacked_matrices import products, pseudoinverses
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared
 
+#: Lower bound of the second derivatives of the cost, relative to the largest one in a frame; smaller ones are raised to
+#: this bound.
+#:
+#: For exponents above 2, the second derivative vanishes at x = 0.
 LEAST_CURVATURE = 1e-12
-"""Lower bound of the second derivatives of the cost, relative to the largest one in a frame; smaller ones are raised to
-this bound.
-
-For exponents above 2, the second derivative vanishes at x = 0.
-"""
+#: Singular values below this share of the largest one belong to equations that contain no free unknown.
 NEGLIGIBLE = 1e-13
-"""Singular values below this share of the largest one belong to equations that contain no free unknown."""
-REFINEMENTS = 2
-"""Number of iterative refinements of the solution, which remove rounding errors."""
+REFINEMENTS = 2  #: Number of iterative refinements of the solution, which remove rounding errors.
 
 
 @dataclass(frozen=True)

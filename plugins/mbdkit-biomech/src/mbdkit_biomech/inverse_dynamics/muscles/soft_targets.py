@@ -21,12 +21,11 @@ from mbdkit.engine.stacked_matrices import products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 
-LEAST_DEVIATION = 0.03
-"""Smallest standard deviation of an activation by EMG: that of a muscle at rest."""
+LEAST_DEVIATION = 0.03  #: Smallest standard deviation of an activation by EMG: that of a muscle at rest.
 
+#: A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
+#: smaller, and as one in another unit if its largest value is a smaller share of the largest one of that activation.
 FOLLOWS, LEAST_SHARE = 0.5, 0.1
-"""A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
-smaller, and as one in another unit if its largest value is a smaller share of the largest one of that activation."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +33,13 @@ class Compartments:
     """The compartments of a knee in T frames."""
 
     joint: str
-    index: int
-    """Name of the joint, and its index."""
-    shank: int
-    """Index of the shank among the bodies."""
-    width: float
-    """Distance of the compartments [m]."""
-    deviation: float
-    """Standard deviation of the place of the knee across the plane of motion [m]."""
+    index: int  #: Name of the joint, and its index.
+    shank: int  #: Index of the shank among the bodies.
+    width: float  #: Distance of the compartments [m].
+    deviation: float  #: Standard deviation of the place of the knee across the plane of motion [m].
+    #: (T,) moment of the ground's force about the forward axis of the knee, positive if it presses the medial side.
     moment: np.ndarray
-    """(T,) moment of the ground's force about the forward axis of the knee, positive if it presses the medial side."""
-    load: np.ndarray
-    """(T,) vertical force of the ground [N]."""
+    load: np.ndarray  #: (T,) vertical force of the ground [N].
 
 
 @dataclass(frozen=True)
@@ -83,8 +77,7 @@ class Targets:
 
     knees: tuple[Compartments, ...] = ()
     emg: tuple[EmgTarget, ...] = ()
-    left_out: tuple[tuple[EmgTarget, str], ...] = ()
-    """Channels that are not used, and why."""
+    left_out: tuple[tuple[EmgTarget, str], ...] = ()  #: Channels that are not used, and why.
 
     def __bool__(self) -> bool:
         return bool(self.knees or self.emg)

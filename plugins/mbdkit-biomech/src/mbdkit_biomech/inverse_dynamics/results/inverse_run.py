@@ -34,8 +34,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 _LOG = logger_of(__name__)
 
-MOST_NAMED = 3
-"""Largest number of angles and columns that are named as possible causes of an error."""
+MOST_NAMED = 3  #: Largest number of angles and columns that are named as possible causes of an error.
 
 
 def inverse(

@@ -19,11 +19,10 @@ from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used.
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
-"""Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used."""
 
-PERSON = ("subject", "centres", "plane", "plates")
-"""Entries of the provenance of a person."""
+PERSON = ("subject", "centres", "plane", "plates")  #: Entries of the provenance of a person.
 
 
 @summary_lines

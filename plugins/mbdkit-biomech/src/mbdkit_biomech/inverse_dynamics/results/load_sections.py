@@ -35,10 +35,9 @@ from mbdkit_report.seams import report_charts, report_sections
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
+#: out first.
 BARS = 24
-"""Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
-out first.
-"""
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 

@@ -37,25 +37,21 @@ from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.sources import change_of, sources_of
 from mbdkit_biomech.uncertainty.uncertain_result import drawn
 
+#: Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %.
 SAMPLES = 40
-"""Number of samples; with this number, the relative scatter of the bounds is 1 / sqrt(2 * SAMPLES), 11 %."""
 
-UNCERTAIN_SAMPLES = 60
-"""Number of samples of the person and its muscles, each of which is computed exactly."""
+UNCERTAIN_SAMPLES = 60  #: Number of samples of the person and its muscles, each of which is computed exactly.
 
-HIDDEN_SAMPLES = 8
-"""Number of samples of what long gaps may hide."""
+HIDDEN_SAMPLES = 8  #: Number of samples of what long gaps may hide.
 
-FACTOR = float(quantile(1.0))
-"""Ratio of the squared bound of a Gaussian variable to its mean square."""
+FACTOR = float(quantile(1.0))  #: Ratio of the squared bound of a Gaussian variable to its mean square.
 
+#: Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
+#:
+#: Noise always increases a largest value or a root mean square. If noise dominates, these are proportional to its
+#: standard deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the
+#: bias is then small compared with the scatter.
 FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
-"""Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
-
-Noise always increases a largest value or a root mean square. If noise dominates, these are proportional to its standard
-deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the bias is then
-small compared with the scatter.
-"""
 
 
 class SampledMeasures(NamedTuple):

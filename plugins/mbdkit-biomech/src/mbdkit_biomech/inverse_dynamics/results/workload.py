@@ -20,11 +20,10 @@ from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts,
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+#: Kinds of elements, in the order in which tables show them.
 KINDS = ("joint", "actuator", "reserve", "residual")
-"""Kinds of elements, in the order in which tables show them."""
 
-LEAST_CHANGE = 1e-3
-"""Changes by leaving out rows are stated above this share."""
+LEAST_CHANGE = 1e-3  #: Changes by leaving out rows are stated above this share.
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-LEVEL = 0.95
-"""Probability that an error is smaller than its bar, and of the quantiles."""
+LEVEL = 0.95  #: Probability that an error is smaller than its bar, and of the quantiles.
 
+#: Coefficients of the quantile in Chebyshev polynomials of ``2 (freedoms - 1) - 1``, from its values at the roots of
+#: the polynomial of degree 21, computed with 30 digits.
 COEFFICIENTS = (
     4.948724172173654, 1.0716832300215249, -0.031859788707373736, 0.003267061186979377, -0.00039554897254128184,
     5.1573498986819626e-05, -7.0085774892335135e-06, 9.780253875930474e-07, -1.3903298726160478e-07,
@@ -14,8 +15,6 @@ COEFFICIENTS = (
     9.383079824226406e-12, -1.396828869374287e-12, 2.0840854152007787e-13, -3.113263548586723e-14,
     4.651746303275803e-15, -6.945166594970227e-16, 1.0346038467430608e-16,
 )  # fmt: skip
-"""Coefficients of the quantile in Chebyshev polynomials of ``2 (freedoms - 1) - 1``, from its values at the roots of
-the polynomial of degree 21, computed with 30 digits."""
 
 
 def quantile(freedoms: np.ndarray | float) -> np.ndarray:

@@ -15,8 +15,7 @@ from mbdkit.base.errors import SpecError
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
-POINTS = 101
-"""Number of points of a normalized cycle: one per percent, both ends included."""
+POINTS = 101  #: Number of points of a normalized cycle: one per percent, both ends included.
 
 
 @dataclass(frozen=True)

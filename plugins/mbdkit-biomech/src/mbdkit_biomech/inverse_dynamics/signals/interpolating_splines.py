@@ -13,8 +13,8 @@ import numpy as np
 
 from mbdkit.engine.linear_systems import SparseFactors
 
+#: Orders and values (...) of the derivatives that are prescribed at an end.
 End = Sequence[tuple[int, np.ndarray]]
-"""Orders and values (...) of the derivatives that are prescribed at an end."""
 
 
 @dataclass(frozen=True)

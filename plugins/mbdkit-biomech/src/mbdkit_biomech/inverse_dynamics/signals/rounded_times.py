@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-GRIDS = tuple(10.0**-digits for digits in range(1, 7))
-"""Intervals [s] of which rounded times are multiples."""
+GRIDS = tuple(10.0**-digits for digits in range(1, 7))  #: Intervals [s] of which rounded times are multiples.
 
+#: Rounded times deviate from a straight line by less than this share of the interval of which they are multiples, which
+#: happens for uneven times only by chance.
 NEAR = 0.75
-"""Rounded times deviate from a straight line by less than this share of the interval of which they are multiples, which
-happens for uneven times only by chance."""
 
+#: Shares of this interval by which rounded times deviate at most, and exact ones at most.
 ROUNDED, EXACT = 0.51, 1e-3
-"""Shares of this interval by which rounded times deviate at most, and exact ones at most."""
 
 
 def grid_of(time: np.ndarray) -> float | None:

@@ -13,8 +13,8 @@ from mbdkit.spec.reading import Document, put
 from mbdkit.spec.spec_kinds import spec_loader
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
+#: A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics.
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
-"""A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics."""
 
 
 def load_inverse_spec(

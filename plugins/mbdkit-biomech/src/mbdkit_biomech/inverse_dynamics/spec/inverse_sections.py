@@ -111,10 +111,10 @@ class ObservedColumn(ColumnOfTable):
         return self
 
 
+#: A column of a table, or one SI value for all times.
 Column = Annotated[
     ColumnOfTable | float, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str | float)
 ]
-"""A column of a table, or one SI value for all times."""
 ColumnPair = Annotated[
     tuple[Column, Column],
     BeforeValidator(
@@ -188,11 +188,10 @@ class ErrorBars(Section):
     """Seed of the random numbers."""
 
 
+#: Name of a criterion: one of those that items of the kind ``criterion`` list for inverse dynamics.
 Criterion = Annotated[str, CriterionName("inverse")]
-"""Name of a criterion: one of those that items of the kind ``criterion`` list for inverse dynamics."""
 
-Data = dict[str, list[float | None]]
-"""Columns of a table by heading; None and NaN are gaps."""
+Data = dict[str, list[float | None]]  #: Columns of a table by heading; None and NaN are gaps.
 
 
 def _one_source(section: MeasuredMotion | Load, *, required: bool) -> None:

@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 S = TypeVar("S", bound=Section)
 
+#: Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics.
 _PERSON_OF_SPEC: Target[Any] = Target("mbdkit_biomech.persons.person_spec:person_of_spec")
-"""Named by text, because specs are read by parts of mbdkit that do not compute inverse dynamics."""
 
 
 def _named(sections: dict[str, S]) -> dict[str, S]:

@@ -29,15 +29,14 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Actuator, Recruitment
 
-RESERVE = "reserve."
-"""Prefix of the names of reserves."""
+RESERVE = "reserve."  #: Prefix of the names of reserves.
 
+#: Prefix of the names of residual actuators if there is only one free root; the name of the coordinate follows.
 ROOT = "root"
-"""Prefix of the names of residual actuators if there is only one free root; the name of the coordinate follows."""
 
+#: Residual actuators on a body with less than this share of the mass of the heaviest body of its part cause a
+#: warning.
 LIGHT_ROOT = 0.2
-"""Residual actuators on a body with less than this share of the mass of the heaviest body of its part cause a
-warning."""
 
 
 @dataclass(frozen=True)
