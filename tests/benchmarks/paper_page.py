@@ -1,14 +1,12 @@
 """`python -m tests.benchmarks.paper_page FOLDER`: writes what the study in FOLDER says of the source paper's claims.
 
-FOLDER is that of `mbdkit study paper -o FOLDER`. The page `paper` of the guide gets all claims; the README gets some of
-them, between two markers.
+FOLDER is that of `mbdkit study paper -o FOLDER`. It is the page `paper` of the guide.
 """
 
 from __future__ import annotations
 
 import sys
 import textwrap
-from pathlib import Path
 
 import mbdkit
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
@@ -17,11 +15,6 @@ from mbdkit_studies.results.judge import judge
 from tests.first_party import PARTS
 
 GUIDE = PARTS["mbdkit_paper"] / "guide" / "paper.md"
-README = Path(mbdkit.__file__).parent.parent / "README.md"
-BEGIN = "<!-- claims: begin (python -m tests.benchmarks.paper_page FOLDER) -->"
-END = "<!-- claims: end -->"
-IN_SHORT = ("magnitudes", "orders", "gill-worst", "knee-gauss2", "knee-gauss3", "per-joint", "time-bodies")
-"""Claims that the README has."""
 OF_A_MACHINE = ("time-bodies", "substitution")
 """Claims whose figures are times, which differ between machines."""
 
@@ -81,11 +74,6 @@ def page(verdict: Verdict, runs: int) -> str:
     )
 
 
-def short_entry(claim: Claim) -> str:
-    """Return a claim as an item of the README."""
-    return _item(f"**{ANSWERS[claim.answer]}**: {claim.statement} Found: {claim.computed}.")
-
-
 def full_entry(claim: Claim) -> str:
     """Return a claim as an item of the page."""
     return _item(
@@ -98,22 +86,11 @@ def _item(text: str) -> str:
     return "- " + "\n  ".join(textwrap.wrap(text, 118, break_long_words=False, break_on_hyphens=False))
 
 
-def renewed(text: str, verdict: Verdict) -> str:
-    """Return the README with the claims between the two markers replaced."""
-    claims = "\n".join(short_entry(verdict.claim(name)) for name in IN_SHORT)
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ValueError(f"the README lacks {BEGIN} or {END}")
-    return f"{before}{BEGIN}\n\n{claims}\n\n{END}{after}"
-
-
 def main(folder: str) -> None:
-    """Write the page, and the claims in the README."""
+    """Write the page."""
     study = mbdkit.load_study(folder)
     verdict = judge(study)
     GUIDE.write_text(page(verdict, len(study.points)), encoding="utf-8")
-    README.write_text(renewed(README.read_text(encoding="utf-8"), verdict), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -28,7 +27,7 @@ from mbdkit_paper.wording import UNDECIDED
 from mbdkit_report import Answer, Range, exceeds
 from mbdkit_studies.results.judge import judge
 from mbdkit_studies.spec.study_loading import load_study_spec
-from tests.benchmarks.paper_page import BEGIN, END, IN_SHORT, OF_A_MACHINE, full_entry
+from tests.benchmarks.paper_page import OF_A_MACHINE, full_entry
 from tests.first_party import ROOT
 
 YES, NO, PARTLY, OPEN = Answer.YES, Answer.NO, Answer.PARTLY, Answer.OPEN
@@ -358,17 +357,6 @@ def flat(text: str) -> str:
 def test_the_citation_has_the_title() -> None:
     assert TITLE in flat(README)
     assert TITLE in flat(BIBTEX)
-
-
-def test_its_claims_are_those_of_the_page_on_the_paper() -> None:
-    # one command writes both, from the verdict of the study
-    page = flat(find_page("paper").text)
-    _, _, rest = README.partition(BEGIN)
-    claims = [flat(claim) for claim in rest.partition(END)[0].split("\n- ")[1:]]
-    assert len(claims) == len(IN_SHORT)
-    for claim in claims:
-        statement, found = claim.split(" Found: ")
-        assert re.search(re.escape(statement) + " Published: .*?" + re.escape(f"Found: {found}"), page), claim
 
 
 def paper_study(families: tuple[str, ...], folder: Path, workers: int) -> mbdkit.Study:
