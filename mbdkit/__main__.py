@@ -1,6 +1,6 @@
 """``python -m mbdkit`` is the command ``mbdkit``."""
 
-from mbdkit.cli import main
+from mbdkit.cli import run_and_exit
 
 if __name__ == "__main__":
-    main()
+    run_and_exit()

@@ -33,7 +33,13 @@ with suppress(Exception):
 
 #: Configuration of pydantic that rejects unknown keys, infinities and NaN, forbids assignment, and does not convert
 #: text or booleans to numbers.
-STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+STRICT = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
+
+
+def schema_of(model: type[BaseModel]) -> CoreSchema:
+    """Return the core schema of a model, which is built when it is first needed."""
+    model.model_rebuild()
+    return model.__pydantic_core_schema__
 
 
 def _accept_lists(schema: object, owner: type[BaseModel]) -> None:

@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, core_schema, to_json
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, blaming
 from mbdkit.base.plain_data import plain
-from mbdkit.base.strict_model import located_below
+from mbdkit.base.strict_model import located_below, schema_of
 from mbdkit.mechanism.joint_base import FunctionJoint, JointBase
 from mbdkit.mechanism.model_methods import of_models
 from mbdkit.registry.catalogue import Registered, Registry
@@ -90,7 +90,7 @@ class OfJointKinds:
         union = handler(cast("Any", schema)["schema"])
         # the discriminator maps names of types to references, which types of plugins do not have
         kinds = [joint_class(item) for name, item in joint_kinds().items() if ":" not in name]
-        union["oneOf"] = [*union["oneOf"], *(handler(kind.__pydantic_core_schema__) for kind in kinds)]
+        union["oneOf"] = [*union["oneOf"], *(handler(schema_of(kind)) for kind in kinds)]
         return union
 
     @staticmethod

@@ -61,7 +61,9 @@ def check_item(item: Registered) -> None:
         with in_this_process(), redirect_stdout(sys.stderr):
             item.plugin.check_targets()
             if isinstance(item.plugin, Plugin):
-                _named(item).model_json_schema()
+                named = _named(item)
+                named.model_rebuild()  # which names what a type refers to and is missing
+                named.model_json_schema()
     except BaseException as error:  # a plugin may raise any exception, including SystemExit
         if is_interrupt(error):
             raise

@@ -26,7 +26,7 @@ from pydantic_core import CoreSchema, SchemaValidator, core_schema
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import value_text
-from mbdkit.base.strict_model import STRICT
+from mbdkit.base.strict_model import STRICT, schema_of
 from mbdkit.base.text import listed
 from mbdkit.mechanism.joint_kinds import joint_class, joint_kinds
 from mbdkit.mechanism.law_element import Law
@@ -114,7 +114,7 @@ def _validator(item: Registered, keys: tuple[str, ...]) -> SchemaValidator:
 
 
 def _union(items: Iterable[tuple[Registered, tuple[str, ...]]]) -> CoreSchema:
-    choices = {item.id: _blaming(item, options_with_keys(item, keys).__pydantic_core_schema__) for item, keys in items}
+    choices = {item.id: _blaming(item, schema_of(options_with_keys(item, keys))) for item, keys in items}
     return core_schema.tagged_union_schema(choices, lambda data: next(iter(choices)))
 
 

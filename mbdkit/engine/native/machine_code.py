@@ -253,11 +253,16 @@ def _loaded(path: Path, digest: str) -> ctypes.CDLL:
     except lzma.LZMAError:
         content = b""
     _check_digest(packed, content, digest)
-    with suppress(AttributeError, PermissionError, FileNotFoundError):  # only Linux has files in memory
-        return _from_memory_file(path.name, content)
-    BUILT.mkdir(exist_ok=True)
     draft = unpacked.with_suffix(f".{os.getpid()}")
-    draft.write_bytes(content)
+    try:
+        BUILT.mkdir(exist_ok=True)
+        draft.write_bytes(content)
+    except OSError:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        if hasattr(os, "memfd_create"):  # only Linux has files in memory, for folders that are read-only
+            return _from_memory_file(path.name, content)
+        raise
     try:
         draft.replace(unpacked)
     except PermissionError:  # on Windows, if another process has loaded it in the meantime
