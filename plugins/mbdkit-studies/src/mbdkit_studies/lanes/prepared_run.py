@@ -19,13 +19,13 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.finish import run_in_memory
 from mbdkit.runs.given_start import GivenStart, spec_started_at
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import RunSource, Sections, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_report import keys_ending_in
-from mbdkit_studies.lanes.lane_runs import LaneRuns
 
 #: Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
 #:
