@@ -29,7 +29,7 @@ from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.integrators.duals.dual_run import Seeds, constants, dual_states, new_dual_run
-from mbdkit.quantities.names import archive_names, with_members
+from mbdkit.quantities.names import archive_names
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.gradient.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
@@ -40,6 +40,7 @@ from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.results.record import with_members
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
