@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.interpreted_tree import InterpretedTree, Motion
-from mbdkit.engine.interpreter import Interpreter
+from mbdkit.engine.interpreter import Arithmetic, Interpreter
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.frames import Reactions
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING, LawRow
 from mbdkit.engine.workspace import Workspace
-
-
-@dataclass(frozen=True)
-class Segment:
-    """The force element of an acting element, and the parameters of its law by name."""
-
-    index: int  #: Index among the springs.
-    length: Any  #: Length in the state that was evaluated last [m].
-    law: Mapping[str, Any]
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 class InterpretedMechanism:
@@ -37,21 +28,24 @@ class InterpretedMechanism:
 
     Parameters
     ----------
-    compiled
-        The mechanism.
+    mechanism, t0
+        The mechanism, and the time of its consistent start [s].
     is_joint
         Whether its coordinates are those of the spanning tree of its joints, if there are such and no friction.
 
     Attributes
     ----------
+    start : MechanismAtStart
+        The mechanism at its start.
     places : (n,) array of int
         Index of each coordinate among x, y and angle of all bodies.
     cut : list of int
         Indices of the independent constraint rows with multipliers; those of the joints of the tree have none.
     """
 
-    def __init__(self, compiled: CompiledMechanism, *, is_joint: bool = False):
-        self.compiled = compiled
+    def __init__(self, mechanism: Mechanism, t0: float, *, is_joint: bool = False):
+        self.start = mechanism_at_start(mechanism, t0)
+        self.compiled = compiled = self.start.mechanism
         self._work = Workspace(compiled, 0.0, *np.zeros((2, compiled.size)))
         self._tree: InterpretedTree | None = None
         if is_joint and not len(compiled.topology.frictions):
@@ -66,13 +60,17 @@ class InterpretedMechanism:
         """Whether the coordinates are those of the spanning tree."""
         return self._tree is not None
 
-    def load(self, run: Interpreter, topology: Topology, z: Sequence[Any]) -> None:
-        """Take the arrays of the mechanism, and first-order states, as numbers that `run` executes."""
-        self._run = run
+    def interpreter(self, numbers: Arithmetic, searching: Sequence[str]) -> Interpreter:
+        """Return what executes the kernels with numbers of this kind; see `Interpreter`."""
+        self._run = Interpreter(numbers, self.compiled.laws, searching)
+        return self._run
+
+    def load(self, topology: Topology, z: Sequence[Any]) -> None:
+        """Take the arrays of the mechanism, and first-order states, as numbers of the kind of `interpreter`."""
         scratch = _objects(self._work.scratch)
         scratch.law_values[:] = topology.law_parameters
         self._equations = _objects(equations.new_equations(topology, scratch, self._work.solver))
-        run(applied_forces.take_states)(topology, scratch, z)
+        self._run(applied_forces.take_states)(topology, scratch, z)
 
     @property
     def topology(self) -> Topology:
@@ -152,22 +150,29 @@ class InterpretedMechanism:
         run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
         return eq.q, eq.v, observed
 
-    def segment(self, kind: str, name: str) -> Segment:
-        """Return the force element of an element of a plugin."""
-        known, w = self.compiled, self._equations.w
-        top = known.topology
-        (place,) = (one.place for one in known.extensions[kind] if one.force.name == name)
-        (index,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
-        law = int(top.springs[index, SPRING.law])
+    def force_element(self, kind: str, name: str) -> tuple[Any, Mapping[str, Any]]:
+        """Return the length of the force element of an element of a plugin, in the state that was evaluated last [m],
+        and the parameters of its law by name.
+        """
+        known, w, index = self.compiled, self._equations.w, self._segment(kind, name)
+        law = int(known.topology.springs[index, SPRING.law])
         names = [parameter for parameter, _ in known.laws[law][1].parameters]
-        values = dict(zip(names, w.law_values[int(top.laws[law, LAW_ROW.parameters]) + 1 :], strict=False))
-        return Segment(index, w.s[index, 0], values)
+        first = int(known.topology.laws[law, LAW_ROW.parameters]) + 1
+        return w.s[index, 0], dict(zip(names, w.law_values[first:], strict=False))
 
-    def give_force(self, segment: Segment, force: Any) -> None:
-        """Take the force of a force element as given, so that its law is not evaluated."""
+    def give_force(self, kind: str, name: str, force: Any) -> None:
+        """Take the force of an element of a plugin as given, so that its law is not evaluated."""
         top = self._equations.top
-        address, begin, _, program = LawRow(*map(int, top.laws[int(top.springs[segment.index, SPRING.law])]))
+        law = int(top.springs[self._segment(kind, name), SPRING.law])
+        address, begin, _, program = LawRow(*map(int, top.laws[law]))
         self._run.known_forces[address, program, begin] = force
+
+    def _segment(self, kind: str, name: str) -> int:
+        """Return the index of the force element among the springs."""
+        top = self.compiled.topology
+        (place,) = (one.place for one in self.compiled.extensions[kind] if one.force.name == name)
+        (index,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
+        return int(index)
 
 
 def _zeros(*shape: int) -> np.ndarray:

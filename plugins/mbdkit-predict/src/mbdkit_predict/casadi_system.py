@@ -13,10 +13,8 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.engine.consistent_start import mechanism_at_start
-from mbdkit.engine.interpreted_mechanism import InterpretedMechanism, Segment
+from mbdkit.engine.interpreted_mechanism import InterpretedMechanism
 from mbdkit.engine.interpreted_tree import Motion
-from mbdkit.engine.interpreter import Interpreter
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import value_of
 from mbdkit.quantities.names import archive_names
@@ -33,15 +31,16 @@ ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")  #: Arguments of all func
 
 class _Balanced(NamedTuple):
     equilibrium: ElementEquilibrium
-    segment: Segment  #: Its force element.
     state: int
+    length: Any  #: Length of its force element [m].
+    law: Mapping[str, Any]  #: Parameters of its law by name.
     rate: Symbol
     force: Symbol
 
     @property
     def in_si(self) -> tuple[Any, Any]:
         """Rate of the state, and force, in SI units."""
-        return self.equilibrium.in_si(self.rate, self.force, self.segment.law)
+        return self.equilibrium.in_si(self.rate, self.force, self.law)
 
 
 class CasadiSystem:
@@ -88,8 +87,8 @@ class CasadiSystem:
 
     def __init__(self, chosen: ChosenNumbers, t0: float, *, is_joint: bool = False):
         self.chosen = chosen
-        start = mechanism_at_start(self.chosen.mechanism, t0)
-        self._compiled = start.mechanism
+        self._mechanism = InterpretedMechanism(self.chosen.mechanism, t0, is_joint=is_joint)
+        start, self._compiled = self._mechanism.start, self._mechanism.compiled
         self._elements = symbolic_elements(self._compiled)
         for elements in self._elements:
             elements.check()
@@ -99,7 +98,6 @@ class CasadiSystem:
         self.bodies, self.compiled_states = self._compiled.bodies, tuple(names)
         self.state_names = tuple(name for name in names if name not in self._controls)
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
-        self._mechanism = InterpretedMechanism(self._compiled, is_joint=is_joint)
         whole, self._cut, self.places = 3 * len(self.bodies), self._mechanism.cut, self._mechanism.places
         solved = self._compiled.solved_rows
         self.is_angle, n = self.places % 3 == 2, len(self.places)
@@ -112,11 +110,11 @@ class CasadiSystem:
         self.z0 = self._compiled.initial_states[self._is_state]
         self.u0, self.p0 = np.array(chosen.control_start), np.array(chosen.parameter_start)
         searching = [module for element in self._elements for module in element.searching]
-        self._run = Interpreter(SYMBOLS, self._compiled.laws, searching)
+        self._run = self._mechanism.interpreter(SYMBOLS, searching)
         tools = SymbolTools(self._run, select, lambda x: isinstance(x, Symbol) and not x.sx.is_constant())
         for elements in self._elements:
             self._run.known |= elements.forms(tools)
-        self._mechanism.load(self._run, chosen.topology(self._compiled.topology, self._p), self._z)
+        self._mechanism.load(chosen.topology(self._compiled.topology, self._p), self._z)
         self.taken = self._taken()
         given = start.q0[:whole], start.v0[:whole], np.zeros(whole), self.p0, t0
         self.q0, self.v0, _ = (np.array(x).ravel() for x in self.taken(*given))
@@ -159,8 +157,8 @@ class CasadiSystem:
 
     def _add_functions(self) -> None:
         mechanism = self._mechanism
-        for element in self._balanced():
-            mechanism.give_force(element.segment, element.in_si[1])
+        for chosen, element in zip(self.chosen.equilibria, self._balanced(), strict=True):
+            mechanism.give_force(chosen.kind, chosen.name, element.in_si[1])
         residual = mechanism.residual(self.time, self._motion, self._lam)
         rates = self._with_balanced(mechanism.state_rates(renew=True))
         rows = mechanism.constraints(self.time, self._motion)
@@ -183,14 +181,12 @@ class CasadiSystem:
     def _balanced(self) -> Iterator[_Balanced]:
         for kind, name, equilibrium, rate, force in self.chosen.equilibria:
             state = self.compiled_states.index(f"{name}.{equilibrium.state}")
-            segment = self._mechanism.segment(kind, name)
-            yield _Balanced(equilibrium, segment, state, self._u[rate], self._u[force])
+            length, law = self._mechanism.force_element(kind, name)
+            yield _Balanced(equilibrium, state, length, law, self._u[rate], self._u[force])
 
     def _equilibrium(self) -> Iterator[Any]:
         for element in self._balanced():
-            yield from element.equilibrium.conditions(
-                element.rate, element.force, element.segment.length, element.segment.law
-            )
+            yield from element.equilibrium.conditions(element.rate, element.force, element.length, element.law)
 
     @cached_property
     def _states(self) -> States:
