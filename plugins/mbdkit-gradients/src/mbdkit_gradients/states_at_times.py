@@ -12,12 +12,12 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.number_arrays import new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
-from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
 from mbdkit_gradients.sided_stepper import SidedStepper
 
