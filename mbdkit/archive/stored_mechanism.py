@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -24,9 +24,6 @@ from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import RegistryLookup
-
-if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
 
 _NAMED = 5  # elements that are named in a sentence
 _MOST_UNKNOWN = 100
@@ -68,12 +65,6 @@ def mechanism_json(mechanism: Mechanism) -> str:
     bodies, and numbers in place of expressions.
     """
     return canonical_text({**mechanism.to_spec(), "title": mechanism.name})
-
-
-def is_determined(spec: RunSpec) -> bool:
-    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
-    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
-    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)
 
 
 def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:

@@ -166,17 +166,6 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
         yield time, margin
 
 
-def knots_of(spec: RunSpec) -> tuple[float, ...]:
-    """Return the times of all points of tables and all discontinuities of motions and loads in a run [s].
-
-    Those at the start and at the end of the run are included.
-    """
-    start, end = spec.time.start, spec.time.final
-    return tuple(
-        sorted(corner.time for _, motion in spec.mechanism().motions() for corner in corners_of(motion, start, end))
-    )
-
-
 def check_jumps(spec: RunSpec) -> None:
     """Check that the motions of all drivers are continuous, and their velocities too unless the spec allows impacts.
 

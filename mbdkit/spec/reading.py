@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path as FilePath
@@ -252,14 +252,6 @@ def read_assignment(assignment: str) -> tuple[Path, object]:
         return path, read_value(text)
     except SpecError as error:
         raise SpecError(error.message, key=key.strip(), file=where) from None
-
-
-def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
-    """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
-    document = Document({})
-    for assignment in assignments:
-        set_value(document, assignment)
-    return document.data
 
 
 def put(data: dict[str, Any], path: Path, value: object) -> None:

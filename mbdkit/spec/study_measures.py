@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -68,13 +68,6 @@ class DefinedMeasure:
     def is_like(self, other: DefinedMeasure) -> bool:
         """Return whether another measure of this name has the same definition."""
         return replace(other, place=self.place, of_base=self.of_base) == self
-
-
-def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
-    """Return the expressions of the measures that a study itself defines; those of its bases are part of the run
-    specs.
-    """
-    return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
 
 
 def built_in(measures: object) -> tuple[str, ...] | None:

@@ -30,10 +30,10 @@ from mbdkit import MbdkitError, SpecError
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.integrators import interface
 from mbdkit.registry.manager import forget, registry
+from mbdkit.runs.lane_runs import LaneRuns, why_alone
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from mbdkit_studies.compute.added_methods import with_methods
-from mbdkit_studies.lanes.lane_runs import LaneRuns, why_alone
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 from tests.benchmarks.state_orders import MODEL as MOTOR

@@ -28,13 +28,13 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.lane_stepper import LaneStepper, PivotsAtStart
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.preparation import build, make_method
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec import RunSpec
 from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_stepper import LaneStepper, PivotsAtStart
 from tests.witness.double_pendulum import HORIZONTAL
 
 from .contenders import END, MUJOCO, G, end_of

@@ -7,13 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.iteration_matrix import chosen_pivots, classes_of
-from mbdkit.engine.kernels.equations import MASS
-from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.engine.stored_arrays import pattern_of, stored
+from mbdkit.engine.step_matrix import StepMatrix
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_contact.contact_state import ContactState
@@ -87,17 +84,14 @@ class CompiledTimeStepping(CompiledMethod):
         contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
         self._names, count = contacts.names, len(contacts.names)
         few, pairs = min(count, MOST_PIVOTED), len(top.pairs)
-        classes, terms, n = classes_of(workspace), workspace.terms, size - 3
-        is_coupling = classes != MASS
-        # rows of constraints couple the bodies of their columns
-        sides = [np.where(x < n, x, y) // 3 for x, y in ((terms.row, terms.column), (terms.column, terms.row))]
+        self.matrix = StepMatrix(workspace)
+        bodies, sources = self.matrix.coupling_terms()
         states, coordinates = contacts.held.states, np.array(contacts.held.coordinates, dtype=np.int64)
         # the loads of contacts have no derivatives: a force if a body has two coordinates, and a torque if three
         of_contacts = int(np.sum(np.unique(coordinates // 3, return_counts=True)[1] - 1))
         others = len(top.loads) - of_contacts
         is_jointed = len(top.pairs) + len(top.springs) + len(top.sections) + others > 0
 
-        none = empty_pattern()
         given: dict[str, Any] = zeros({
             "saved_q saved_v q v free after middle base end unchanged ended smooth point x y force": (size,),
             "right solution correction": (workspace.unknowns,),
@@ -115,7 +109,6 @@ class CompiledTimeStepping(CompiledMethod):
                 "by_matrix is_sparse number other_law reason": (1,),
                 "some is_some closed slipping slides stops states": (count,),
                 "free_body": (size // 3,),
-                "scatter": (0, 3),
             },
             np.int64,
         )
@@ -129,10 +122,9 @@ class CompiledTimeStepping(CompiledMethod):
             places=np.array([states.start, len(states)]),
             coordinates=coordinates,
             reach=np.array([contacts.reach]),
-            terms=np.ascontiguousarray(np.column_stack(sides)[is_coupling].astype(np.int64)),
-            sources=np.ascontiguousarray(terms.source[is_coupling].astype(np.int64)),
-            pattern=none,
-            factors=new_factors(none, float),
+            terms=bodies,
+            sources=sources,
+            **self.matrix.arrays,
             cones=new_cones(min(count, MOST_FACTORIZED), few),
             active=new_active_set(min(count, MOST_FACTORIZED)),
             impacts=new_impacts(min(count, FEW)),
@@ -141,14 +133,10 @@ class CompiledTimeStepping(CompiledMethod):
 
     def start(self, run_state: RunState, h: float) -> None:
         """See `CompiledMethod.start`: pivots for the terms at the start, if they are regular there."""
-        workspace, size = self.workspace, self.workspace.mechanism.size
-        none = np.zeros(size), np.zeros((len(workspace.mechanism.topology.pairs), 2))
+        workspace = self.workspace
         workspace.take_states(0.0 * run_state.z)
         with contextlib.suppress(SingularSystemError):
-            workspace.retry_with_new_pivots(
-                lambda: tangents_at(workspace.stepping_engine, workspace.t0, run_state.q, run_state.v, *none)
-            )
-            if workspace.is_finite():
+            if self.matrix.evaluate(workspace.t0, run_state.q, run_state.v):
                 self.renew(run_state, workspace.t0, h)
 
     def renew(self, run_state: RunState, t: float, h: float) -> bool:
@@ -160,37 +148,22 @@ class CompiledTimeStepping(CompiledMethod):
             share = (1.0 - alpha[1]) / (1.0 - alpha[0])
             damping, stiffness = h * alpha[2] * share, h * h * alpha[3] * share
             of_rows = -damping, stiffness
-        coefficients = np.array([1.0, 1.0, damping, stiffness, *of_rows])
-        pivots = chosen_pivots(self.workspace, classes_of(self.workspace), coefficients)
-        self._use(pivots.pattern, pivots.scatter)
+        self.matrix.choose_pivots(np.array([1.0, 1.0, damping, stiffness, *of_rows]))
+        self._use_matrix()
         return True
 
-    def _use(self, pattern: Any, scatter: np.ndarray, reference: np.ndarray | None = None) -> None:
-        factors = new_factors(pattern, float)
-        if reference is not None:
-            factors = factors._replace(reference=reference)
-        self.bundle = self.bundle._replace(pattern=pattern, scatter=scatter, factors=factors)
+    def _use_matrix(self) -> None:
+        self.bundle = self.bundle._replace(**self.matrix.arrays)
         self.pinned.replace(self.bundle)
 
     def stored_systems(self) -> object:
         """See `CompiledMethod.stored_systems`."""
-        bundle = self.bundle
-        return {"pattern": stored(bundle.pattern), "scatter": bundle.scatter, "reference": bundle.factors.reference}
+        return self.matrix.stored()
 
     def restore_systems(self, state: Any) -> None:
         """See `CompiledMethod.restore_systems`."""
-        pattern = pattern_of(state["pattern"], self.workspace.unknowns)
-        scatter, reference = np.ascontiguousarray(state["scatter"]), np.array(state["reference"], dtype=float)
-        sources = len(self.workspace.scratch.source)
-        if (
-            scatter.dtype != np.int64
-            or scatter.shape[1:] != (3,)
-            or np.any(scatter < 0)
-            or np.any(scatter >= [sources, max(len(pattern.a_column), 1), 6])
-            or reference.shape != pattern.row_of.shape
-        ):
-            raise ValueError("a term of a matrix does not exist")
-        self._use(pattern, scatter, reference)
+        self.matrix.restore(state)
+        self._use_matrix()
 
     def forget(self) -> None:
         """See `CompiledMethod.forget`: after a discontinuity, modes and past accelerations are unknown."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from mbdkit.engine.native.number_arrays import Duals, new_duals
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.quantities.names import archive_names
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, merged_states
-from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator
 from mbdkit_gradients.sided_stepper import LawCorner, SidedStepper
 

@@ -19,6 +19,7 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.run.sampled_control import states_at_start
@@ -29,7 +30,6 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
-from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper

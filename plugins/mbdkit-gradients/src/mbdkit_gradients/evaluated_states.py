@@ -9,15 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.base.errors import RunError
-from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.kernels.dual_observe import observe_duals
-from mbdkit.engine.kernels.system import OK
-from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.engine.native.number_arrays import Duals
-from mbdkit.integrators.duals.dual_run import constants, dual_states
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedSteps
+from mbdkit.integrators.duals.dual_run import constants
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
-from mbdkit_gradients.differentiated_stepper import DifferentiatedSteps
 from mbdkit_gradients.parameter_differences import CENTRAL, weights
 
 
@@ -59,21 +53,7 @@ class StateEvaluator:
             return one_after_another([self.states(time[k], **{name: x[k] for name, x in known.items()}) for k in rows])
         if z.shape[1]:
             self.steps.use_states(np.asarray(z)[0])
-        states = dual_states(self.steps.run, self.workspace, time, q.view(Duals), v.view(Duals))
-        done = 0
-        renewed = -1
-        while done < len(time):
-            part = slice(done, None)
-            rest = states._replace(
-                solver=self.steps.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
-                observed=states.observed.rows(part), power=states.power[part],
-            )  # fmt: skip
-            pinned = PinnedBundle(rest)
-            status, row = observe_duals(pinned.address)
-            done += int(row)
-            if status != OK:
-                self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
-                renewed = done
+        states = self.steps.observe(time, q, v)
         if z.shape[1]:
             forces = np.asarray(states.observed.forces)[0]
             np.asarray(states.observed.state_rates)[0] = self.steps.laws.state_rates(float(time[0]), forces)
@@ -94,16 +74,6 @@ class StateEvaluator:
         z, z_rate = here.z[0, :, 0], here.observed.state_rates[0, :, 0]
         moved = (constants(x + offsets[:, None] * rate) for x, rate in ((q, v), (v, acc), (z, z_rate)))
         return self.states(here.time[0] + offsets, *moved), distance
-
-    def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
-        """Choose pivots for a state that could not be evaluated; raise RunError if there are none, or in a last try."""
-        try:
-            if is_last_try or not self.workspace.is_finite(tangents=False):
-                raise SingularSystemError
-            self.workspace.use_pivots()
-        except SingularSystemError:
-            raise RunError(f"the accelerations at t = {t:.6g} s have no derivatives") from None
-        self.steps.take_up_solver()
 
 
 def rate_of(around: np.ndarray, here: np.ndarray | float, distance: float) -> np.ndarray:

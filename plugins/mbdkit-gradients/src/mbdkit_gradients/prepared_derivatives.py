@@ -20,7 +20,7 @@ from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.workspace import Workspace
-from mbdkit.runs.corners import knots_of
+from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import build
 from mbdkit.spec.run_spec import RunSpec
@@ -277,3 +277,14 @@ class RunPreparation(Preparation):
         self.require_same_form(changed.numbers, parameter)
         self.require_same_structure(changed.start.mechanism, parameter, value)
         return self._arrays(changed, self.initial, self.base.get("q"))
+
+
+def knots_of(spec: RunSpec) -> tuple[float, ...]:
+    """Return the times of all points of tables and all discontinuities of motions and loads in a run [s].
+
+    Those at the start and at the end of the run are included.
+    """
+    start, end = spec.time.start, spec.time.final
+    return tuple(
+        sorted(corner.time for _, motion in spec.mechanism().motions() for corner in corners_of(motion, start, end))
+    )

@@ -21,12 +21,12 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.law_conditions import LawCondition
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run.run_state import MODIFIED
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_gradients.differentiated_states import DifferentiatedStates
-from mbdkit_gradients.differentiated_stepper import DifferentiatedStepper
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import ForceCondition
 

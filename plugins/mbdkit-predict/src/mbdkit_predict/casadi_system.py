@@ -13,13 +13,8 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.engine.consistent_start import mechanism_at_start
-from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
-from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.engine.kernels.frames import Reactions
-from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING, LawRow
-from mbdkit.engine.workspace import Workspace
+from mbdkit.engine.interpreted_mechanism import InterpretedMechanism
+from mbdkit.engine.interpreted_tree import Motion
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import value_of
 from mbdkit.quantities.names import archive_names
@@ -27,9 +22,8 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.quantities.table import KINDS
 from mbdkit_predict.chosen_numbers import ChosenNumbers
-from mbdkit_predict.exported_elements import ElementEquilibrium, symbolic_elements
-from mbdkit_predict.interpreted import Interpreter
-from mbdkit_predict.joint_coordinates import JointCoordinates, Motion
+from mbdkit_predict.exported_elements import ElementEquilibrium, SymbolTools, symbolic_elements
+from mbdkit_predict.merged_branches import SYMBOLS, select
 from mbdkit_predict.symbols import BranchError, Symbol, column, symbols
 
 ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")  #: Arguments of all functions.
@@ -37,11 +31,11 @@ ARGUMENTS = ("q", "v", "a", "lam", "z", "u", "p", "t")  #: Arguments of all func
 
 class _Balanced(NamedTuple):
     equilibrium: ElementEquilibrium
-    segment: int  #: Index of its segment among the springs.
     state: int
+    length: Any  #: Length of its force element [m].
+    law: Mapping[str, Any]  #: Parameters of its law by name.
     rate: Symbol
     force: Symbol
-    law: Mapping[str, Any]  #: Parameters of its law by name.
 
     @property
     def in_si(self) -> tuple[Any, Any]:
@@ -93,8 +87,8 @@ class CasadiSystem:
 
     def __init__(self, chosen: ChosenNumbers, t0: float, *, is_joint: bool = False):
         self.chosen = chosen
-        start = mechanism_at_start(self.chosen.mechanism, t0)
-        self._compiled = start.mechanism
+        self._mechanism = InterpretedMechanism(self.chosen.mechanism, t0, is_joint=is_joint)
+        start, self._compiled = self._mechanism.start, self._mechanism.compiled
         self._elements = symbolic_elements(self._compiled)
         for elements in self._elements:
             elements.check()
@@ -104,15 +98,8 @@ class CasadiSystem:
         self.bodies, self.compiled_states = self._compiled.bodies, tuple(names)
         self.state_names = tuple(name for name in names if name not in self._controls)
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
-        work = Workspace(self._compiled, 0.0, *np.zeros((2, self._compiled.size)))
-        self._joints: JointCoordinates | None = None
-        if is_joint and not len(self._compiled.topology.frictions):
-            joints = JointCoordinates(self._compiled.topology, work.solver.row_index)
-            self._joints = joints if joints.places.size else None
-        whole, solved = 3 * len(self._compiled.bodies), self._compiled.solved_rows
-        in_tree = self._joints.tree_rows if self._joints else set()
-        self._cut = [k for k in range(len(solved)) if k not in in_tree]
-        self.places = self._joints.places if self._joints else np.arange(whole)
+        whole, self._cut, self.places = 3 * len(self.bodies), self._mechanism.cut, self._mechanism.places
+        solved = self._compiled.solved_rows
         self.is_angle, n = self.places % 3 == 2, len(self.places)
         self.constraint_names = tuple(solved[k].label for k in self._cut)
         sizes = (n, n, n, len(self._cut), sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
@@ -122,13 +109,17 @@ class CasadiSystem:
         self._z = [self._u[self._controls[name]] if name in self._controls else next(states) for name in names]
         self.z0 = self._compiled.initial_states[self._is_state]
         self.u0, self.p0 = np.array(chosen.control_start), np.array(chosen.parameter_start)
-        self._run = Interpreter(self._compiled.laws, self._elements)
-        self._equations = self._new_equations(work)
+        searching = [module for element in self._elements for module in element.searching]
+        self._run = self._mechanism.interpreter(SYMBOLS, searching)
+        tools = SymbolTools(self._run, select, lambda x: isinstance(x, Symbol) and not x.sx.is_constant())
+        for elements in self._elements:
+            self._run.known |= elements.forms(tools)
+        self._mechanism.load(chosen.topology(self._compiled.topology, self._p), self._z)
         self.taken = self._taken()
         given = start.q0[:whole], start.v0[:whole], np.zeros(whole), self.p0, t0
         self.q0, self.v0, _ = (np.array(x).ravel() for x in self.taken(*given))
-        self._q, self._v, self._a = own = self._bodies(Motion(*map(np.array, of_joints)))
-        self.placed = ca.Function("placed", [*(self.symbols[x] for x in "qvapt")], [*map(column, own)])
+        self._motion = self._mechanism.bodies(self.time, Motion(*map(np.array, of_joints)))
+        self.placed = ca.Function("placed", [*(self.symbols[x] for x in "qvapt")], [*map(column, self._motion)])
         self._lam = np.full(len(solved), 0.0, dtype=object)
         self._lam[self._cut] = lam
         self._add_functions()
@@ -148,24 +139,13 @@ class CasadiSystem:
         given, values = list(self.symbols.values()), ca.cse(list(results.values()))
         return ca.Function(name, given, values, list(self.symbols), list(results))
 
-    def _new_equations(self, work: Workspace) -> equations.Equations:
-        top = self.chosen.topology(self._compiled.topology, self._p)
-        scratch = _objects(work.scratch)
-        scratch.law_values[:] = top.law_parameters
-        bundle: equations.Equations = _objects(equations.new_equations(top, scratch, work.solver))
-        self._run(applied_forces.take_states)(top, scratch, self._z)
-        return bundle
-
     def _taken(self) -> ca.Function:
         """Return positions, velocities and accelerations of the coordinates as a function of those of all bodies, and
         of parameters and time.
         """
         given = [ca.SX.sym(name, 3 * len(self.bodies)) for name in "qva"]
-        own = Motion(*(np.array(_elements(x), dtype=object) for x in given))
-        eq = self._equations
-        if self._joints is not None:
-            self._run(system.prepare)(eq.top, eq.w, self.time, np.append(own.q, np.zeros(3)))
-            own = self._joints.coordinates(self._run, eq.top, eq.w, own)
+        whole = Motion(*(np.array(_elements(x), dtype=object) for x in given))
+        own = self._mechanism.coordinates(self.time, whole)
         return ca.Function("taken", [*given, self.p, self.t], [*map(column, own)])
 
     def coordinates_of(self, *whole: np.ndarray, time: np.ndarray) -> list[np.ndarray]:
@@ -175,88 +155,54 @@ class CasadiSystem:
         p = np.tile(self.p0[:, None], len(time))
         return [*map(np.array, self.taken.map(len(time))(*whole, p, time[None]))]
 
-    def _bodies(self, own: Motion) -> Motion:
-        """Return the motion of all bodies, given that of the coordinates."""
-        eq = self._equations
-        return own if self._joints is None else self._joints.bodies(self._run, eq.top, eq.w, self.time, own)
-
     def _add_functions(self) -> None:
-        eq, run = self._equations, self._run
-        top, w = eq.top, eq.w
-        for element in self._balanced():
-            address, begin, _, program = LawRow(*map(int, top.laws[int(top.springs[element.segment, SPRING.law])]))
-            run.known_forces[address, program, begin] = element.in_si[1]
-        residual = _zeros(len(self._q))
-        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, residual)
-        run(applied_forces.applied_forces)(top, w, eq.q, eq.v)
-        rates = self._rates(top)
-        position, velocity, gamma, acceleration = _zeros(4, len(self._lam))
-        run(equations.rows_of)(eq, self.time, self._q, self._v, position, velocity, gamma)
+        mechanism = self._mechanism
+        for chosen, element in zip(self.chosen.equilibria, self._balanced(), strict=True):
+            mechanism.give_force(chosen.kind, chosen.name, element.in_si[1])
+        residual = mechanism.residual(self.time, self._motion, self._lam)
+        rates = self._with_balanced(mechanism.state_rates(renew=True))
+        rows = mechanism.constraints(self.time, self._motion)
         balance = column(residual)
-        if self._joints is not None:
-            balance = ca.jtimes(column(self._v), self.v, balance, True)
-            for k, row, multiplier in self._joints.multipliers(top, w.jac, residual):
-                self._lam[eq.solver.row_index[k, row] - len(residual)] = multiplier
-        eq.a[: len(self._a)] = self._a
-        for k, row in np.ndindex(*w.phi.shape):
-            if row < top.rows[k]:
-                index = eq.solver.row_index[k, row] - len(self._q)
-                by_acceleration = run(system.constraint_rate)(top.pairs, w.jac, _zeros(*w.phi_t.shape), eq.a, k, row)
-                acceleration[index] = by_acceleration - gamma[index]
-        rows = {"position": position, "velocity": velocity, "acceleration": acceleration}
-        rows = {name: column(values[self._cut]) for name, values in rows.items()}
+        if mechanism.is_joint:
+            balance = ca.jtimes(column(self._motion.v), self.v, balance, True)
+            mechanism.add_multipliers(residual, self._lam)
+        named = zip(("position", "velocity", "acceleration"), rows, strict=True)
         self.residual = self.function("residual", {"residual": balance})
-        self.constraints = self.function("constraints", rows)
+        self.constraints = self.function("constraints", {name: column(values[self._cut]) for name, values in named})
         self.rates = self.function("rates", {"rates": column(rates[self._is_state])})
         self.equilibrium = self.function("equilibrium", {"equilibrium": column(list(self._equilibrium()))})
 
-    def _rates(self, top: Topology) -> np.ndarray:
-        rates = _zeros(len(self._z))
-        self._run(applied_forces.state_rates)(top, self._equations.w, self._equations.v, rates)
+    def _with_balanced(self, rates: np.ndarray) -> np.ndarray:
+        """Return the rates of the states, of elements in equilibrium as their unknowns say."""
         for element in self._balanced():
             rates[element.state] = element.in_si[0]
         return rates
 
     def _balanced(self) -> Iterator[_Balanced]:
-        known, law_values = self._compiled, self._equations.w.law_values
-        top = known.topology
         for kind, name, equilibrium, rate, force in self.chosen.equilibria:
-            (place,) = (acting.place for acting in known.extensions[kind] if acting.force.name == name)
-            (segment,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
-            law = int(top.springs[segment, SPRING.law])
-            names = [parameter for parameter, _ in known.laws[law][1].parameters]
-            values = dict(zip(names, law_values[int(top.laws[law, LAW_ROW.parameters]) + 1 :], strict=False))
             state = self.compiled_states.index(f"{name}.{equilibrium.state}")
-            yield _Balanced(equilibrium, segment, state, self._u[rate], self._u[force], values)
+            length, law = self._mechanism.force_element(kind, name)
+            yield _Balanced(equilibrium, state, length, law, self._u[rate], self._u[force])
 
     def _equilibrium(self) -> Iterator[Any]:
         for element in self._balanced():
-            length = self._equations.w.s[element.segment, 0]
-            yield from element.equilibrium.conditions(element.rate, element.force, length, element.law)
+            yield from element.equilibrium.conditions(element.rate, element.force, element.length, element.law)
 
     @cached_property
     def _states(self) -> States:
         """The state as that of a run with one row, from which quantities are taken."""
-        eq, run = self._equations, self._run
-        top, w = eq.top._replace(gravity=eq.gravity), eq.w  # the equations subtract gravity apart
-        t, q, v, lam = (np.array([x], dtype=object) for x in (self.time, self._q, self._v, self._lam))
-        forces = _objects(Reactions.zeros(1, len(top.pairs)))
-        run(equations.residual_of)(eq, self.time, self._q, self._v, self._a, self._lam, True, _zeros(len(self._q)))
-        run(frames.reactions_in_frames)(eq, t, q, v, lam, forces)
-        observed = _objects(Observed.zeros(1, self._compiled.topology))
-        observed.lam[:], observed.acc[0, : len(self._a)] = forces.lam, self._a
-        observed.state_rates[0] = self._rates(top)
-        run(observe.describe)(top, w, eq.q, eq.v, observed, 0)
-        run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
-        observed = Observed(*map(symbols, observed))
-        q, v, z = (symbols(x)[None] for x in (eq.q, eq.v, self._z))
+        q, v, recorded = self._mechanism.observed(self.time, self._motion, self._lam)
+        self._with_balanced(recorded.state_rates[0])
+        observed = type(recorded)(*map(symbols, recorded))
+        t = np.array([self.time], dtype=object)
+        q, v, z = (symbols(x)[None] for x in (q, v, self._z))
         return States(self._compiled, t, q, v, lambda: observed, z=z)
 
     @cached_property
     def _own_values(self) -> dict[str, tuple[tuple[str, ...], Mapping[str, Sequence[Any]]]]:
         """By kind of quantities that elements compute themselves: names, and their values by name of the element."""
-        w, top, call = self._equations.w, self._equations.top, self._run.call_law
-        every = [(element, element.values(call, top, w.law_values)) for element in self._elements]
+        top, law_values = self._mechanism.topology, self._mechanism.law_values
+        every = [(element, element.values(self._run.call_law, top, law_values)) for element in self._elements]
         return {kind: (one.attributes, values) for one, values in every for kind in one.kinds}
 
     @cached_property
@@ -346,14 +292,3 @@ class CasadiSystem:
 
 def _elements(vector: ca.SX) -> list[Symbol]:
     return [Symbol(x) for x in ca.vertsplit(vector)] if vector.numel() else []
-
-
-def _zeros(*shape: int) -> np.ndarray:
-    return np.full(shape, 0.0, dtype=object)
-
-
-def _objects(bundle: Any) -> Any:
-    """Return a bundle with its numbers, not integers, as objects."""
-    return type(bundle)(
-        *(x.astype(object) if isinstance(x, np.ndarray) and x.dtype == np.float64 else x for x in bundle)
-    )

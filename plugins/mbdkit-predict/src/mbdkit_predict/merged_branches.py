@@ -21,7 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit_predict.symbols import BranchError, Symbol, where
+from mbdkit.engine.interpreter import Arithmetic
+from mbdkit_predict.symbols import BranchError, Symbol, apply, every_branch, where
 
 #: Number of passes of ``while True``, a search that is repeated until it succeeds; the last one must be complete.
 MOST_REPEATS = 2
@@ -292,3 +293,7 @@ def merged(function: FunctionType) -> FunctionType:
     exec(compile(ast.fix_missing_locations(tree), function.__code__.co_filename, "exec"), names)
     code, known = names[function.__name__].__code__, {**function.__globals__, "_merged": sys.modules[__name__]}
     return FunctionType(code, known, function.__name__, function.__defaults__)
+
+
+#: Symbols as numbers with which kernels are executed.
+SYMBOLS = Arithmetic(Symbol, BranchError, where, apply, every_branch, merged, Numbers)

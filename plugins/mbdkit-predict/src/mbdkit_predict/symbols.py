@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -79,11 +78,6 @@ def where(condition: object, x: object, y: object) -> Any:
         return x if condition else y
     first, second = _expression(x), _expression(y)
     return x if ca.is_equal(first, second, 2) else Symbol(ca.if_else(condition.sx, first, second))
-
-
-def best(is_better: Callable[[Any, Any], Any], *values: object) -> Any:
-    """Return the best of several numbers or symbols, as `max` and `min` do."""
-    return reduce(lambda known, other: where(is_better(other, known), other, known), values)
 
 
 def symbols(array: Any) -> np.ndarray:

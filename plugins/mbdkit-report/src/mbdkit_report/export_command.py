@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, cast
 
 import typer
 
+from mbdkit.archive.archive_check import blaming_damage
+from mbdkit.archive.run import Run
 from mbdkit.base.terminal import show
 from mbdkit.cli.common_options import Debug, Overwrite, Quiet, output_to
 
@@ -38,7 +42,6 @@ def archive_export(
     one row for each run: its values, status, verdict with reasons, measures and cost.
     Prints the names of the files.
     """
-    from mbdkit.archive.archive_check import opened
     from mbdkit.archive.result_seams import exported_files
     from mbdkit.registry.feature_items import FileFormat
     from mbdkit.registry.manager import registry
@@ -55,3 +58,14 @@ def archive_export(
     if not quiet:
         for file in files:
             show(file)
+
+
+@contextlib.contextmanager
+def opened(path: Path) -> Iterator[Run]:
+    """Open an archive for a command, as `load` does.
+
+    Raises SpecError if `path` is not an archive that this version can read, or if the body fails because the archive is
+    damaged. Raises ResourceError if a run is still writing the file, or the system refuses to read it.
+    """
+    with blaming_damage(path), Run.open(path) as run:
+        yield run

@@ -6,6 +6,8 @@ import re
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 
+ERROR = "_error"  #: Suffix of the column with the estimated error of a measure in tables of studies.
+
 
 def without_numbers(text: str) -> str:
     """Return a text with every number replaced by 0, so that messages that differ only in numbers are equal."""

@@ -14,6 +14,12 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Timetable
+from mbdkit.integrators.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+)
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.mechanism import Mechanism
@@ -22,12 +28,6 @@ from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Toleran
 from mbdkit.methods.step_filter import StepFilter
 from mbdkit.runs.preparation import build
 from mbdkit.spec import RunSpec
-from mbdkit_studies.lanes.lane_stepper import (
-    ControlledLaneStepper,
-    LaneResults,
-    LaneStepper,
-    PivotsAtStart,
-)
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 from tests.integrators.running import driven_chain, workspace_of
 

@@ -15,12 +15,12 @@ from mbdkit import RunSpec
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.consistent_start import CompiledForStarts, Starts, mechanism_at_start
 from mbdkit.engine.kernels.angles import FAR
+from mbdkit.engine.lane_starts import at_starts
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit_studies.compute.batch import simulate_batch
-from mbdkit_studies.lanes.lane_runs import why_alone
-from mbdkit_studies.lanes.lane_starts import at_starts
 from tests.engine.drawn_angles import drawn
 from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
 from tests.engine.starts import assert_same_bits, moved

@@ -13,6 +13,7 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
+from mbdkit.spec.reading import Document, set_value
 from mbdkit_testing import describe
 from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
 
@@ -102,8 +103,6 @@ def plugins_verify(
     required group could be run. With --json, prints one object with a list
     "reports": a model and an integrator may share a name.
     """
-    from mbdkit.spec.reading import read_assignments
-
     items = describe.find(name, further=["element-kind", "joint-kind"])
     options = read_assignments(assignments or ())
     from mbdkit_testing import verify
@@ -153,3 +152,11 @@ def plugins_new(
         show_json({"path": str(project), "kind": kind, "files": files})
     else:
         show(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")
+
+
+def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
+    """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
+    document = Document({})
+    for assignment in assignments:
+        set_value(document, assignment)
+    return document.data

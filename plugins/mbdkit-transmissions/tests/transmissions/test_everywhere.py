@@ -14,8 +14,8 @@ import pytest
 import mbdkit
 from mbdkit import EquationsOfMotion, Mechanism, SpecError
 from mbdkit.plugin.equations import Starts
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec import load_spec
-from mbdkit_studies.lanes.lane_runs import LaneRuns
 from tests.margins import assert_within
 
 from .geared_arm import RATIO, acceleration, coupled, crossed, geared, links

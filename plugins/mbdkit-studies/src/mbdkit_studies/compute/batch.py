@@ -11,10 +11,10 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import one_line
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.native.levels import WIDTH
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.compute.tasks import Outcome
-from mbdkit_studies.lanes.lane_runs import LaneRuns
 from mbdkit_studies.texts import joined_lines
 
 #: Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together.
@@ -61,7 +61,7 @@ def simulate_in_any_order(
     """Run validated specs, and yield indices and results of runs as soon as they are known.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
-    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit_studies.lanes.lane_runs`
+    index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit.runs.lane_runs`
     for the exceptions. All others are computed one after another. The runs of a vector are yielded together, other
     runs one by one.
 

@@ -1,1 +1,1 @@
-"""Runs that are computed together in vectorized lanes."""
+"""Runs of one spec with other numbers, prepared once."""

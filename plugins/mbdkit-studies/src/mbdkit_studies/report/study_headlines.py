@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import plus_minus
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed, told_apart
 from mbdkit_report import key_words
@@ -21,6 +20,7 @@ from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, stat
 from mbdkit_studies.statistics.sample_statistics import Estimate, squared_correlation
 from mbdkit_studies.statistics.sobol_indices import members_for
 from mbdkit_studies.store.study_point import axis_unit, point_words
+from mbdkit_studies.texts import ERROR
 
 if TYPE_CHECKING:
     from mbdkit_studies.statistics.sensitivity import Sensitivity

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
@@ -27,6 +26,7 @@ from mbdkit_studies.spec.reference_errors import (
     multiplier_error,
     offsets,
 )
+from mbdkit_studies.texts import ERROR
 
 if TYPE_CHECKING:
     from mbdkit.archive.finished_run import FinishedRun
@@ -421,3 +421,10 @@ def worst_joint(run: Run) -> str:
     """Return the name of the joint with the largest misalignment over every step; empty if all are zero."""
     joints = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
     return joints[0].name if joints and joints[0].misalignment_max > 0 else ""
+
+
+def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
+    """Return the expressions of the measures that a study itself defines; those of its bases are part of the run
+    specs.
+    """
+    return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)

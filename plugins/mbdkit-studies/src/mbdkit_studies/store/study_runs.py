@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.layout import COUNTERS
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.distributions import own_version
@@ -20,13 +20,13 @@ from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.measures.take import Description
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, other_values
+from mbdkit_studies.spec.measures import MEASURES, expressions_of, other_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import Index
 from mbdkit_studies.store.study_point import Points, StudyPoint
+from mbdkit_studies.texts import ERROR
 
 
 class StudyRuns:

@@ -24,12 +24,12 @@ from scipy.integrate import cumulative_simpson
 
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals
+from mbdkit.engine.kernels.dual_observe import DualStates
 from mbdkit.engine.native.arithmetic import DIRECTIONS
-from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
-from mbdkit.integrators.duals.dual_run import Seeds, constants, dual_states, new_dual_run
-from mbdkit.quantities.names import archive_names, with_members
+from mbdkit.integrators.duals.differentiated_stepper import GivenDuals
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.quantities.names import archive_names
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.gradient.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
@@ -40,6 +40,7 @@ from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
+from mbdkit_biomech.inverse_dynamics.results.record import with_members
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
@@ -47,7 +48,6 @@ from mbdkit_biomech.muscles.muscle_values import Muscles
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
-from mbdkit_gradients.differentiated_stepper import dual_laws
 from mbdkit_gradients.gradient import Gradient, GradientProblem
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.gradient_parameters import Names, Parameter
@@ -192,7 +192,7 @@ class _Frames:
         self.result, self.seeds = result, seeds
         self.workspace = result.problem.prepared.workspace
         self.workspace.clamp_motions(-np.inf, np.inf)
-        self._run = new_dual_run(self.workspace, seeds, dual_laws(self.workspace), 0, 0)
+        self._given = GivenDuals(self.workspace, seeds)
 
     def states(self) -> DifferentiatedStates:
         """Return the states with all quantities computed from them."""
@@ -270,18 +270,14 @@ class _Frames:
     def _described(self, lam: np.ndarray, slope: np.ndarray | None) -> DualStates:
         """Return the states for multipliers `lam` (T, P, 2) of all rows, with derivatives `slope` (T, P, 2, K)."""
         motion = self.result.motion
-        q, v, a = (
-            constants(
+        given = (
+            (
                 np.column_stack([x, np.zeros((len(x), 3))]),
                 np.pad(self._slope(name, x.shape), ((0, 0), (0, 3), (0, 0))),
             )
             for name, x in zip(MOTION, (motion.q, motion.v, motion.a), strict=False)
         )
-        states = dual_states(self._run, self.workspace, motion.time, q, v)
-        states.observed.acc[...], states.observed.lam[...] = a, constants(lam, slope)
-        pinned = PinnedBundle(states)
-        describe_duals(pinned.address)
-        return states
+        return self._given.states(motion.time, given, (lam, slope))
 
     @cached_property
     def _balance(self) -> Balance:

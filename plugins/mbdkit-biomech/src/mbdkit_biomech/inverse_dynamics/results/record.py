@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.plain_data import json_text
 from mbdkit.measures.take import take_all
-from mbdkit.quantities.names import ArchiveNames, archive_names, with_members
+from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.finish import finish_states
 from mbdkit.runs.provenance import model_provenance
@@ -161,3 +162,9 @@ def _rows(result: Inverse, bars: ResultBars | None, *, is_sample: bool) -> dict[
             "muscles/reaction_force_without": reaction_forces_without_muscles(result),
         }
     return rows
+
+
+def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
+    """Return names with those of the elements of further kinds, see `ArchiveNames.members`; empty ones are left out."""
+    more = {kind: each for kind, each in members.items() if each}
+    return replace(names, members=tuple((dict(names.members) | more).items())) if more else names

@@ -26,33 +26,31 @@ from mbdkit.engine.spanning_tree import spanning_tree
 
 
 class Motion(NamedTuple):
-    """Positions, velocities and accelerations of all bodies or coordinates, arrays of symbols."""
+    """Positions, velocities and accelerations of all bodies or coordinates, arrays of numbers of any kind."""
 
     q: np.ndarray
     v: np.ndarray
     a: np.ndarray
 
 
-class JointCoordinates:
+class InterpretedTree:
     """The coordinates of the spanning tree of a mechanism with B bodies.
 
     Attributes
     ----------
     places : (n,) array of int
         Index of each coordinate among the 3 B numbers x, y, angle of the bodies.
-    tree_rows : set of int
+    rows : set of int
         Indices of the constraint rows of the joints of the tree.
     """
 
     def __init__(self, top: Topology, row_index: np.ndarray):
         self._tree, self._size = spanning_tree(top), 3 * len(top.mass)
-        free, self.tree_rows = np.ones(self._size - 3, dtype=bool), set[int]()
+        free, self.rows = np.ones(self._size - 3, dtype=bool), set[int]()
         for body, place, _, turn, _ in self._tree.tolist():
             is_line = place >= 0 and top.rows[place] == 1
             free[3 * body : 3 * body + 3] = [place < 0 or is_line, place < 0, turn < 0]
-            self.tree_rows |= {
-                int(row_index[k, r]) - len(free) for k in (place, turn) if k >= 0 for r in range(top.rows[k])
-            }
+            self.rows |= {int(row_index[k, r]) - len(free) for k in (place, turn) if k >= 0 for r in range(top.rows[k])}
         self.places = np.flatnonzero(free)
 
     def bodies(self, run: Any, top: Topology, w: Any, t: Any, own: Motion) -> Motion:

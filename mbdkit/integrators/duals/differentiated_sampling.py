@@ -19,8 +19,8 @@ from mbdkit.integrators.duals.dual_run import DualRun, dual_states
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.integrators.duals.differentiated_laws import DifferentiatedLaws
     from mbdkit.integrators.run.sampled_control import Sampler
-    from mbdkit_gradients.differentiated_laws import DifferentiatedLaws
 
 
 class Differentiated(Protocol):

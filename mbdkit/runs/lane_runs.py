@@ -22,9 +22,16 @@ from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, 
 from mbdkit.engine.input_schedule import start_settings
 from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.lane_starts import at_starts
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
+from mbdkit.integrators.lane_stepper import (
+    ControlledLaneStepper,
+    LaneResults,
+    LaneStepper,
+    PivotsAtStart,
+)
 from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.mechanism.size import mechanism_sizes
@@ -44,13 +51,6 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
-from mbdkit_studies.lanes.lane_starts import at_starts
-from mbdkit_studies.lanes.lane_stepper import (
-    ControlledLaneStepper,
-    LaneResults,
-    LaneStepper,
-    PivotsAtStart,
-)
 
 _LOG = logger_of(__name__)
 

@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mbdkit.base.errors import StepError
+from mbdkit.base.errors import RunError, StepError
+from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.force_laws import law_for_duals
 from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.kernels.dual_observe import DualStates, describe_duals, observe_duals
 from mbdkit.engine.kernels.dual_system import new_dual_solver
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.number_arrays import Duals
 from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.differentiated_laws import DifferentiatedLaws
+from mbdkit.integrators.duals.differentiated_sampling import DifferentiatedSampler
 from mbdkit.integrators.duals.dual_loop import drive_explicit_duals
-from mbdkit.integrators.duals.dual_run import DualRun, Seeds, new_dual_run
+from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_states, new_dual_run
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.run_state import PROJECTIONS
 from mbdkit.integrators.stages.explicit import CompiledExplicit
-from mbdkit_gradients.differentiated_laws import DifferentiatedLaws
-from mbdkit_gradients.differentiated_sampling import DifferentiatedSampler
 
 if TYPE_CHECKING:
     from mbdkit.integrators.run.step_control import Control
@@ -52,6 +55,35 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
         for_duals = law_for_duals(law, name)
         laws[row, LAW_ROW.address], laws[row, LAW_ROW.program] = for_duals.address, for_duals.program
     return laws
+
+
+class GivenDuals:
+    """States whose motion and multipliers are given, with the derivatives of all that follows from them.
+
+    `seeds`: derivatives of the mechanism with respect to parameters.
+    """
+
+    def __init__(self, workspace: Workspace, seeds: Seeds):
+        self._workspace = workspace
+        self._run: DualRun = new_dual_run(workspace, seeds, dual_laws(workspace), 0, 0)
+
+    def states(
+        self,
+        time: np.ndarray,
+        motion: Iterable[tuple[np.ndarray, np.ndarray]],
+        multipliers: tuple[np.ndarray, np.ndarray | None],
+    ) -> DualStates:
+        """Return the states at T times.
+
+        `motion`: positions, velocities and accelerations (T, 3 (B + 1)), each with its derivatives (T, 3 (B + 1), K).
+        `multipliers`: those of all rows (T, P, 2), and their derivatives (T, P, 2, K), None for zero.
+        """
+        q, v, a = (constants(*one) for one in motion)
+        states = dual_states(self._run, self._workspace, time, q, v)
+        states.observed.acc[...], states.observed.lam[...] = a, constants(*multipliers)
+        pinned = PinnedBundle(states)
+        describe_duals(pinned.address)
+        return states
 
 
 class DifferentiatedSteps:
@@ -196,6 +228,39 @@ class DifferentiatedSteps:
         """Use first-order states (Z, 1 + K) with their derivatives in later evaluations."""
         state, place = self.workspace.mechanism.topology.state_places.T
         np.asarray(self.run.w.law_values)[place] = z[state]
+
+    def observe(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> DualStates:
+        """Return the states at T times, with accelerations, reactions, forces, energies and powers.
+
+        `q`, `v`: (T, 3 (B + 1), 1 + K) positions and velocities with their derivatives. Raises RunError if the
+        accelerations of a state are not unique.
+        """
+        states = dual_states(self.run, self.workspace, time, q.view(Duals), v.view(Duals))
+        done = 0
+        renewed = -1
+        while done < len(time):
+            part = slice(done, None)
+            rest = states._replace(
+                solver=self.run.solver, time=states.time[part], q=states.q[part], v=states.v[part],
+                observed=states.observed.rows(part), power=states.power[part],
+            )  # fmt: skip
+            pinned = PinnedBundle(rest)
+            status, row = observe_duals(pinned.address)
+            done += int(row)
+            if status != OK:
+                self._use_other_pivots(float(time[done]), is_last_try=renewed == done)
+                renewed = done
+        return states
+
+    def _use_other_pivots(self, t: float, *, is_last_try: bool) -> None:
+        """Choose pivots for a state that could not be evaluated; raise RunError if there are none, or in a last try."""
+        try:
+            if is_last_try or not self.workspace.is_finite(tangents=False):
+                raise SingularSystemError
+            self.workspace.use_pivots()
+        except SingularSystemError:
+            raise RunError(f"the accelerations at t = {t:.6g} s have no derivatives") from None
+        self.take_up_solver()
 
     def recorded(self, count: int) -> tuple[np.ndarray, ...]:
         """Return positions, velocities, first-order states and energies of the first `count` recorded states after the

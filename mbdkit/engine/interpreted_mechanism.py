@@ -1,0 +1,186 @@
+"""The equations of a mechanism, executed by Python from the definitions of the machine code."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbdkit.engine.consistent_start import mechanism_at_start
+from mbdkit.engine.interpreted_tree import InterpretedTree, Motion
+from mbdkit.engine.interpreter import Arithmetic, Interpreter
+from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.frames import Reactions
+from mbdkit.engine.kernels.observe import Observed
+from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING, LawRow
+from mbdkit.engine.workspace import Workspace
+from mbdkit.mechanism.mechanism import Mechanism
+
+
+class InterpretedMechanism:
+    """A mechanism whose equations are evaluated with numbers of another kind, such as symbols.
+
+    ::
+
+        M a + Phi_q^T lam = Q(q, v, lam, z, t),      Phi(q, t) = 0,      z' = rates(q, v, lam, z, t)
+
+    Parameters
+    ----------
+    mechanism, t0
+        The mechanism, and the time of its consistent start [s].
+    is_joint
+        Whether its coordinates are those of the spanning tree of its joints, if there are such and no friction.
+
+    Attributes
+    ----------
+    start : MechanismAtStart
+        The mechanism at its start.
+    places : (n,) array of int
+        Index of each coordinate among x, y and angle of all bodies.
+    cut : list of int
+        Indices of the independent constraint rows with multipliers; those of the joints of the tree have none.
+    """
+
+    def __init__(self, mechanism: Mechanism, t0: float, *, is_joint: bool = False):
+        self.start = mechanism_at_start(mechanism, t0)
+        self.compiled = compiled = self.start.mechanism
+        self._work = Workspace(compiled, 0.0, *np.zeros((2, compiled.size)))
+        self._tree: InterpretedTree | None = None
+        if is_joint and not len(compiled.topology.frictions):
+            tree = InterpretedTree(compiled.topology, self._work.solver.row_index)
+            self._tree = tree if tree.places.size else None
+        in_tree = self._tree.rows if self._tree else set()
+        self.cut = [k for k in range(len(compiled.solved_rows)) if k not in in_tree]
+        self.places = self._tree.places if self._tree else np.arange(3 * len(compiled.bodies))
+
+    @property
+    def is_joint(self) -> bool:
+        """Whether the coordinates are those of the spanning tree."""
+        return self._tree is not None
+
+    def interpreter(self, numbers: Arithmetic, searching: Sequence[str]) -> Interpreter:
+        """Return what executes the kernels with numbers of this kind; see `Interpreter`."""
+        self._run = Interpreter(numbers, self.compiled.laws, searching)
+        return self._run
+
+    def load(self, topology: Topology, z: Sequence[Any]) -> None:
+        """Take the arrays of the mechanism, and first-order states, as numbers of the kind of `interpreter`."""
+        scratch = _objects(self._work.scratch)
+        scratch.law_values[:] = topology.law_parameters
+        self._equations = _objects(equations.new_equations(topology, scratch, self._work.solver))
+        self._run(applied_forces.take_states)(topology, scratch, z)
+
+    @property
+    def topology(self) -> Topology:
+        """The arrays of the mechanism, without gravity."""
+        top: Topology = self._equations.top
+        return top
+
+    @property
+    def law_values(self) -> np.ndarray:
+        """Parameters of all laws."""
+        values: np.ndarray = self._equations.w.law_values
+        return values
+
+    def coordinates(self, t: Any, whole: Motion) -> Motion:
+        """Return the motion of the coordinates (n,), given that of all bodies (3 B,)."""
+        if self._tree is None:
+            return whole
+        eq = self._equations
+        self._run(system.prepare)(eq.top, eq.w, t, np.append(whole.q, np.zeros(3)))
+        return self._tree.coordinates(self._run, eq.top, eq.w, whole)
+
+    def bodies(self, t: Any, own: Motion) -> Motion:
+        """Return the motion of all bodies (3 B,), given that of the coordinates (n,)."""
+        eq = self._equations
+        return own if self._tree is None else self._tree.bodies(self._run, eq.top, eq.w, t, own)
+
+    def residual(self, t: Any, whole: Motion, lam: np.ndarray) -> np.ndarray:
+        """Return ``M a + Phi_q^T lam - Q`` (3 B,)."""
+        residual = _zeros(len(whole.q))
+        self._run(equations.residual_of)(self._equations, t, *whole, lam, True, residual)
+        return residual
+
+    def state_rates(self, *, renew: bool = False) -> np.ndarray:
+        """Return the rates (Z,) of the first-order states in the state that was evaluated last.
+
+        `renew`: evaluate the applied forces there first.
+        """
+        eq, rates = self._equations, _zeros(len(self.compiled.states))
+        if renew:
+            self._run(applied_forces.applied_forces)(eq.top, eq.w, eq.q, eq.v)
+        self._run(applied_forces.state_rates)(eq.top, eq.w, eq.v, rates)
+        return rates
+
+    def constraints(self, t: Any, whole: Motion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return Phi (m,) and its first and second derivatives with respect to time, of all independent rows."""
+        eq, run = self._equations, self._run
+        position, velocity, gamma, acceleration = _zeros(4, len(self.compiled.solved_rows))
+        run(equations.rows_of)(eq, t, whole.q, whole.v, position, velocity, gamma)
+        eq.a[: len(whole.a)] = whole.a
+        for k, row in np.ndindex(*eq.w.phi.shape):
+            if row < eq.top.rows[k]:
+                index = eq.solver.row_index[k, row] - len(whole.q)
+                no_rates = _zeros(*eq.w.phi_t.shape)
+                by_acceleration = run(system.constraint_rate)(eq.top.pairs, eq.w.jac, no_rates, eq.a, k, row)
+                acceleration[index] = by_acceleration - gamma[index]
+        return position, velocity, acceleration
+
+    def add_multipliers(self, residual: np.ndarray, lam: np.ndarray) -> None:
+        """Write the multipliers of the joints of the tree into `lam` (m,), given the `residual` without them."""
+        eq = self._equations
+        if self._tree is not None:
+            for k, row, multiplier in self._tree.multipliers(eq.top, eq.w.jac, residual):
+                lam[eq.solver.row_index[k, row] - len(residual)] = multiplier
+
+    def observed(self, t: Any, whole: Motion, lam: np.ndarray) -> tuple[np.ndarray, np.ndarray, Observed]:
+        """Return positions and velocities (3 (B + 1),), ground last, and what is recorded of one state."""
+        eq, run = self._equations, self._run
+        top, w = eq.top._replace(gravity=eq.gravity), eq.w  # the equations subtract gravity apart
+        of_time = (np.array([x], dtype=object) for x in (t, whole.q, whole.v, lam))
+        forces = _objects(Reactions.zeros(1, len(top.pairs)))
+        self.residual(t, whole, lam)
+        run(frames.reactions_in_frames)(eq, *of_time, forces)
+        observed = _objects(Observed.zeros(1, self.compiled.topology))
+        observed.lam[:], observed.acc[0, : len(whole.a)] = forces.lam, whole.a
+        observed.state_rates[0] = self.state_rates()
+        run(observe.describe)(top, w, eq.q, eq.v, observed, 0)
+        run(acting.joint_values)(top, w, eq.q, forces.lam[0], observed.reactions[0], observed.joints[0])
+        return eq.q, eq.v, observed
+
+    def force_element(self, kind: str, name: str) -> tuple[Any, Mapping[str, Any]]:
+        """Return the length of the force element of an element of a plugin, in the state that was evaluated last [m],
+        and the parameters of its law by name.
+        """
+        known, w, index = self.compiled, self._equations.w, self._segment(kind, name)
+        law = int(known.topology.springs[index, SPRING.law])
+        names = [parameter for parameter, _ in known.laws[law][1].parameters]
+        first = int(known.topology.laws[law, LAW_ROW.parameters]) + 1
+        return w.s[index, 0], dict(zip(names, w.law_values[first:], strict=False))
+
+    def give_force(self, kind: str, name: str, force: Any) -> None:
+        """Take the force of an element of a plugin as given, so that its law is not evaluated."""
+        top = self._equations.top
+        law = int(top.springs[self._segment(kind, name), SPRING.law])
+        address, begin, _, program = LawRow(*map(int, top.laws[law]))
+        self._run.known_forces[address, program, begin] = force
+
+    def _segment(self, kind: str, name: str) -> int:
+        """Return the index of the force element among the springs."""
+        top = self.compiled.topology
+        (place,) = (one.place for one in self.compiled.extensions[kind] if one.force.name == name)
+        (index,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
+        return int(index)
+
+
+def _zeros(*shape: int) -> np.ndarray:
+    return np.full(shape, 0.0, dtype=object)
+
+
+def _objects(bundle: Any) -> Any:
+    """Return a bundle with its numbers, not integers, as objects."""
+    return type(bundle)(
+        *(x.astype(object) if isinstance(x, np.ndarray) and x.dtype == np.float64 else x for x in bundle)
+    )
