@@ -12,8 +12,6 @@ from mbdkit.archive.read_only_dict import ReadOnlyDict
 Integrals = Mapping[str, float | tuple[float, ...]]
 
 
-ERROR = "_error"  #: Suffix of the column with the estimated error of a measure in tables of studies.
-
 #: Values of expressions in comparison runs, in SI units, for error estimates; nan where unknown.
 #:
 #: Each expression has its values in two runs of increasing accuracy and in one run of another method.

@@ -26,7 +26,7 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import RegistryLookup
 
 if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
+    pass
 
 _NAMED = 5  # elements that are named in a sentence
 _MOST_UNKNOWN = 100
@@ -68,12 +68,6 @@ def mechanism_json(mechanism: Mechanism) -> str:
     bodies, and numbers in place of expressions.
     """
     return canonical_text({**mechanism.to_spec(), "title": mechanism.name})
-
-
-def is_determined(spec: RunSpec) -> bool:
-    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
-    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
-    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)
 
 
 def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:

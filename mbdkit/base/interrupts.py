@@ -75,18 +75,6 @@ def interrupts_noted(note: Callable[[], None]) -> Iterator[None]:
                 signal.raise_signal(number)
 
 
-@contextmanager
-def interrupts_delayed() -> Iterator[None]:
-    """Delay the KeyboardInterrupt of Ctrl-C, SIGTERM or SIGHUP to the end of a block; a second SIGTERM ends the
-    process.
-    """
-    noted: list[bool] = []
-    with interrupts_noted(lambda: noted.append(True)):
-        yield
-    if noted:
-        raise KeyboardInterrupt
-
-
 def is_interrupt(error: BaseException) -> bool:
     """Return whether an exception is a KeyboardInterrupt that a signal has raised, not code of a plugin by ``raise``.
 

@@ -66,11 +66,10 @@ class ArchiveNames:
         """Return the first (`place` 0), second (1) or a further body or text of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
 
-
-def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
-    """Return names with those of the elements of further kinds, see `ArchiveNames.members`; empty ones are left out."""
-    more = {kind: each for kind, each in members.items() if each}
-    return replace(names, members=tuple((dict(names.members) | more).items())) if more else names
+    def with_members(self, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
+        """Return names with those of the elements of further kinds, see `members`; empty ones are left out."""
+        more = {kind: each for kind, each in members.items() if each}
+        return replace(self, members=tuple((dict(self.members) | more).items())) if more else self
 
 
 def _tuples(value: Nested) -> Nested:

@@ -12,7 +12,6 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.units import number_in
 from mbdkit.engine.assembly import search_for
-from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.linear_systems import least_norm, product
 from mbdkit.mechanism.mechanism import Mechanism
@@ -36,50 +35,12 @@ MOST_ITERATIONS = 30
 MET = 1e-12
 
 
-def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:
-    """Return a spec with the mechanism written out at a start in which some quantities have given values.
-
-    Of all states that satisfy the joints and the given values, the new start is the one nearest to the start of the
-    spec in the mass metric. It is found along a path on which the values change gradually.
-
-    Parameters
-    ----------
-    values
-        Values by name of a quantity, such as ``crank.angle``, ``J1.angle``, ``crank.angular_velocity`` or ``tip.vx``;
-        numbers, or texts with a unit.
-    starts
-        Cache of compiled mechanisms.
-
-    Raises
-    ------
-    SpecError
-        If there is no such quantity, if a value is not valid, if the values and the joints are inconsistent, if the
-        mechanism has beams, or if joints would move with the start.
-    """
-    mechanism = spec.mechanism()
-    q, v = GivenStart(mechanism, spec, starts).state(values)
-    model = mechanism.to_spec()
-    states = np.hstack([q.reshape(-1, 3), v.reshape(-1, 3)]).tolist()
-    places = dict(zip(mechanism.bodies, states, strict=True))
-    for name, body in model["bodies"].items():
-        x, y, angle, vx, vy, rate = places[name]
-        body |= {"position": [x, y], "velocity": [vx, vy]}
-        if mechanism.bodies[name].inertia is not None:
-            body |= {"angle": angle, "angular_velocity": rate}
-    started = type(spec)(**(spec.sections() | {"model": model}))
-    _check_equal_but_for_start(mechanism, started.mechanism())
-    return started
-
-
-def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
-    """Raise SpecError if initial positions of the mechanism determine anything else than the initial state."""
-    for a, b in zip(compile_mechanism(one).topology, compile_mechanism(other).topology, strict=True):
-        if a.shape != b.shape or not np.allclose(a, b, rtol=1e-9, atol=1e-9, equal_nan=True):
-            raise SpecError("joints placed by `at`, `from` or `to` move with the start; give `points`", key="initial")
-
-
 class GivenStart:
-    """Finds states of a mechanism in which quantities have given values; see `spec_started_at` for the arguments."""
+    """Finds states of a mechanism in which quantities have given values, near the start of a spec.
+
+    Of all states that satisfy the joints and the given values, the state is the one nearest to the start of the spec in
+    the mass metric. It is found along a path on which the values change gradually.
+    """
 
     def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
         if mechanism.beams:

@@ -6,8 +6,9 @@ import json
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mbdkit.archive.missing_plugins import missing_plugins
 from mbdkit.archive.reader import load
 from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.interrupts import interrupts_delayed
+from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.logs import logger_of
 from mbdkit.base.plain_data import plain, value_text
 from mbdkit.base.progress_bars import count_bar, in_notebook
@@ -404,3 +405,15 @@ def _advised(error: SpecError, archives: Iterable[Path]) -> SpecError:
                 hint = f"; {path.name} was made with it: {needed.advice}"
                 return SpecError(error.message + hint, key=error.key, file=error.file, line=error.line)
     return error
+
+
+@contextmanager
+def interrupts_delayed() -> Iterator[None]:
+    """Delay the KeyboardInterrupt of Ctrl-C, SIGTERM or SIGHUP to the end of a block; a second SIGTERM ends the
+    process.
+    """
+    noted: list[bool] = []
+    with interrupts_noted(lambda: noted.append(True)):
+        yield
+    if noted:
+        raise KeyboardInterrupt

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbdkit.spec import RunSpec
+
 import gc
 import json
 import os
@@ -15,7 +20,7 @@ from pathlib import Path
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
-from mbdkit.archive.stored_mechanism import is_determined, mechanism_json
+from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
@@ -335,3 +340,9 @@ class _Mark:
     def __exit__(self, *_: object) -> None:
         os.close(self.handle)
         self.path.unlink(missing_ok=True)
+
+
+def is_determined(spec: RunSpec) -> bool:
+    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
+    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
+    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from contextlib import suppress
 from functools import cached_property
 
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
 from mbdkit.measures.take import Description, describe, is_taken
@@ -21,7 +20,7 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
-from mbdkit_studies.spec.measures import MEASURES, has_error
+from mbdkit_studies.spec.measures import ERROR, MEASURES, has_error
 from mbdkit_studies.spec.sample_section import typical_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_blocks import StudyBlocks

@@ -15,10 +15,12 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
+from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.consistent_start import Starts
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.finish import run_in_memory
-from mbdkit.runs.given_start import GivenStart, spec_started_at
+from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import RunSource, Sections, load_spec
 from mbdkit.spec.reading import variable_path
@@ -184,3 +186,45 @@ def prepare(source: RunSource, **sections: Unpack[Sections]) -> PreparedRun:
     True
     """
     return PreparedRun(load_spec(source, (), **sections))
+
+
+def spec_started_at(spec: RunSpec, values: Mapping[str, float | str], starts: Starts) -> RunSpec:
+    """Return a spec with the mechanism written out at a start in which some quantities have given values.
+
+    Of all states that satisfy the joints and the given values, the new start is the one nearest to the start of the
+    spec in the mass metric. It is found along a path on which the values change gradually.
+
+    Parameters
+    ----------
+    values
+        Values by name of a quantity, such as ``crank.angle``, ``J1.angle``, ``crank.angular_velocity`` or ``tip.vx``;
+        numbers, or texts with a unit.
+    starts
+        Cache of compiled mechanisms.
+
+    Raises
+    ------
+    SpecError
+        If there is no such quantity, if a value is not valid, if the values and the joints are inconsistent, if the
+        mechanism has beams, or if joints would move with the start.
+    """
+    mechanism = spec.mechanism()
+    q, v = GivenStart(mechanism, spec, starts).state(values)
+    model = mechanism.to_spec()
+    states = np.hstack([q.reshape(-1, 3), v.reshape(-1, 3)]).tolist()
+    places = dict(zip(mechanism.bodies, states, strict=True))
+    for name, body in model["bodies"].items():
+        x, y, angle, vx, vy, rate = places[name]
+        body |= {"position": [x, y], "velocity": [vx, vy]}
+        if mechanism.bodies[name].inertia is not None:
+            body |= {"angle": angle, "angular_velocity": rate}
+    started = type(spec)(**(spec.sections() | {"model": model}))
+    _check_equal_but_for_start(mechanism, started.mechanism())
+    return started
+
+
+def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
+    """Raise SpecError if initial positions of the mechanism determine anything else than the initial state."""
+    for a, b in zip(compile_mechanism(one).topology, compile_mechanism(other).topology, strict=True):
+        if a.shape != b.shape or not np.allclose(a, b, rtol=1e-9, atol=1e-9, equal_nan=True):
+            raise SpecError("joints placed by `at`, `from` or `to` move with the start; give `points`", key="initial")

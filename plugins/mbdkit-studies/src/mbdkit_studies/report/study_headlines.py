@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import plus_minus
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed, told_apart
 from mbdkit_report import key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.results.cost_at_error import error_headlines
+from mbdkit_studies.spec.measures import ERROR
 from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics_of_group
 from mbdkit_studies.statistics.sample_statistics import Estimate, squared_correlation
 from mbdkit_studies.statistics.sobol_indices import members_for

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import MESH_ERROR
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.command_words import for_shell
 from mbdkit.base.text import counted, listed
+from mbdkit_studies.spec.measures import ERROR
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, STATUSES
 from mbdkit_studies.store.study_point import valid_specs

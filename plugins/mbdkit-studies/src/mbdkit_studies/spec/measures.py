@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
 from mbdkit.base.errors import MbdkitError
@@ -32,6 +31,9 @@ if TYPE_CHECKING:
     from mbdkit.archive.finished_run import FinishedRun
     from mbdkit.archive.run import Run
     from mbdkit.spec.run_spec import RunSpec
+
+
+ERROR = "_error"  #: Suffix of the column with the estimated error of a measure in tables of studies.
 
 
 class RunGroup:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.measured_values import ERROR
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
 from mbdkit_report import data_frame, key_words
 from mbdkit_studies.points.sample_groups import SampledStudy, measured, one_group
+from mbdkit_studies.spec.measures import ERROR
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.statistics.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices
 

@@ -16,7 +16,7 @@ from mbdkit.archive.fingerprint import StoredHashes, is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5_errors import DAMAGE, reading
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.result_seams import file_problems
 from mbdkit.archive.run import Run
@@ -32,6 +32,7 @@ from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
 from mbdkit_studies.folder.columns import read_column
+from mbdkit_studies.spec.measures import ERROR
 from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
 
 OBJECTS = 100_000  #: Largest number of groups and arrays in a block, about 60 for each structure.

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.layout import COUNTERS
-from mbdkit.archive.measured_values import ERROR, MeasuredValues
+from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.distributions import own_version
@@ -22,7 +22,7 @@ from mbdkit.measures.take import Description
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.study_measures import expressions_of
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, other_values
+from mbdkit_studies.spec.measures import ERROR, MEASURES, other_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import Index

@@ -29,7 +29,7 @@ from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.integrators.duals.dual_run import Seeds, constants, dual_states, new_dual_run
-from mbdkit.quantities.names import archive_names, with_members
+from mbdkit.quantities.names import archive_names
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.gradient.inverse_preparation import MOTION, InversePreparation
 from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
@@ -217,8 +217,7 @@ class _Frames:
             self.seeds.count,
             cumulative_simpson(supplied, x=motion.time, axis=0, initial=0),
             handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
-            names=with_members(
-                archive_names(mechanism),
+            names=archive_names(mechanism).with_members(
                 actuators=members_of_actuators(recorded),
                 muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
             ),

@@ -14,7 +14,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.plain_data import json_text
 from mbdkit.measures.take import take_all
-from mbdkit.quantities.names import ArchiveNames, archive_names, with_members
+from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.finish import finish_states
 from mbdkit.runs.provenance import model_provenance
@@ -120,8 +120,7 @@ def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> Measure
 def _names(result: Inverse) -> ArchiveNames:
     measured, problem = result.fitted.measured, result.problem
     units = [quantity.unit for quantity in measured.quantities.quantities]
-    return with_members(
-        archive_names(problem.prepared.workspace.mechanism),
+    return archive_names(problem.prepared.workspace.mechanism).with_members(
         motion=[(name, (unit,)) for name, unit in zip(measured.names, units, strict=True)],
         actuators=members_of_actuators(problem.recorded_actuators),
         muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
