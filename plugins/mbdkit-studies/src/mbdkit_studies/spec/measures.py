@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.named_columns import NotRecordedError
-from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
+from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.take import error_of, is_taken, take
 from mbdkit.mechanism.size import mechanism_sizes
@@ -361,7 +361,7 @@ def _reaction_error_share(run: Run, reference: Run | None) -> float:
     if run.accuracy is None or not run.records("joints/reaction_force"):
         return math.nan
     force = run.array("joints/reaction_force")
-    missed = missed_between_rows(run, "joints.force", run.joint_names, np.linalg.norm(force, axis=2))
+    missed = run.errors.missed("joints.force", run.joint_names, np.linalg.norm(force, axis=2))
     missed = missed_of_verdict(missed, run.joint_names, run.spec.get("measures") or {})
     worst = run.accuracy.figures(run.joint_names, force, missed).worst_joint
     return 0.0 if worst is None else worst.share
