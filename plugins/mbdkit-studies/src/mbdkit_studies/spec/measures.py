@@ -13,11 +13,12 @@ import numpy as np
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.base.errors import MbdkitError
-from mbdkit.measures.take import error_of, is_taken, take
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, DefinedMeasure
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
+from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN
 from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
     LAST_ROW,
@@ -116,6 +117,14 @@ def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
             alike.append([index])
     for lists in groups.values():
         yield from lists
+
+
+@dataclass(frozen=True)
+class Description:
+    """Unit and description of a measure."""
+
+    units: str
+    long_name: str
 
 
 @dataclass(frozen=True)
@@ -398,7 +407,7 @@ SECOND: Mapping[str, tuple[str, str]] = {
 
 def has_error(measure: DefinedMeasure, spec: RunSpec) -> bool:
     """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
-    return spec.check and measure.item is None and is_taken(measure, spec)
+    return spec.check and measure.item is None and SpecMeasure(measure, spec).is_taken
 
 
 def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> dict[str, float]:
@@ -407,9 +416,10 @@ def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> 
     """
     values: dict[str, float] = {}
     for measure in defined:
-        values[measure.name] = value = take(measure, run, spec)
+        taken = SpecMeasure(measure, spec)
+        values[measure.name] = value = taken.take(run)
         if has_error(measure, spec):
-            values[measure.name + ERROR] = error_of(measure, value, run, spec)
+            values[measure.name + ERROR] = taken.error(value, run)
     checked = {} if run.accuracy is None else OF_CHECKED_RUNS
     return values | {name: measure.of(run) for name, measure in checked.items()}
 
