@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.spec.model_spec import StrictSpec as StrictSpec
     from mbdkit.spec.reading import (
-        Document as Document, parse_key as parse_key, put as put, read_file as read_file, set_value as set_value,
+        Document as Document, parse_key as parse_key, put as put, read_file as read_file,
         variable_path as variable_path,
     )
     from mbdkit.spec.schema import (

@@ -102,10 +102,12 @@ def plugins_verify(
     required group could be run. With --json, prints one object with a list
     "reports": a model and an integrator may share a name.
     """
-    from mbdkit.spec.reading import read_assignments
+    from mbdkit.spec.reading import Document
 
     items = describe.find(name, further=["element-kind", "joint-kind"])
-    options = read_assignments(assignments or ())
+    options = Document({})
+    for assignment in assignments or ():
+        options.set(assignment)
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page
 
@@ -117,7 +119,7 @@ def plugins_verify(
         with count_bar(item.id, quiet) as bar:
             watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
             notify = silence if quiet else say
-            reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
+            reports.append(verify(item.kind, item.id, options.data, quick=quick, watch=watch, notify=notify))
     if page is not None:
         write_page(reports, page, overwrite=overwrite)
     if as_json:
