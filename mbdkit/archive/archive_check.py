@@ -70,17 +70,6 @@ def blaming_damage(*paths: Path) -> Iterator[None]:
         raise
 
 
-@contextlib.contextmanager
-def opened(path: Path) -> Iterator[Run]:
-    """Open an archive for a command, as `load` does.
-
-    Raises SpecError if `path` is not an archive that this version can read, or if the body fails because the archive is
-    damaged. Raises ResourceError if a run is still writing the file, or the system refuses to read it.
-    """
-    with blaming_damage(path), Run.open(path) as run:
-        yield run
-
-
 def _unreadable(path: Path) -> list[str]:
     """Return a list with the reason why `Run` cannot read an archive without other problems; empty if it can."""
     try:

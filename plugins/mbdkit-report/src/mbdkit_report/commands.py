@@ -90,8 +90,8 @@ def plot(
 
     The legend of several runs shows how they differ: method, step, other keys, or file.
     """
-    from mbdkit.archive.archive_check import opened
     from mbdkit.base.files import check_not_input, check_output
+    from mbdkit_report.opened_run import opened
     from mbdkit_report.plot.save_plot import plot as draw
     from mbdkit_report.plot.save_plot import size_in_mm
 
@@ -136,8 +136,8 @@ def animate(
     debug: Debug = False,
 ) -> None:
     """Animate a run."""
-    from mbdkit.archive.archive_check import opened
     from mbdkit.base.files import check_output
+    from mbdkit_report.opened_run import opened
     from mbdkit_report.pages.animate import animate as draw
 
     with opened(archive) as loaded:

@@ -38,11 +38,11 @@ def archive_export(
     one row for each run: its values, status, verdict with reasons, measures and cost.
     Prints the names of the files.
     """
-    from mbdkit.archive.archive_check import opened
     from mbdkit.archive.result_seams import exported_files
     from mbdkit.registry.feature_items import FileFormat
     from mbdkit.registry.manager import registry
     from mbdkit_report.export import export
+    from mbdkit_report.opened_run import opened
 
     folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
