@@ -3,19 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from mbdkit.archive.accuracy import largest_known
-from mbdkit.archive.headlines import excluded_error, largest_forces, plus_minus
-from mbdkit.archive.peak_errors import peak_errors, simulated_peak_errors
+from mbdkit.archive.headlines import MESH_ERROR, excluded_words, headline_items, largest_forces, plus_minus
+from mbdkit.archive.peak_errors import (
+    BETWEEN,
+    excess_between_rows,
+    jumps,
+    measures_of_largest,
+    missed_by_rows,
+    skips_steps,
+)
 from mbdkit.base.text import listed
+from mbdkit.base.units import read_unit
+from mbdkit.registry.feature_items import HeadlineItem
+from mbdkit.registry.use import use
+from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
+
+_ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
 
 
 class RunErrors:
@@ -38,13 +52,76 @@ class RunErrors:
         """Phrase with the times at which errors are unknown although they were estimated; empty if there are none."""
         return ""
 
+    @property
+    def excluded(self) -> str:
+        """Error that the estimates do not include: that of the mesh of beams, or what plugins state; else empty."""
+        run = self.run
+        if run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams):
+            return MESH_ERROR
+        stated = [(item, cast(HeadlineItem, item.plugin).excluded) for item in headline_items(run)]
+        words = [use(item, partial(excluded_words.of(one), run)) for item, one in stated if one is not None]
+        return " and ".join(filter(None, words))
+
+    @property
+    def without_suspicion(self) -> str:
+        """Clause for a run whose verdict has no reasons."""
+        if not self.are_estimated:
+            return NOTHING_SUSPICIOUS
+        unknown = f"those {times}" if (times := self.unknown_times) else ""
+        excluded = " and ".join(filter(None, (self.excluded, unknown)))
+        return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
+
     def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """Return the errors (E,) of the largest values of elements.
 
         `quantity`: quantity of which `size` has the magnitudes, such as ``joints.force``. `names`: names of the
         elements. `size`, `errors`: (T, E) magnitudes in the leading rows of the run, and their errors.
+
+        The error is the sum of two terms: the largest error of the method in any of these rows, because the true peak
+        may be in another row, and the height by which the largest value during the run exceeds the recorded one, with
+        its error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if every
+        step is recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum of
+        the height and the error of the measure, so that a number has the same error wherever it is printed.
         """
-        return simulated_peak_errors(self.run, quantity, names, size, errors)
+        run, missed = self.run, self.missed(quantity, names, size)
+        if missed is not None and len(size) == len(run.time):
+            steps_per_row = max(1.0, float(run.stats.get("steps", 1)) / max(1, len(run.time) - 1))
+            between = BETWEEN * missed / steps_per_row**2  # peaks are parabolas near their vertices
+            of_run = np.max(errors, axis=0) + between
+            for index, _, error in self.of_measures(quantity, names):
+                of_run[index] = error
+            return np.asarray(of_run + missed)
+        if skips_steps(run.spec):
+            missed = np.full(size.shape[1], np.nan)
+        else:
+            missed = excess_between_rows(np.asarray(run.time)[: len(size)], size, jumps(run))
+        return np.asarray(np.max(errors, axis=0) + missed)
+
+    def of_reactions(self, name: str, size: np.ndarray) -> np.ndarray | None:
+        """Return the errors (J,) of the largest values of the joints in the leading rows; None without a check.
+
+        `name`: ``reaction_error`` or ``torque_error``. `size`: (T, J) magnitudes of the joints, in at least one row.
+        """
+        if self.run.accuracy is None:
+            return None
+        errors: np.ndarray = getattr(self.run.accuracy, name)
+        return self.of_largest(_ATTRIBUTES[name], self.run.joint_names, size, errors[: len(size)])
+
+    def of_measures(self, quantity: str, names: Sequence[str]) -> Iterator[tuple[int, float, float]]:
+        """Yield the index of each element whose largest magnitude is a measure with a known error, the value of this
+        measure and its error, both in SI units.
+        """
+        run = self.run
+        for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity, names).items():
+            if math.isfinite(error := run.measure_errors.get(measure, math.nan)):
+                factor = read_unit(run.measures.units[measure]).factor
+                yield names.index(name), run.measures[measure] * factor, error * factor
+
+    def missed(self, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
+        """Return the result of `missed_by_rows` for the run; None if nothing happens between its rows."""
+        if not self.run.spec_kind.is_integrated:
+            return None
+        return missed_by_rows(self.run.integrals, quantity, names, size, skips_steps=skips_steps(self.run.spec))
 
     def sentence(self, *, with_force: bool = True) -> str:
         """Return a sentence on the errors: of the largest reaction force, and of the positions.
@@ -59,7 +136,7 @@ class RunErrors:
         if not accuracy.rows_known:
             return f"errors unknown: {accuracy.unknown}"
         position = f"positions known to {accuracy.position_error_max:.2g} m and {accuracy.angle_error_max:.2g} rad"
-        position += " for this mesh of beams" if excluded_error(run) else ""
+        position += " for this mesh of beams" if self.excluded else ""
         given = ["inputs"] * run.records("inputs/value")
         given += ["outputs of controllers in Python"] * run.records("samples/value")
         position += f" for given {listed(given, 'and')}" if given else ""
@@ -82,7 +159,7 @@ def _largest_known_force(run: Run, count: int) -> str:
     if not run.joints or not run.records("joints/reaction_force"):
         return ""
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[:count]
-    errors = peak_errors(run, "reaction_error", size, count)
+    errors = run.errors.of_reactions("reaction_error", size)
     joint = int(np.argmax(np.max(size, axis=0)))
     largest = float(np.max(size[:, joint]))
     if errors is None or math.isnan(errors[joint]) or largest <= 0:

@@ -25,8 +25,6 @@ _LINE = re.compile(r"(.+?) \S+ \S* [0-9a-f]{64}\n", re.DOTALL)
 
 _STR = h5t.py_create(h5py.string_dtype())  # in memory: references to Python strings
 
-#: Attributes in which HDF5 stores dimension scales.
-OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
 
 #: Those with addresses in the file; the paths of the scales are covered instead.
 _ADDRESSES = frozenset({"REFERENCE_LIST", "DIMENSION_LIST"})

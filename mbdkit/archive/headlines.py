@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive.peak_errors import measures_of_largest, missed_between_rows, peak_errors
+from mbdkit.archive.peak_errors import measures_of_largest
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import registry
 from mbdkit.registry.seam import Seam
-from mbdkit.registry.target import Target
 from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
@@ -131,20 +130,6 @@ def excluded_words(run: Run, /) -> str:
     raise NotImplementedError
 
 
-def excluded_error(run: Run) -> str:
-    """Return the error that the estimates of a run do not include: that of the mesh of beams, or what plugins state."""
-    if run.spec.get("model", {}).get("beams") or (run.records("beams/strain_energy") and run.beams):
-        return MESH_ERROR
-    stated = [(item, cast(HeadlineItem, item.plugin).excluded) for item in _of_groups(run)]
-    return " and ".join(
-        filter(None, (use(item, partial(_words, words, run)) for item, words in stated if words is not None))
-    )
-
-
-def _words(words: Target, run: Run) -> str:
-    return excluded_words.of(words)(run)
-
-
 def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:
     """Return a value and its error as text, such as ``368.2 +- 0.3``.
 
@@ -165,12 +150,17 @@ def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_
     own = math.floor(math.log10(abs(value))) if value else of_error
     first = max(own, of_error)
     error = max(error, 0.5 * 10.0 ** (first - digits + 1)) if of_error < first - digits + 1 else error
-    if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
+    if has_exponent(first):
         return f"{value:.{min(first - of_error, digits - 1)}e} {sign} {error:.2g}"
     last = max(min(own, of_error), first - digits + 1)
     last -= of_error > 0 or last > 0
     error_text = f"{round(error, 1 - of_error):.0f}" if of_error > 0 else f"{error:.2g}"
     return f"{round(value, -last):.{max(0, -last)}f} {sign} {error_text}"
+
+
+def has_exponent(place: int) -> bool:
+    """Return whether numbers whose first digit has this power of ten are printed with an exponent."""
+    return not SMALLEST_PLACE <= place <= LARGEST_PLACE
 
 
 def headlines(run: Run, most: int = MOST) -> list[Headline]:
@@ -194,10 +184,11 @@ def not_unique(run: Run) -> frozenset[str]:
 
 
 def _added(run: Run) -> list[Headline]:
-    return [headline for item in _of_groups(run) for headline in use(item, partial(_taken, item, run))]
+    return [headline for item in headline_items(run) for headline in use(item, partial(_taken, item, run))]
 
 
-def _of_groups(run: Run) -> list[Registered]:
+def headline_items(run: Run) -> list[Registered]:
+    """Return the items of headlines whose groups a run has."""
     return [item for item in registry().of_kind("headline") if cast(HeadlineItem, item.plugin).group in run.kinds]
 
 
@@ -205,15 +196,15 @@ def _taken(item: Registered, run: Run) -> list[Headline]:
     return list(run_headlines.of(cast(HeadlineItem, item.plugin).take)(run))
 
 
-def headline_texts(run: Run, sign: str = "+-", most: int = MOST) -> list[tuple[str, str]]:
-    """Return label and text of up to `most` headlines. If any has an error bar, and the error bars do not include the
-    error of the mesh of beams, a last pair says so.
+def headline_texts(run: Run, sign: str = "+-", *, all_measures: bool = False) -> list[tuple[str, str]]:
+    """Return label and text of up to `MOST` headlines, or of all measures. If any has an error bar, and the error bars
+    do not include an error such as that of the mesh of beams, a last pair says so.
 
     `sign`: sign between a number and its error.
     """
-    every = headlines(run, most)
+    every = headlines(run, max(MOST, len(run.measures)) if all_measures else MOST)
     pairs = [(headline.label, headline.answer(sign)) for headline in every]
-    if (excluded := excluded_error(run)) and any(math.isfinite(headline.error) for headline in every):
+    if (excluded := run.errors.excluded) and any(math.isfinite(headline.error) for headline in every):
         pairs.append(("error bars", f"without {excluded}"))
     return pairs
 
@@ -243,7 +234,7 @@ def largest_forces(run: Run) -> list[Headline]:
     vectors = run.array("joints/reaction_force")
     force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
     errors = _errors(run, "reaction_error", force)
-    missed = missed_between_rows(run, "joints.force", run.joint_names, force)
+    missed = run.errors.missed("joints.force", run.joint_names, force)
     return _as_measured(run, "joints.force", largest_of("force in", run, run.joint_names, force, "N", errors, missed))
 
 
@@ -253,7 +244,7 @@ def largest_torques(run: Run) -> list[Headline]:
         return []
     torque = np.abs(run.array("joints/reaction_torque"))
     errors = _errors(run, "torque_error", torque)
-    missed = missed_between_rows(run, "joints.torque", run.joint_names, torque)
+    missed = run.errors.missed("joints.torque", run.joint_names, torque)
     torques = largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
     return _as_measured(run, "joints.torque", torques)
 
@@ -273,7 +264,7 @@ def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headlin
 
 def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
     is_known = run.accuracy is not None and run.accuracy.is_complete
-    return peak_errors(run, name, size, len(run.time)) if is_known else None
+    return run.errors.of_reactions(name, size) if is_known else None
 
 
 def largest_of(

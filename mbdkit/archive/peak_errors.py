@@ -6,15 +6,13 @@ between rows as well, as measures do.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from keyword import iskeyword
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.archive.measured_values import ComparedMeasures, Integrals
-from mbdkit.base.units import read_unit
 from mbdkit.quantities.registered_kinds import mode_arrays
 from mbdkit.trust.measure_error import measure_error
 
@@ -34,62 +32,6 @@ PARABOLA, SPLINE = 2.0, 1.5
 #: larger errors than at these ends. In 14 packaged examples with 10 to 20 times their steps, the sum covers all of 66
 #: loads with a share of 0.5, and 50 without any.
 BETWEEN = 1.0
-
-_ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
-
-
-def peak_errors(run: Run, name: str, size: np.ndarray, count: int) -> np.ndarray | None:
-    """Return the errors (J,) of the largest values of the joints in the first `count` rows; None without a check.
-
-    `name`: ``reaction_error`` or ``torque_error``. `size`: (T, J) magnitudes of the joints. `count`: number of rows, at
-    least 1.
-    """
-    if run.accuracy is None:
-        return None
-    errors: np.ndarray = getattr(run.accuracy, name)
-    return run.errors.of_largest(_ATTRIBUTES[name], run.joint_names, size[:count], errors[:count])
-
-
-def simulated_peak_errors(
-    run: Run, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray
-) -> np.ndarray:
-    """Return the errors (E,) of the largest values of elements in the leading rows of a simulated run.
-
-    The error is the sum of two terms: the largest error of the method in any of these rows, because the true peak may
-    be in another row, and the height by which the largest value during the run exceeds the recorded one, with its
-    error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if every step is
-    recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum of the height
-    and the error of the measure, so that a number has the same error wherever it is printed.
-
-    `quantity`, `names`: quantity as in `expression_of_largest`, and names of the elements. `size`, `errors`: (T, E)
-    values and their errors.
-    """
-    missed = missed_between_rows(run, quantity, names, size)
-    if missed is not None and len(size) == len(run.time):
-        between = BETWEEN * missed / _steps_per_row(run) ** 2  # peaks are parabolas near their vertices
-        of_run = np.max(errors, axis=0) + between
-        for index, _, error in errors_of_measures(run, quantity, names):
-            of_run[index] = error
-        return np.asarray(of_run + missed)
-    if skips_steps(run.spec):
-        missed = np.full(size.shape[1], np.nan)
-    else:
-        missed = excess_between_rows(np.asarray(run.time)[: len(size)], size, jumps(run))
-    return np.asarray(np.max(errors, axis=0) + missed)
-
-
-def errors_of_measures(run: Run, quantity: str, names: Sequence[str]) -> Iterator[tuple[int, float, float]]:
-    """Yield the index of each element whose largest magnitude is a measure with a known error, the value of this
-    measure and its error, both in SI units.
-    """
-    for name, measure in measures_of_largest(run.spec.get("measures") or {}, quantity, names).items():
-        if math.isfinite(error := run.measure_errors.get(measure, math.nan)):
-            factor = read_unit(run.measures.units[measure]).factor
-            yield names.index(name), run.measures[measure] * factor, error * factor
-
-
-def _steps_per_row(run: Run) -> float:
-    return max(1.0, float(run.stats.get("steps", 1)) / max(1, len(run.time) - 1))
 
 
 def expression_of_largest(quantity: str, name: str) -> str:
@@ -146,13 +88,6 @@ def missed_of_verdict(
     """
     own = measures_of_largest(measures, "joints.force", names)
     return None if missed is None else np.where([name in own for name in names], 0.0, missed)
-
-
-def missed_between_rows(run: Run, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
-    """Return the result of `missed_by_rows` for a run; None if nothing happens between its rows."""
-    if not run.spec_kind.is_integrated:
-        return None
-    return missed_by_rows(run.integrals, quantity, names, size, skips_steps=skips_steps(run.spec))
 
 
 def skips_steps(spec: Mapping[str, Any]) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from mbdkit.archive.headlines import (
     JOINTS_NAMED,
     ROUND_OFF,
     Headline,
-    excluded_error,
     headlines,
     largest_forces,
     largest_torques,
@@ -29,10 +28,9 @@ from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
-from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
+from mbdkit.trust.criteria import rounding
 
 if TYPE_CHECKING:
-    from mbdkit.archive.history import Impacts
     from mbdkit.archive.run import Run
 
 #: Largest number of events listed.
@@ -113,17 +111,8 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
     if not run.is_judged:
         why = "the run did not end" if run.status == "running" else "the archive has none"
         return [("verdict", f"unknown: {why}")]
-    first, *others = run.verdict_reasons or [without_suspicion(run)]
+    first, *others = run.verdict_reasons or [run.errors.without_suspicion]
     return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
-
-
-def without_suspicion(run: Run) -> str:
-    """Return a clause for a run whose verdict has no reasons."""
-    if not run.errors.are_estimated:
-        return NOTHING_SUSPICIOUS
-    unknown = f"those {times}" if (times := run.errors.unknown_times) else ""
-    excluded = " and ".join(filter(None, (excluded_error(run), unknown)))
-    return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
 
 
 def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
@@ -276,32 +265,40 @@ def _drivers(run: Run) -> str:
     return "; ".join(parts)
 
 
-def impacts_of_drivers(run: Run) -> np.ndarray:
-    """Return which impacts (I,) of a run are impulses of drivers, which have no impulses of their own."""
+class ImpactSummary(NamedTuple):
+    """Which impacts (I,) are meant, and two texts: their numbers, in total and for each name, and the lost energy."""
+
+    chosen: np.ndarray
+    numbers: str
+    energy: str
+
+
+def summarize_impacts(run: Run, *, of_drivers: bool) -> ImpactSummary | None:
+    """Return a summary of the impulses of drivers, which have no impulses of their own, or else of the other impacts of
+    a run; None if there are none.
+    """
     impacts = run.impacts
     has_none = (impacts.normal_impulse == 0.0) & (impacts.tangential_impulse == 0.0)
-    return np.asarray(has_none & np.isin(impacts.contact.astype(str), list(run.drivers)))
-
-
-def _impacts(run: Run) -> str:
-    impacts, some = run.impacts, impacts_of_drivers(run)
+    some = (has_none & np.isin(impacts.contact.astype(str), list(run.drivers))) == of_drivers
     if not np.any(some):
-        return ""
-    force = np.max(np.linalg.norm(impacts.reaction_impulse[some], axis=2))
-    torque = np.max(np.abs(impacts.reaction_torque_impulse[some]))
-    who, change = counted_impacts(impacts, some)
-    size = f"{force:.4g} N s and {torque:.4g} N m s"
-    return f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses"
-
-
-def counted_impacts(impacts: Impacts, some: np.ndarray) -> tuple[str, str]:
-    """Return two texts on the impacts `some` (I,): their numbers, in total and for each name, and the lost energy."""
+        return None
     names, counts = np.unique(impacts.contact[some].astype(str), return_counts=True)
     each = few([f"{name} {count}" for name, count in zip(names, counts, strict=True)], ", ")
     # all impacts at one time have the same entry, the energy lost by all of them
     lost = impacts.energy_lost[some][np.unique(impacts.time[some], return_index=True)[1]].sum()
     change = f"{lost:.4g} J lost" if lost >= 0.0 else f"{-lost:.4g} J supplied"
-    return f"{np.count_nonzero(some)} ({each})", change
+    return ImpactSummary(some, f"{np.count_nonzero(some)} ({each})", change)
+
+
+def _impacts(run: Run) -> str:
+    impacts, summary_of = run.impacts, summarize_impacts(run, of_drivers=True)
+    if summary_of is None:
+        return ""
+    some, who, change = summary_of
+    force = np.max(np.linalg.norm(impacts.reaction_impulse[some], axis=2))
+    torque = np.max(np.abs(impacts.reaction_torque_impulse[some]))
+    size = f"{force:.4g} N s and {torque:.4g} N m s"
+    return f"{who}, impulses of joints up to {size}, {change}; their forces do not include impulses"
 
 
 def _events(run: Run) -> str:
@@ -328,7 +325,7 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     answer = "; ".join(f"{headline.label} {headline.answer()}" for headline in headlines(run)) if not lines else ""
     lines = lines or ([("answer", answer)] if answer else [])
-    if (excluded := excluded_error(run)) and any(" +- " in text for _, text in lines):
+    if (excluded := run.errors.excluded) and any(" +- " in text for _, text in lines):
         lines.append(("", f"error bars do not include {excluded}"))
     if lines and len(run.time) and run.status in ("failed", "interrupted"):
         lines.append(("", f"these values cover the motion until t = {run.time[-1]:.6g} s, at which the run stopped"))

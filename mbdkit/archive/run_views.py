@@ -43,8 +43,22 @@ class StatedErrors(Protocol):
     def unknown_times(self) -> str:
         """Phrase with the times at which errors are unknown although they were estimated; empty if there are none."""
 
+    @property
+    def excluded(self) -> str:
+        """Error that the estimates do not include; empty if there is none."""
+
+    @property
+    def without_suspicion(self) -> str:
+        """Clause for a run whose verdict has no reasons."""
+
     def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
         """Return the errors (E,) of the largest values of elements."""
+
+    def of_reactions(self, name: str, size: np.ndarray) -> np.ndarray | None:
+        """Return the errors (J,) of the largest values of the joints; None without a check."""
+
+    def missed(self, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
+        """Return by how much the largest values (E,) exceed those of the rows; None if nothing happens between rows."""
 
     def sentence(self, *, with_force: bool = True) -> str:
         """Return a sentence on the errors."""

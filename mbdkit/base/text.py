@@ -89,11 +89,6 @@ def bounded(text: str) -> str:
     return "\n".join(line if len(line) <= 5000 else line[:4997] + "..." for line in lines)
 
 
-def cited(text: object) -> str:
-    """Return text from files for a sentence about it: escaped, see `shown`, and shortened to 300 characters."""
-    return shortened(shown(str(text)[:301]))
-
-
 def shown(text: object, *, lines: bool = False) -> str:
     r"""Return text from files with control characters, such as those of a terminal, escaped as ``\u001b``.
 
@@ -109,24 +104,6 @@ def _kept_lines(match: re.Match[str]) -> str:
 def _escaped(match: re.Match[str]) -> str:
     """Return a character as it is escaped in JSON; all characters of `_HARMFUL` are below U+10000."""
     return {"\n": "\\n", "\t": "\\t", "\r": "\\r"}.get(match[0], f"\\u{ord(match[0]):04x}")
-
-
-_MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})
-
-
-def markdown(text: str) -> str:
-    """Return text from files as one line of Markdown in which all special characters are escaped."""
-    words = " ".join(shown(part) for part in text.split())
-    start = "\\" if words[:1] in ("-", "+", "=") and not _is_number(words) else ""
-    return start + words.translate(_MARKED)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 #: Characters with which formulas in spreadsheets begin; some spreadsheets also accept their full-width forms.

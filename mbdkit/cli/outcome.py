@@ -81,13 +81,11 @@ def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, object]:
     import numpy as np  # importing NumPy, like SciPy, would delay --help
 
     from mbdkit.archive.accuracy_summary import limit_sentence
-    from mbdkit.archive.headlines import excluded_error
-    from mbdkit.archive.peak_errors import peak_errors
 
-    joints, excluded = {}, excluded_error(result)
+    joints, excluded = {}, result.errors.excluded
     if result.records("joints/reaction_force") and len(result.time):
         size = np.linalg.norm(result.array("joints/reaction_force"), axis=2)
-        errors = peak_errors(result, "reaction_error", size, len(result.time)) if accuracy.is_complete else None
+        errors = result.errors.of_reactions("reaction_error", size) if accuracy.is_complete else None
         known = np.full(len(result.joint_names), np.nan) if errors is None else errors
         joints = {
             name: {"largest_force": float(largest), "error": _number(float(error))}

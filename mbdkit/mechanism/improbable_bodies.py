@@ -49,6 +49,14 @@ LONG, LIGHT, LINKS = 10.0, 5e-4, 3
 #: Body heights [m] and body masses [kg] of people outside these ranges are improbable.
 HEIGHTS, MASSES = (0.3, 3.0), (2.0, 400.0)
 
+#: A radius of gyration between these shares of the length of a body, the largest distance between its joints, markers
+#: and other points, is probably that about a joint.
+#:
+#: If no mass is beyond these points, the share is at most 0.5. It is 0.58 for a uniform rod about its end, and 0.53 and
+#: 0.54 for the shank and the thigh about the knee and the hip (D. A. Winter, Biomechanics and motor control of human
+#: movement, 4th edition, table 4.1). If the share is larger, the points say nothing about the size of the body.
+ABOUT_JOINT = (0.51, 0.9)
+
 
 def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
@@ -96,6 +104,31 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
             )
 
 
+def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each body whose inertia is probably given about a joint.
+
+    The limits are those of `ABOUT_JOINT`, for bodies with at least a share of `STAND_IN` of the largest mass. They
+    apply to measured mechanisms; flywheels, cranks and chassis have such inertias, too.
+    """
+    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    jointed = {name for joint in mechanism.joints.values() for _, name, _ in joint.attachments()}
+    points: dict[str, list[Point]] = {name: [] for name in mechanism.bodies}
+    for name, point in points_of_elements(mechanism):
+        if name != GROUND:
+            points[name].append(point)
+    for name, body in mechanism.bodies.items():
+        if body.inertia is None or name not in jointed or body.mass < STAND_IN * heaviest:
+            continue
+        length = max((math.dist(*pair) for pair in combinations(points[name], 2)), default=0.0)
+        radius = math.sqrt(body.inertia / body.mass)
+        if ABOUT_JOINT[0] * length < radius < ABOUT_JOINT[1] * length:
+            yield (
+                f"the inertia of {body.inertia:g} kg m^2 of body '{name}'{_place_of(mechanism, name)} is that of its "
+                f"mass at a distance of {radius:.3g} m, more than half of its length of {length:.3g} m; inertias refer "
+                f"to the centre of mass, not to a joint"
+            )
+
+
 def improbable_bodies(mechanism: Mechanism) -> Iterator[str]:
     """Yield a sentence without a full stop if a body is too large for the others, or too light for its length.
 
@@ -129,7 +162,7 @@ def _outsize(mechanism: Mechanism, reach: dict[str, float]) -> str:
     if not largest > OUTSIZE * max(sizes) > 0.0:
         return ""
     return (
-        f"the joints of body '{name}'{place_of(mechanism, name)} are up to {largest:.3g} m away from its centre of "
+        f"the joints of body '{name}'{_place_of(mechanism, name)} are up to {largest:.3g} m away from its centre of "
         f"mass, but no other body is larger than {max(sizes):.2g} m; if a length is in mm, write it with the unit, for "
         f"example `80 mm`"
     )
@@ -154,13 +187,13 @@ def _light(mechanism: Mechanism, points: dict[str, list[Point]]) -> Iterator[str
     if light:
         name = min(light, key=light.__getitem__)
         yield (
-            f"body '{name}'{place_of(mechanism, name)} is {lengths[name]:.3g} m long, but has a mass of only "
+            f"body '{name}'{_place_of(mechanism, name)} is {lengths[name]:.3g} m long, but has a mass of only "
             f"{mechanism.bodies[name].mass:.3g} kg; if its length is in mm, write it with the unit, for example "
             f"`{lengths[name]:.3g} mm`"
         )
 
 
-def place_of(mechanism: Mechanism, body: str) -> str:
+def _place_of(mechanism: Mechanism, body: str) -> str:
     """Return where a body is in a spec, for sentences; empty if its mechanism comes from a model."""
     return f" at model.bodies.{quoted(body)}" if mechanism.name == "mechanism" else ""
 

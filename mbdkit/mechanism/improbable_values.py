@@ -10,6 +10,7 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.extent import size_if_below, smaller_units
 from mbdkit.mechanism.forces import SpringDamper
+from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_radii
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Coordinate
@@ -53,6 +54,17 @@ LONGEST = 10.0
 #:
 #: In all packaged examples, such lengths are at most 0.21 sizes.
 LARGE = 3.0
+
+
+def improbable_measured(mechanism: Mechanism) -> Iterator[tuple[str, str]]:
+    """Yield ``inertia`` or ``units``, and a sentence without a full stop, for each improbable value of a measured
+    mechanism.
+    """
+    for sentence in improbable_radii(mechanism):
+        yield "inertia", sentence
+    for values in (improbable_beams, improbable_lengths, improbable_bodies):
+        for sentence in values(mechanism):
+            yield "units", sentence
 
 
 def improbable_frictions(mechanism: Mechanism) -> Iterator[str]:

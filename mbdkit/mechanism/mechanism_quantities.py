@@ -68,6 +68,21 @@ class Quantity(ABC):
         """Magnitude of the change of the quantity per change of the angle or length on which it is based."""
         return 1.0
 
+    @property
+    def unscaled(self) -> Quantity:
+        """The angle or length on which the quantity is based."""
+        return self
+
+    @property
+    def place(self) -> tuple[int, int] | None:
+        """Index of the body, and axis as of `Coordinate`, if this is a coordinate of the body or of a point of it."""
+        return None
+
+    @property
+    def marker(self) -> tuple[Point, int] | None:
+        """Point of a body, and axis as of `Coordinate`, if this is a coordinate of the point."""
+        return None
+
     @abstractmethod
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return h (T,) [m or rad]."""
@@ -95,6 +110,11 @@ class Coordinate(Quantity):
     def unit(self) -> Literal["m", "rad"]:  # type: ignore[override]
         """Unit of the coordinate."""
         return "rad" if self.axis == 2 else "m"
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Index of the body, and axis."""
+        return self.body, self.axis
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the coordinate."""
@@ -132,6 +152,16 @@ class MarkerCoordinate(Quantity):
     point: Point
     axis: int
     unit = "m"
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Index of the body, and axis."""
+        return self.point.body, self.axis
+
+    @property
+    def marker(self) -> tuple[Point, int]:
+        """Point of a body, and axis."""
+        return self.point, self.axis
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the coordinate."""
@@ -205,6 +235,11 @@ class Affine(Quantity):
     def scale(self) -> float:
         """Magnitude of the factor."""
         return abs(self.factor)
+
+    @property
+    def unscaled(self) -> Quantity:
+        """The quantity with factor 1 and offset 0."""
+        return self.of
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the value."""

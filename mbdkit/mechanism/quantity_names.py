@@ -54,6 +54,14 @@ class QuantityNames:
             raise SpecError(f"there is no joint '{name}'{_hint(name, joints, 'joints')}", key=key)
         return self._coordinate(joints[name])
 
+    def pose(self, body: int) -> dict[str, Quantity]:
+        """Return the coordinates of a body with this index by axis: x, y and angle."""
+        return {name: Coordinate(body, axis) for axis, name in enumerate(AXES)}
+
+    def angle_between(self, first: int, second: int) -> Quantity:
+        """Return the angle of the second body relative to the first one, given their indices."""
+        return RelativeAngle(first, second)
+
     def _coordinate(self, joint: JointBase) -> Quantity:
         a, b = (self._of(body) for body in joint.bodies)
         travel = joint.travel
@@ -144,9 +152,9 @@ class QuantityNames:
         coordinates: dict[str, Quantity] = {name: self.coordinate(name) for name in self.mechanism.coordinates}
         for name, joint in self.mechanism.joints.items():
             coordinates[f"{name}.angle"] = self._coordinate(joint)
-        for axis in (2, 0, 1):
+        for axis in ("angle", "x", "y"):
             for name, number in self._number.items():
-                coordinates.setdefault(f"{name}.{AXES[axis]}", Coordinate(number, axis))
+                coordinates.setdefault(f"{name}.{axis}", self.pose(number)[axis])
         return coordinates
 
 

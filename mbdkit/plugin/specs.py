@@ -15,11 +15,11 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.spec.model_spec import StrictSpec as StrictSpec
     from mbdkit.spec.reading import (
-        Document as Document, parse_key as parse_key, put as put, read_file as read_file, set_value as set_value,
+        Document as Document, parse_key as parse_key, put as put, read_file as read_file,
         variable_path as variable_path,
     )
     from mbdkit.spec.schema import (
-        DRAFT as DRAFT, allow_units as allow_units, described as described, run_schema as run_schema,
+        run_schema as run_schema, schema_with_bases as schema_with_bases,
     )
     from mbdkit.spec.sections import Count as Count, Section as Section
     from mbdkit.spec.table_files import read_columns as read_columns

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -65,6 +65,11 @@ class ArchiveNames:
     def bodies_of(self, kind: str, place: int) -> list[str]:
         """Return the first (`place` 0), second (1) or a further body or text of each of the `members` of a kind."""
         return [bodies[place] for _, bodies in dict(self.members).get(kind, ())]
+
+    def with_members(self, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
+        """Return names with those of the elements of further kinds, see `members`; empty ones are left out."""
+        more = {kind: each for kind, each in members.items() if each}
+        return replace(self, members=tuple((dict(self.members) | more).items())) if more else self
 
 
 def _tuples(value: Nested) -> Nested:

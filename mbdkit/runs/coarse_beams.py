@@ -187,7 +187,7 @@ class _WatchedBeam:
             reason = f"{what} may be wrong by about {100.0 * error:.2g} %"
         else:
             return
-        yield f"the elements of beam '{self.name}' are too coarse: {reason}; {advice_for(count)}"
+        yield f"the elements of beam '{self.name}' are too coarse: {reason}; {_advice_for(count)}"
 
     def _largest_error(self) -> tuple[str, float, float]:
         """Return which results of a beam have the largest relative error, the error, and how many elements suffice."""
@@ -214,15 +214,20 @@ class _WatchedBeam:
             for error, energy, lowest in zip(errors, energies, least, strict=True)
         ]
         what = ("its axial forces or elongations", "its moments or deflections")[int(np.argmax(judged))]
-        return what, max(judged), needed_elements(count, max(judged))
+        return what, max(judged), _needed_elements(count, max(judged))
 
 
-def needed_elements(elements: int, error: float) -> float:
+def _needed_elements(elements: int, error: float) -> float:
     """Return the number of elements with which an estimate of order 2 in the length of an element is acceptable."""
     return elements * math.sqrt(error / VARIATION)
 
 
-def advice_for(needed: float) -> str:
+def advice_on_elements(elements: int, error: float) -> str:
+    """Return the advice of a warning about a relative error with this number of elements; empty if it is acceptable."""
+    return _advice_for(_needed_elements(elements, error)) if error > VARIATION else ""
+
+
+def _advice_for(needed: float) -> str:
     """Return the advice of a warning, if the present state of a beam asks for this number of elements."""
     if not MARGIN * needed <= MOST_ADVISED:
         return f"more than {MOST_ADVISED} elements would be needed, so check its stiffness and its loads"

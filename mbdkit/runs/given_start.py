@@ -36,9 +36,10 @@ MET = 1e-12
 
 
 class GivenStart:
-    """Finds states of a mechanism in which quantities, such as ``crank.angle``, have given values.
+    """Finds states of a mechanism in which quantities have given values, near the start of a spec.
 
-    `spec`: the spec of a run of the mechanism. `starts`: cache of compiled mechanisms.
+    Of all states that satisfy the joints and the given values, the state is the one nearest to the start of the spec in
+    the mass metric. It is found along a path on which the values change gradually.
     """
 
     def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):

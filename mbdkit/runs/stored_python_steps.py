@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mbdkit.archive.checkpoint import StoredState
+from mbdkit.archive.checkpoint import StoredState, decoded_state, encoded_state
 from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.integrators.host.step_host import StepHost
@@ -59,6 +59,14 @@ def stored_stepper(stepper: StepHost) -> StoredState:
         "pivots": stepper.equations.stored_pivots(),
         **stored_impulses(stepper.impacts),
     }
+
+
+def copy_state(stepper: StepHost, other: StepHost) -> None:
+    """Let another stepper continue from the state of a stepper, as a resumed run does: from the bytes of a checkpoint.
+
+    Raises MemoryNotStoredError if the memory of the method cannot be stored.
+    """
+    restore_stepper(other, decoded_state(encoded_state(stored_stepper(stepper))))
 
 
 def restore_stepper(stepper: StepHost, state: StoredState) -> None:

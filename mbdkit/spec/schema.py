@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +18,7 @@ from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit.spec.spec_kinds import spec_kinds, spec_schema
+from mbdkit.spec.spec_kinds import kind_named, spec_kinds, spec_schema
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
 #: Pattern that distinguishes an expression, or a number with a unit, from a number in quotes.
@@ -35,8 +35,7 @@ def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec)
     chosen = installed if installed is not None else registry()
     schema = model_schema(spec_type(chosen, spec), chosen)
     schema["required"].remove("integrator")
-    schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
-    return {"$schema": DRAFT, **described(schema)}
+    return schema | {"anyOf": [{"required": ["integrator"]}, {"required": ["accuracy"]}]}
 
 
 def schema_of(kind: SpecKind, installed: Registry | None = None) -> dict[str, Any]:
@@ -59,7 +58,34 @@ def model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
         definitions[names[1]] = {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names[2:]]}
     schema = {"$defs": definitions, **schema}
     _allow_expressions(schema)
-    return allow_units(schema)
+    return {"$schema": DRAFT, **_described(_allow_units(schema))}
+
+
+def schema_with_bases(
+    spec: type[BaseModel],
+    kinds: Mapping[str, str],
+    installed: Registry | None,
+    *,
+    holder: str = "",
+    units: Set[str] | None,
+) -> dict[str, Any]:
+    """Return the schema of a spec whose bases are specs of other kinds.
+
+    `kinds`: kind of the bases by the names of their definitions. `holder`: definition that has a key `base`, too.
+    `units`: definitions of which all numbers may have units; None if no number may.
+    """
+    schema = _described(spec.model_json_schema())
+    if units is not None:
+        _allow_units(schema, *units)
+    schemas = {name: schema_of(kind_named(kind), installed) for name, kind in kinds.items()}
+    references = [{"$ref": f"{LOCAL}{name}"} for name in kinds]
+    for place in (schema, *([schema["$defs"][holder]] if holder else [])):
+        place["properties"]["base"]["anyOf"] = [{"type": "string"}, *references]
+    for base in reversed(schemas.values()):
+        schema["$defs"] |= base["$defs"]
+    for name, base in schemas.items():
+        schema["$defs"][name] = {"type": "object", "properties": base["properties"], "additionalProperties": False}
+    return {"$schema": DRAFT, **schema}
 
 
 def _allow_expressions(schema: dict[str, Any]) -> None:
@@ -83,7 +109,7 @@ def _allow_expressions(schema: dict[str, Any]) -> None:
         pending += part.values()
 
 
-def allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
+def _allow_units(schema: dict[str, Any], *sections: str) -> dict[str, Any]:
     """Allow units for numbers of keys whose descriptions name a unit, and for all numbers of the classes of sections
     with the names `sections`; allow % for all other numbers.
     """
@@ -104,7 +130,7 @@ def _allow_text(part: object, pattern: str) -> None:
         _allow_text(inner, pattern)
 
 
-def described(schema: dict[str, Any]) -> dict[str, Any]:
+def _described(schema: dict[str, Any]) -> dict[str, Any]:
     """Return a schema whose description ends before the errors that the class raises."""
     return schema | {"description": schema["description"].partition("\n\nRaises")[0]}
 

@@ -22,16 +22,11 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 
-#: What a built-in measure may need in addition to the run.
-#:
-#: Measures that need a second run are computed only if a study lists them.
-REFERENCE, SECOND_RUN = "reference", "second run"
-
 
 def built_in_measures() -> Mapping[str, str]:
     """Return what each built-in measure needs in addition to the run, by its name.
 
-    The values are `REFERENCE`, `SECOND_RUN`, or an empty text for measures that need nothing else.
+    The values are ``reference``, ``second run``, or an empty text for measures that need nothing else.
     """
     try:
         known: Mapping[str, str] = higher_layers.built_in_measures()
@@ -68,13 +63,6 @@ class DefinedMeasure:
     def is_like(self, other: DefinedMeasure) -> bool:
         """Return whether another measure of this name has the same definition."""
         return replace(other, place=self.place, of_base=self.of_base) == self
-
-
-def built_in(measures: object) -> tuple[str, ...] | None:
-    """Return the names of built-in measures that a study lists; None if all of them are computed."""
-    if isinstance(measures, list):
-        return tuple(entry for entry in measures if isinstance(entry, str) and entry in built_in_measures())
-    return None
 
 
 def defined(measures: object, above: Path = ()) -> Iterator[DefinedMeasure]:

@@ -36,6 +36,15 @@ def law_expressions(law: ExpressionLaw, names: Sequence[str]) -> tuple[sp.Expr, 
     return _expression(law.force, names, ARGUMENTS), _expression(potential, names, ARGUMENTS[:1])
 
 
+def law_force(
+    law: ExpressionLaw, parameters: Mapping[str, sp.Expr], length: sp.Expr, rate: sp.Expr, time: sp.Expr
+) -> sp.Expr:
+    """Return the force of a law as an expression of these values of its parameters and arguments."""
+    force, _ = law_expressions(law, [*parameters])
+    known = {sp.Symbol(name, real=True): value for name, value in parameters.items()}
+    return force.xreplace({**known, LENGTH: length, RATE: rate, T: time})
+
+
 def _expression(given: object, names: Sequence[str], arguments: Sequence[str]) -> sp.Expr:
     made = given() if callable(given) else given
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import get_args
 
+from mbdkit.archive import history_columns
 from mbdkit.archive.layout import (
     QUANTITIES,
     every_array,
@@ -68,3 +69,8 @@ def test_specs_choose_groups_of_the_table() -> None:
 
 def test_elapsed_time_is_the_only_timing() -> None:
     assert [array.path for array in LAYOUT if is_timing(array.path)] == ["trajectory/elapsed_s"]
+
+
+def test_declarations_of_columns_are_fresh() -> None:
+    text = history_columns.TARGET.read_text(encoding="utf-8")
+    assert history_columns.declarations() == text, "run: python -m mbdkit.archive.history_columns"

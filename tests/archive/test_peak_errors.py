@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import headlines, largest_loads, plus_minus
-from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps, peak_errors
+from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps
 from mbdkit.archive.run_summary import summary, summary_lines
 from tests.margins import assert_within
 
@@ -150,7 +150,7 @@ def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_val
     run = _turning(every=8)
     run.__dict__["integrals"] = {}
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    errors = peak_errors(run, "reaction_error", size, len(run.time))
+    errors = run.errors.of_reactions("reaction_error", size)
     assert errors is not None
     assert np.all(np.isnan(errors))
     assert run.errors.sentence().startswith("positions known to")

@@ -14,7 +14,7 @@ import pytest
 from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import ResourceError, RunError, SpecError
 from mbdkit.base.terminal import PlainStream
-from mbdkit.base.text import csv_cell, markdown, shown, table
+from mbdkit.base.text import csv_cell, shown, table
 from mbdkit.spec import load_spec
 
 
@@ -57,21 +57,6 @@ def test_a_stream_for_the_terminal_keeps_lines_and_valid_json() -> None:
     stream = io.StringIO()
     print(json.dumps({"title": "\x9b\u202e"}, ensure_ascii=False), file=PlainStream(stream))
     assert json.loads(stream.getvalue()) == {"title": "\x9b\u202e"}
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("a|b", r"a\|b"),
-        ("two\nlines\n# heading", r"two lines \# heading"),
-        ("<script>x</script>", "&lt;script&gt;x&lt;/script&gt;"),
-        ("[x](javascript:y)", r"\[x\](javascript:y)"),
-        ("=cmd()", r"\=cmd()"),
-        ("-1.5e-3", "-1.5e-3"),
-    ],
-)
-def test_markdown_obeys_no_text(text: str, words: str) -> None:
-    assert markdown(text) == words
 
 
 @pytest.mark.parametrize("start", "=+-@\uff1d\uff20")

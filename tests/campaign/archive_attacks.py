@@ -18,8 +18,9 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.fingerprint import OF_SCALES, objects, seal
+from mbdkit.archive.fingerprint import objects, seal
 from mbdkit.archive.reader import load
+from mbdkit_report.xarray_tree import OF_SCALES
 from mbdkit_studies.store.blocks import Block
 
 from .attack import Attack, Ending, in_child

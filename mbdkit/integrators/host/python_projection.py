@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.base.errors import StepError
-from mbdkit.engine.kernels.projection import STAGNANT
-from mbdkit.engine.nearest_state import ROUND_OFF
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, STAGNANT
 from mbdkit.integrators.loop.projected_step import MAX_TRIALS, improve
 from mbdkit.integrators.run.reached import NO_CORRECTION
 from mbdkit.integrators.run.run_plan import CHANGES
@@ -119,7 +118,7 @@ class StabilizedSteps:
             step_v, for_v = p.solve(end, at, none, -p.constraint_rates(end, at, v))
             now = max(p.relative_change(at, step_q), p.relative_change(v, step_v))
             idle = idle + 1 if now >= 0.5 * before else 0
-            if now <= ROUND_OFF or (idle >= 2 and now < STAGNANT):
+            if now <= FEW_ROUNDINGS * EPS or (idle >= 2 and now < STAGNANT):
                 p.counters.projections += 1
                 return self._corrected(end, begin, made, dq + step_q, dv + step_v, pushed_q, pushed_v)
             change = changes[count, :, :, 0]

@@ -12,12 +12,13 @@ from tests.inverse_dynamics.hanging_leg import ANGLES, NOISE, SMOOTH, T, leg, no
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.guide.pages import find_page
+from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.spec.loading import example_files
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
-from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, mechanism_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import mechanism_doubts
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, Headline, largest_of, run_headlines
-from mbdkit.archive.peak_errors import errors_of_largest, missed_between_rows
+from mbdkit.archive.peak_errors import errors_of_largest
 from mbdkit.archive.result_seams import summary_lines
-from mbdkit.archive.run_summary import counted_impacts, few, impacts_of_drivers, ranked
+from mbdkit.archive.run_summary import few, ranked, summarize_impacts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit_contact.modes import SLIP, STICK
@@ -25,7 +25,7 @@ def largest_forces(run: Run) -> list[Headline]:
     if not run.records("contacts/normal_force"):
         return []
     names, force = list(run.contacts), run.array("contacts/normal_force")
-    missed = missed_between_rows(run, "contacts.normal_force", names, force)
+    missed = run.errors.missed("contacts.normal_force", names, force)
     errors = None
     if run.accuracy is not None and missed is not None:
         errors = missed + errors_of_largest(
@@ -49,7 +49,7 @@ def _overlaps(run: Run) -> str:
     if not run.contacts:
         return ""
     overlaps, parts = -np.stack([contact.gap for contact in run.contacts.values()], axis=1), []
-    missed = missed_between_rows(run, "-contacts.gap", list(run.contacts), overlaps)
+    missed = run.errors.missed("-contacts.gap", list(run.contacts), overlaps)
     beyond = np.zeros(len(run.contacts)) if missed is None else missed
     for (name, contact), own, unseen in zip(run.contacts.items(), overlaps.T, beyond, strict=True):
         row, known = int(np.argmax(own)), float(np.nan_to_num(unseen))
@@ -81,11 +81,11 @@ def _impacts(run: Run) -> str:
     """
     if (run.spec.get("contact") or {}).get("treatment") == "time-stepping":
         return "not located: the contact force of a step with an impact includes its impulse, divided by the step"
-    impacts, some = run.impacts, ~impacts_of_drivers(run)
-    if not np.any(some):
+    impacts, counted = run.impacts, summarize_impacts(run, of_drivers=False)
+    if counted is None:
         return ""
+    some, who, change = counted
     largest = np.max(np.abs(impacts.normal_impulse))
-    who, change = counted_impacts(impacts, some)
     given = _restitutions(run, np.unique(impacts.contact[some].astype(str)))
     return f"{who}, {given}impulses up to {largest:.4g} N s, {change}; contact forces do not include impulses"
 

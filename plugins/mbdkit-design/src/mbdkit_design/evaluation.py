@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -17,7 +17,7 @@ from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, path_text, plain
 from mbdkit.engine.linear_systems import product
-from mbdkit.measures.take import describe, error_of, take
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.spec.reading import parse_key, variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -144,8 +144,9 @@ class ScenarioRuns:
                 found[place] = self._failed(result.reason)
                 continue
             stored = Run(ArrayContents(result, spec))
-            values = tuple(take(measure, stored, spec) for measure in self._measures)
-            errors = tuple(map(partial(error_of, run=stored, spec=spec), self._measures, values)) if spec.check else ()
+            measures = [SpecMeasure(measure, spec) for measure in self._measures]
+            values = tuple(measure.take(stored) for measure in measures)
+            errors = tuple(m.error(value, stored) for m, value in zip(measures, values, strict=True) if spec.check)
             found[place] = replace(_judged(values, result.judgement.level, result.judgement.reasons), errors=errors)
         return [one for one in found if one is not None]
 
@@ -248,7 +249,7 @@ class Evaluator:
         for name, one in spec.specs.items():
             for measure in spec.defined_measures():
                 try:
-                    describe(measure, one)
+                    SpecMeasure(measure, one).describe()
                 except SpecError as error:
                     told = f"{error.message} (scenario '{name}')" if name else error.message
                     raise spec.placed(SpecError(told, key=path_text(measure.place))) from None

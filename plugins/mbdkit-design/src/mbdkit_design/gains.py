@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
-from mbdkit.measures.take import describe
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.problem import FEASIBLE
@@ -85,7 +85,7 @@ def goal_words(name: str) -> str:
 def measure_units(spec: DesignSpec) -> dict[tuple[str, str], str]:
     """Return the units of goals and limits by scenario and name; empty for numbers without a unit."""
     found = {
-        (scenario, measure.name): describe(measure, one).units
+        (scenario, measure.name): SpecMeasure(measure, one).describe()[0]
         for scenario, one in spec.specs.items()
         for measure in spec.defined_measures()
     }

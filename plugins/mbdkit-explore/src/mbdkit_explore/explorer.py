@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from mbdkit.archive.headlines import MOST, headline_texts
+from mbdkit.archive.headlines import headline_texts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
@@ -76,7 +76,7 @@ class Explorer:
         return inverse(cast("InverseSpec", spec_loader.of(kind_of(document.data).load)(document, ())))
 
     def _shown(self, made: Run, data: Mapping[str, object]) -> dict[str, object]:
-        every = headline_texts(made, "\u00b1", max(MOST, len(made.measures)))  # all measures
+        every = headline_texts(made, "\u00b1", all_measures=True)
         return {
             "film": film_of(made, NUMBERS),
             "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",

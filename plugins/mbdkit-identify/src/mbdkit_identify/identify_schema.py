@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
+from mbdkit.plugin.specs import Registry, schema_with_bases
 from mbdkit_identify.identify_spec import IdentifySpec
 
 
@@ -16,11 +16,8 @@ def identify_schema(installed: Registry | None = None) -> dict[str, object]:
     installed
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
-    schema, run = allow_units(described(IdentifySpec.model_json_schema())), run_schema(installed)
-    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
-    schema["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/RunBase"}]
+    schema = schema_with_bases(IdentifySpec, {"RunBase": "run"}, installed, units=set())
     for key in ("observed", "inputs"):  # the heading of a column stands for a signal
         columns = schema["$defs"]["Experiment"]["properties"][key]
         columns["additionalProperties"] = {"anyOf": [{"type": "string"}, columns["additionalProperties"]]}
-    schema["$defs"] |= run["$defs"] | {"RunBase": base}
-    return {"$schema": DRAFT, **schema}
+    return schema

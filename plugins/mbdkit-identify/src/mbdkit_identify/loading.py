@@ -15,7 +15,6 @@ from mbdkit.plugin.specs import (
     parse_key,
     put,
     read_source,
-    set_value,
     variable_path,
 )
 from mbdkit_identify.identify_spec import IdentifySpec
@@ -63,7 +62,7 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
                 raise document.place(SpecError(message, key=key))
     with SpecError.place_by(document.place):
         for assignment in assignments:
-            set_value(document, assignment)
+            document.set(assignment)
         spec = IdentifySpec(**document.data)
         spec._document = document
         spec._base = _base(spec, folder)

@@ -14,7 +14,7 @@ from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import loaded, read_source
 from mbdkit.spec.reading import Document, put
-from mbdkit.spec.schema import DRAFT, described, model_schema
+from mbdkit.spec.schema import model_schema
 from mbdkit.spec.spec_kinds import spec_loader, spec_schema
 from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
 from mbdkit_studies import base_document
@@ -111,7 +111,7 @@ def predict_schema(installed: Registry | None = None) -> dict[str, object]:
     models and force laws of a registry; by default, for all that are installed.
     """
     chosen = installed if installed is not None else registry()
-    schema = described(model_schema(predict_spec_type(chosen), chosen))
+    schema = model_schema(predict_spec_type(chosen), chosen)
     fields = schema["properties"]
     words = "A run spec, whose model and named parameters are used: a file, the name of an example, or the spec itself."
     fields["base"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": words}
@@ -120,4 +120,4 @@ def predict_schema(installed: Registry | None = None) -> dict[str, object]:
     words += " With a `base`: numbers that are optimized, by their key path in the model."
     fields["parameters"] = {"anyOf": [fields["parameters"], fields["optimized"]], "description": words}
     schema["required"] = [name for name in schema["required"] if name not in ("mbdkit", "model")]
-    return {"$schema": DRAFT, **schema}
+    return schema

@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING
 
 import h5py
 
-from mbdkit.archive.fingerprint import OF_SCALES, is_text
+from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
     import xarray
+
+
+#: Attributes in which HDF5 stores dimension scales.
+OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
 
 
 def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:

@@ -21,7 +21,7 @@ from mbdkit_report.pages import run_verdict as module
 from mbdkit_report.pages.run_charts import run_charts
 from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_report.pages.run_verdict import run_verdict
-from mbdkit_report.pages.verdict_text import headlines
+from mbdkit_report.pages.verdict_text import headlines, markdown
 from mbdkit_report.plot.plot_kinds import plot_kinds
 from mbdkit_report.plot.save_plot import plot
 from tests.trust.mechanisms import spec
@@ -388,3 +388,18 @@ def test_inputs_and_states_have_a_chart_for_each_unit() -> None:
     charts = {chart.name: chart for chart in run_charts(run)}
     assert (charts["inputs-1"].y.unit, charts["inputs-2"].y.unit, charts["states"].y.unit) == ("N*m", "", "N*m")
     assert [line.label for line in charts["inputs-2"].lines] == ["gain"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a|b", r"a\|b"),
+        ("two\nlines\n# heading", r"two lines \# heading"),
+        ("<script>x</script>", "&lt;script&gt;x&lt;/script&gt;"),
+        ("[x](javascript:y)", r"\[x\](javascript:y)"),
+        ("=cmd()", r"\=cmd()"),
+        ("-1.5e-3", "-1.5e-3"),
+    ],
+)
+def test_markdown_obeys_no_text(text: str, words: str) -> None:
+    assert markdown(text) == words

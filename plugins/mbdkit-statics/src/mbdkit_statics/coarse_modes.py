@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbdkit.mechanism.beams import Beam
-from mbdkit.runs.coarse_beams import VARIATION, advice_for, needed_elements
+from mbdkit.runs.coarse_beams import advice_on_elements
 
 
 def coarse_modes(beams: Mapping[str, Beam], bodies: Sequence[str], rates: np.ndarray, shapes: np.ndarray) -> list[str]:
@@ -44,13 +44,13 @@ def coarse_modes(beams: Mapping[str, Beam], bodies: Sequence[str], rates: np.nda
         energy = 12.0 * total * np.maximum(rates**2, stiffness * total)
         is_bent = (rates > 0) & (energy > 0)  # not a motion of rigid bodies, and with this beam
         errors = np.divide(varied * stiffness * total, energy, out=np.zeros_like(total), where=is_bent)
-        wrong = np.flatnonzero(errors > VARIATION)
-        if len(wrong):
-            first = int(wrong[0])
-            advice = advice_for(needed_elements(beam.elements, float(errors[first])))
+        advices = [advice_on_elements(beam.elements, error) for error in errors.tolist()]
+        wrong = [mode for mode, advice in enumerate(advices) if advice]
+        if wrong:
+            first = wrong[0]
             warnings.append(
                 f"the elements of beam '{name}' are too coarse for mode {first + 1}"
                 f"{' and higher modes' if len(wrong) > 1 else ''}: the frequency of mode {first + 1} may be wrong by "
-                f"up to about {100.0 * errors[first]:.2g} %; {advice}, or elements with three nodes"
+                f"up to about {100.0 * errors[first]:.2g} %; {advices[first]}, or elements with three nodes"
             )
     return warnings

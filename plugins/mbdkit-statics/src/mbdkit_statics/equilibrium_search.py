@@ -10,7 +10,7 @@ from scipy.sparse.linalg import splu
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
-from mbdkit.engine.nearest_state import converged
+from mbdkit.engine.kernels.projection import EPS, FEW_ROUNDINGS, MOST_ITERATIONS, STAGNANT
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import DENSE, at_rest, softest_motion, stiffness_scale
 from mbdkit_statics.states_at_rest import StaticEquations
@@ -258,7 +258,16 @@ class _RestSearch:
             matrix = block_array([[diags_array(weight), jacobian.T], [jacobian, None]], format="csc")
             return np.asarray(splu(matrix).solve(np.concatenate([self.none, -p.constraints(p.t0, at)]))[: p.n])
 
-        return converged(p, q, step)
+        before = np.inf
+        for _ in range(MOST_ITERATIONS):
+            change = step(q)
+            q = q + change
+            now = p.relative_change(q, change)
+            if now <= FEW_ROUNDINGS * EPS or (now >= 0.5 * before and now < STAGNANT):
+                return q
+            before = now
+        message = f"no position that satisfies the joints was found in {MOST_ITERATIONS} iterations"
+        raise StepError("newton-failed", message)
 
     def work(self, start: np.ndarray, half: np.ndarray, end: np.ndarray) -> float:
         """Return the work of the forces along the parabola through three positions, by Simpson's rule [J]."""

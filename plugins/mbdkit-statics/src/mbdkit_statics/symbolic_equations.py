@@ -34,8 +34,7 @@ from mbdkit.mechanism.pathways import Pathway, Segment
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Table, curve_of
 from mbdkit.symbolic.symbolic_function import symbolic_function
-from mbdkit.symbolic.symbolic_law import LENGTH, RATE, law_expressions
-from mbdkit.symbolic.symbolic_law import T as LAW_TIME
+from mbdkit.symbolic.symbolic_law import law_force
 from mbdkit_statics import element_definitions as d
 from mbdkit_statics.symbolic_system import SymbolicSystem
 
@@ -278,14 +277,11 @@ class _SystemBuilder:
             function = self.numeric_law(name, law.function, np.array(values))
             self.add_tension(name, force.pathway, lambda length, rate: function(length, rate, TIME))
             return
-        tension, _ = law_expressions(law, names)
-        known = {LAW_TIME: TIME}
+        known: dict[str, sp.Expr] = {}
         for option, value in zip(names, values, strict=True):
             letter, tex = _LETTERS.get(option, (option, _text(option)))
-            known[sp.Symbol(option, real=True)] = self.parameter(value, letter, name, tex=tex)
-        self.add_tension(
-            name, force.pathway, lambda length, rate: tension.xreplace({**known, LENGTH: length, RATE: rate})
-        )
+            known[option] = self.parameter(value, letter, name, tex=tex)
+        self.add_tension(name, force.pathway, lambda length, rate: law_force(law, known, length, rate, TIME))
 
     def add_tension(
         self, name: str, pathway: Pathway | SpringDamper | TorsionSpring, tension: Callable[[sp.Expr, sp.Expr], sp.Expr]

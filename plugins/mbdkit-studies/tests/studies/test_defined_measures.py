@@ -16,7 +16,7 @@ from pydantic import BaseModel
 import mbdkit
 from mbdkit import SpecError
 from mbdkit.measures.measured_quantities import ATTRIBUTES
-from mbdkit.measures.take import describe, take
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.registry.catalogue import Origin, Registered, Registry
 from mbdkit.registry.item_options import named_options
 from mbdkit.spec import load_spec
@@ -198,7 +198,9 @@ def test_what_is_not_a_number_is_the_fault_of_the_plugin(fallen: mbdkit.Study) -
     assert verify("measure", "wordy", installed=installed)["measure.value"].outcome == "fail"
     point = fallen.points[0]
     with fallen.run(point) as run, pytest.raises(mbdkit.PluginError, match="acme:wordy returned an object of type str"):
-        take(DefinedMeasure("a", ("a",), item=item, options=named_options(item)(name="wordy")), run, point.spec)
+        SpecMeasure(DefinedMeasure("a", ("a",), item=item, options=named_options(item)(name="wordy")), point.spec).take(
+            run
+        )
 
 
 def of_base(**sections: Any) -> dict[str, Any]:
@@ -270,7 +272,7 @@ def test_the_study_is_valid_and_has_the_units_that_it_says() -> None:
 def test_the_measures_of_beams_are_valid() -> None:
     _, text = (text for language, text in BLOCKS if language == "yaml")
     spec = load_spec("leaf-spring", measures=read_text(text, "guide").data["measures"])
-    units = {one.name: describe(one, spec).units for one in spec.defined_measures()}
+    units = {one.name: SpecMeasure(one, spec).describe()[0] for one in spec.defined_measures()}
     assert units == {
         "largest_moment": "N m", "stress_in_the_middle": "MPa", "stress_at_the_clamp": "MPa",
         "moment_at_the_end": "N m", "moment_near_a": "N m", "moment_at_a": "N m",

@@ -13,7 +13,7 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show, show_json, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
-from mbdkit.spec.reading import Document, set_value
+from mbdkit.spec.reading import Document
 from mbdkit_testing import describe
 from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
 
@@ -104,7 +104,9 @@ def plugins_verify(
     "reports": a model and an integrator may share a name.
     """
     items = describe.find(name, further=["element-kind", "joint-kind"])
-    options = read_assignments(assignments or ())
+    options = Document({})
+    for assignment in assignments or ():
+        options.set(assignment)
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page
 
@@ -116,7 +118,7 @@ def plugins_verify(
         with count_bar(item.id, quiet) as bar:
             watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
             notify = silence if quiet else say
-            reports.append(verify(item.kind, item.id, options, quick=quick, watch=watch, notify=notify))
+            reports.append(verify(item.kind, item.id, options.data, quick=quick, watch=watch, notify=notify))
     if page is not None:
         write_page(reports, page, overwrite=overwrite)
     if as_json:
@@ -152,11 +154,3 @@ def plugins_new(
         show_json({"path": str(project), "kind": kind, "files": files})
     else:
         show(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")
-
-
-def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
-    """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
-    document = Document({})
-    for assignment in assignments:
-        set_value(document, assignment)
-    return document.data

@@ -11,23 +11,14 @@ from typing import Any, cast, get_args
 
 from pydantic import BaseModel
 
-from mbdkit.mechanism.angle_function import AngleTable
-from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.bodies import Body, Marker
-from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.joints import Joint
-from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate
-from mbdkit.mechanism.pathways import Coordinate, JointAngles, RelativeAngle, TwoPoints
-from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
+from mbdkit.mechanism.mechanism_data import MechanismData
 from mbdkit.mechanism.values import Table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ElementKind, JointKind, ModelKey
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
-from mbdkit.spec.schema import run_schema
-from mbdkit.spec.sections import Baumgarte, NoStabilization, Projection
-from mbdkit.spec.spec_kinds import spec_schema
-from mbdkit_biomech.inverse_dynamics.spec.inverse_schema import inverse_schema
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.schema import schema_of
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_contact.contact import Compliance, Contact, Friction, Shape
 from mbdkit_design.design_spec import DesignSpec
@@ -57,11 +48,11 @@ PARTS = ("model", "integrator", "stabilization")  #: Keys of a run spec that are
 
 def page(installed: Registry) -> str:
     """Return the page, as Markdown, on specs with the plugins of a registry."""
-    run = run_schema(installed)
+    run, inverse, identify = (_schema(installed, kind) for kind in ("run", "inverse", "identify"))
     first = [f"- `{key}`: {_flat(run['properties'][key]['description'])} See below." for key in PARTS]
     study, design = StudySpec.model_json_schema(), DesignSpec.model_json_schema()
-    inverse = inverse_schema(installed)
-    identify = _identify_schema(installed)
+    identify["properties"]["base"] |= {"anyOf": [{"type": "string"}, {"type": "object"}]}
+    law, *forces = reversed(_models(MechanismData, "forces"))
     parts = [
         BEGINNING.rstrip("\n"),
         "## Run spec",
@@ -72,27 +63,27 @@ def page(installed: Registry) -> str:
             "records their results."
         ),
         _keys(MechanismData.model_json_schema(), 0),
-        *_model("### `bodies`", Body),
-        *_model("### `beams`", Beam),
+        *_key("bodies"),
+        *_key("beams"),
         "### `joints`",
         "`type` selects the type of the joint. `bodies` are the first body a and the second body b.",
-        *_types(get_args(get_args(Joint)[0])),
+        *_types(_models(MechanismData, "joints")),
         *_types(_model_of(item) for item in installed.of_kind("joint-kind")),
         "### `forces`",
         "`type` selects the type of the force element; with `type: law`, `law` selects the force law.",
-        *_types((SpringDamper, TorsionSpring, Torque, PointForce)),
+        *_types(reversed(forces)),
         *(part for item in installed.of_kind("force-law") for part in _item(item, "####", f"law: {item.name}")),
         "#### `pathway`",
         "The length, angle or coordinate that a law acts along; `type` selects it.",
-        *_types((TwoPoints, RelativeAngle, Coordinate, JointAngles), "#####"),
+        *_types(_models(law, "pathway"), "#####"),
         *_model("### Functions of time", Table),
         (
             "Instead of a table, a motion, torque or force may be a number, or an expression of `t` and the "
             "parameters. The page `mechanism` lists operators and functions."
         ),
-        *_model("### Functions of an angle", AngleTable),
+        *_model("### Functions of an angle", *_models(MechanismData, "joints", "center", "x")),
         "Instead of a table, a `center` may have a number, or an expression of `angle` and the parameters.",
-        *_model("### `markers`", Marker),
+        *_key("markers"),
         *_model("### `muscles`", Muscle),
         *_model("#### Items of `path`", PathItem),
         *_model("### `contacts`", Contact),
@@ -100,11 +91,7 @@ def page(installed: Registry) -> str:
         *_model("#### `friction`", Friction),
         *_model("#### `compliance`", Compliance),
         *_model("### `cuffs`", _model_of(installed.get("element-kind", "cuff"))),
-        *_model("### `coordinates`", NamedCoordinate),
-        *_model("### `states`", FirstOrderState),
-        *_model("### `inputs`", Input),
-        *_model("### `controllers`", Controller),
-        *_model("### `assembly`", Assembly),
+        *(part for key in ("coordinates", "states", "inputs", "controllers", "assembly") for part in _key(key)),
         "## Keys of every model",
         *(part for item in installed.of_kind("model-key") for part in _model(f"### `{item.name}`", _model_of(item))),
         "## Other models",
@@ -118,8 +105,8 @@ def page(installed: Registry) -> str:
         "## Stabilizations",
         *(
             part
-            for model, name in ((NoStabilization, "none"), (Baumgarte, "baumgarte"), (Projection, "projection"))
-            for part in _model(f"### `{name}`", model)
+            for model in _models(RunSpec, "stabilization")
+            for part in _model(f"### `{get_args(model.model_fields['name'].annotation)[0]}`", model)
         ),
         "## Study spec",
         "\n".join([_version("mbdkit_study", study), _keys(study)]),
@@ -142,13 +129,27 @@ def page(installed: Registry) -> str:
     return "\n\n".join("\n".join(_wrapped(part.splitlines())) for part in filter(None, parts)) + "\n"
 
 
-def _identify_schema(installed: Registry) -> dict[str, Any]:
-    """Return the schema of specs of identifications, without the keys of the base."""
-    kind = cast(SpecKind, installed.get("spec-kind", "identify").plugin)
-    assert kind.schema is not None
-    schema: dict[str, Any] = spec_schema.of(kind.schema)(installed)
-    schema["properties"]["base"] |= {"anyOf": [{"type": "string"}, {"type": "object"}]}
-    return schema
+def _schema(installed: Registry, kind: str) -> dict[str, Any]:
+    return schema_of(cast(SpecKind, installed.get("spec-kind", kind).plugin), installed)
+
+
+def _models(owner: type[BaseModel], *keys: str) -> list[type[BaseModel]]:
+    """Return the models of the values of a key in the order of its annotation; other keys lead to it."""
+    for key in keys[:-1]:
+        owner = _models(owner, key)[0]
+    pending: list[object] = [owner.model_fields[keys[-1]].annotation]
+    models: list[type[BaseModel]] = []
+    while pending:
+        annotation = pending.pop(0)
+        pending = [*get_args(annotation), *pending]
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            models.append(annotation)
+    return models
+
+
+def _key(key: str) -> list[str]:
+    """Return heading, description and keys of the values of a key of the model `mechanism`."""
+    return _model(f"### `{key}`", *_models(MechanismData, key))
 
 
 def _model_of(item: Registered) -> type[BaseModel]:

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
-from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run_summary import few, ranked
 from mbdkit.base.errors import MbdkitError
@@ -75,7 +74,7 @@ def _contact_forces(run: Run) -> str:
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    errors = peak_errors(run, "reaction_error", size, len(run.time))
+    errors = run.errors.of_reactions("reaction_error", size)
     parts = []
     for index, name in enumerate(run.joint_names):
         largest, most = float(np.max(size[:, index])), float(np.max(without[:, index]))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, excluded_error
+from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run_summary import derivative_texts
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import Array, bands, take
@@ -133,7 +133,7 @@ def _table(
     if run.accuracy is not None and used:
         source = "by comparison runs" if run.spec_kind.is_integrated else "from the noise of the data and the cutoff"
         note = f"{note} Errors are estimated {source}{'; powers have none' if power is not None else ''}.".strip()
-        note += f" They do not include {excluded}." if (excluded := excluded_error(run)) else ""
+        note += f" They do not include {excluded}." if (excluded := run.errors.excluded) else ""
     return Table(name, title, tuple(headings), tuple(rows), note)
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.run_summary import without_suspicion
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
 from mbdkit.trust.energy_record import gravity_level
 from mbdkit_report.analysis.growth import Growth, growth_law
@@ -91,7 +90,7 @@ def _trust(run: Run) -> Claim:
     elif not run.is_judged:
         sentence += " The archive contains no verdict, as after a crash of the run."
     elif run.verdict == "unknown":
-        sentence = f"The verdict is unknown: {without_suspicion(run)}."
+        sentence = f"The verdict is unknown: {run.errors.without_suspicion}."
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
 
 

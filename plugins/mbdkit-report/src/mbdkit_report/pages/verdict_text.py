@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mbdkit.base.text import markdown
+from mbdkit.base.text import shown
 from mbdkit.base.text import table as aligned
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.figures.page_model import Table
 from mbdkit_report.pages.report_page import ReportPage, cell_text
+
+_MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})
 
 
 def headlines(verdict: Verdict) -> tuple[Table, ...]:
@@ -72,3 +74,18 @@ def _cells(table: Table) -> list[list[str]]:
 def _piped(rows: Sequence[Sequence[str]]) -> str:
     heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
     return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])
+
+
+def markdown(text: str) -> str:
+    """Return text from files as one line of Markdown in which all special characters are escaped."""
+    words = " ".join(shown(part) for part in text.split())
+    start = "\\" if words[:1] in ("-", "+", "=") and not _is_number(words) else ""
+    return start + words.translate(_MARKED)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

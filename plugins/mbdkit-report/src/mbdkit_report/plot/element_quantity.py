@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.headlines import Headline, plus_minus
-from mbdkit.archive.peak_errors import missed_between_rows, peak_errors
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
@@ -165,7 +164,7 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     """
     data, time, accuracy = run.dataset(f"joints/reaction_{word}"), np.asarray(run.time), run.accuracy
     curves = bands(time, data, values)
-    missed = missed_between_rows(run, f"joints.{word}", run.joint_names, curves.peaks[None])
+    missed = run.errors.missed(f"joints.{word}", run.joint_names, curves.peaks[None])
     quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, missed=missed)
     if accuracy is None:
         return quantity
@@ -174,7 +173,7 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
         return replace(with_errors(run, quantity, error), peak_errors=np.full(len(curves.peaks), np.nan))
     rows = np.asarray(data[:count], dtype=np.float64)
     known = curves if accuracy.is_complete else bands(time[:count], rows, values)
-    peaks = peak_errors(run, error, np.abs(values(rows)), count)
+    peaks = run.errors.of_reactions(error, np.abs(values(rows)))
     return replace(with_errors(run, quantity, error), known=known, peak_errors=peaks)
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbdkit.spec import RunSpec
+
 import gc
 import json
 import os
@@ -22,7 +27,6 @@ from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.terminal import say
-from mbdkit.measures.take import Description
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -33,7 +37,15 @@ from mbdkit_studies.compute.tasks import Outcome, mark_of
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoint
-from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Measure, RunGroup, other_values, places_by_group
+from mbdkit_studies.spec.measures import (
+    MEASURES,
+    OF_CHECKED_RUNS,
+    Description,
+    Measure,
+    RunGroup,
+    other_values,
+    places_by_group,
+)
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kept, write_block
 from mbdkit_studies.store.study_blocks import stored

@@ -12,7 +12,6 @@ import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, ResourceError, SpecError
-from mbdkit.measures.take import Description
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit_studies.compute.compute_block import MISALIGNMENT
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
@@ -20,6 +19,7 @@ from mbdkit_studies.compute.tasks import Outcome, Task, forget_run_at_work
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.blocks import AnotherStudyError, Block
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, NUMBERS, Index

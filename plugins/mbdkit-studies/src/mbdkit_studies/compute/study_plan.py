@@ -9,7 +9,7 @@ from functools import cached_property
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
-from mbdkit.measures.take import Description, describe, is_taken
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.notes import zero_reactions
 from mbdkit.runs.preparation import caution
@@ -20,7 +20,8 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
-from mbdkit_studies.spec.measures import MEASURES, expressions_of, has_error
+from mbdkit_studies.spec.listed_measures import expressions_of
+from mbdkit_studies.spec.measures import MEASURES, Description, has_error
 from mbdkit_studies.spec.sample_section import typical_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_blocks import StudyBlocks
@@ -186,10 +187,10 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
     first: dict[str, str] = {}
     for number, (label, run) in enumerate(runs if measures else ()):
         for measure in measures:
-            if not is_taken(measure, run):
+            if not (taken := SpecMeasure(measure, run)).is_taken:
                 continue
             try:
-                now = describe(measure, run)
+                now = Description(*taken.describe())
             except SpecError as error:
                 text = f" (in {label})" if number else ""
                 raise _placed(spec, measure, SpecError(error.message + text, key=error.key)) from None

@@ -16,9 +16,9 @@ from mbdkit_studies.spec.sample_section import central_range, unit_of
 from mbdkit_studies.store.study_index import STATUSES
 
 if TYPE_CHECKING:
-    from mbdkit.measures.take import Description
     from mbdkit_studies.compute.study_plan import StudyPlan
     from mbdkit_studies.points.planned_points import Grid
+    from mbdkit_studies.spec.measures import Description
     from mbdkit_studies.spec.study_spec import StudySpec
     from mbdkit_studies.study import Study
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.trust.criteria import EPS, ROUND_OFF
+from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
 from mbdkit_studies.points.sample_groups import measured
 from mbdkit_studies.results.cost_at_error import cost_at_error
@@ -93,7 +93,7 @@ def _orders(study: Study) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
         orders = []
-        noise = _ROUNDINGS * EPS * max(map(size_at_start, points))
+        noise = _ROUNDINGS * np.finfo(float).eps * max(map(size_at_start, points))
         for column in ("end_error", "misalignment_max"):
             steps, values = Points(points).along(STEP, column)
             estimate = observed_order(steps, np.where(values > noise, values, np.nan))

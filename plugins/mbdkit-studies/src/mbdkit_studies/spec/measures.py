@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.named_columns import NotRecordedError
-from mbdkit.archive.peak_errors import missed_between_rows, missed_of_verdict
+from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.base.errors import MbdkitError
-from mbdkit.measures.take import error_of, is_taken, take
+from mbdkit.measures.take import SpecMeasure
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.spec.study_measures import REFERENCE, SECOND_RUN, DefinedMeasure
+from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
+from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN
 from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
     LAST_ROW,
@@ -114,6 +115,14 @@ def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
             alike.append([index])
     for lists in groups.values():
         yield from lists
+
+
+@dataclass(frozen=True)
+class Description:
+    """Unit and description of a measure."""
+
+    units: str
+    long_name: str
 
 
 @dataclass(frozen=True)
@@ -359,7 +368,7 @@ def _reaction_error_share(run: Run, reference: Run | None) -> float:
     if run.accuracy is None or not run.records("joints/reaction_force"):
         return math.nan
     force = run.array("joints/reaction_force")
-    missed = missed_between_rows(run, "joints.force", run.joint_names, np.linalg.norm(force, axis=2))
+    missed = run.errors.missed("joints.force", run.joint_names, np.linalg.norm(force, axis=2))
     missed = missed_of_verdict(missed, run.joint_names, run.spec.get("measures") or {})
     worst = run.accuracy.figures(run.joint_names, force, missed).worst_joint
     return 0.0 if worst is None else worst.share
@@ -396,7 +405,7 @@ SECOND: Mapping[str, tuple[str, str]] = {
 
 def has_error(measure: DefinedMeasure, spec: RunSpec) -> bool:
     """Return whether a measure of the runs of a spec has an error estimate, which may be nan."""
-    return spec.check and measure.item is None and is_taken(measure, spec)
+    return spec.check and measure.item is None and SpecMeasure(measure, spec).is_taken
 
 
 def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> dict[str, float]:
@@ -405,9 +414,10 @@ def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> 
     """
     values: dict[str, float] = {}
     for measure in defined:
-        values[measure.name] = value = take(measure, run, spec)
+        taken = SpecMeasure(measure, spec)
+        values[measure.name] = value = taken.take(run)
         if has_error(measure, spec):
-            values[measure.name + ERROR] = error_of(measure, value, run, spec)
+            values[measure.name + ERROR] = taken.error(value, run)
     checked = {} if run.accuracy is None else OF_CHECKED_RUNS
     return values | {name: measure.of(run) for name, measure in checked.items()}
 
@@ -421,10 +431,3 @@ def worst_joint(run: Run) -> str:
     """Return the name of the joint with the largest misalignment over every step; empty if all are zero."""
     joints = sorted(run.joints.values(), key=lambda joint: -joint.misalignment_max)
     return joints[0].name if joints and joints[0].misalignment_max > 0 else ""
-
-
-def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
-    """Return the expressions of the measures that a study itself defines; those of its bases are part of the run
-    specs.
-    """
-    return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)

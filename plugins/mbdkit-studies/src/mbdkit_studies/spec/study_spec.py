@@ -20,15 +20,8 @@ from mbdkit.spec.estimates import Estimated, Estimates
 from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sections import Section
-from mbdkit.spec.study_measures import (
-    REFERENCE,
-    SECOND_RUN,
-    DefinedMeasure,
-    Measures,
-    built_in,
-    built_in_measures,
-    defined,
-)
+from mbdkit.spec.study_measures import DefinedMeasure, Measures, built_in_measures, defined
+from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN, built_in
 from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 

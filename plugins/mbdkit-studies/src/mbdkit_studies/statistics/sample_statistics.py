@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive.headlines import LARGEST_PLACE, SMALLEST_PLACE
+from mbdkit.archive.headlines import has_exponent
 
 CONFIDENCE = 0.95  #: Probability of the intervals, by default.
 
@@ -61,7 +61,7 @@ def _rounded(number: float, value: float, width: float, most_decimals: int) -> s
     if width <= 1e-12 * abs(value):
         return f"{number:.6g}"
     first, place = math.floor(math.log10(max(abs(value), width))), math.floor(math.log10(width / 3))
-    if not SMALLEST_PLACE <= first <= LARGEST_PLACE:
+    if has_exponent(first):
         return f"{number:.{max(0, first - place)}e}"
     return f"{round(number, -place) + 0.0:.{min(max(0, -place), most_decimals)}f}"
 

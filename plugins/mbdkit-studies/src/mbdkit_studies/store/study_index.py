@@ -23,11 +23,10 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.distributions import own_version
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
-from mbdkit.measures.take import Description
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
 from mbdkit_studies.points.planned_points import Label
-from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND, Description
 from mbdkit_studies.spec.study_spec import StudySpec
 
 FORMAT, FORMAT_VERSION = "mbdkit-study", "1.0"

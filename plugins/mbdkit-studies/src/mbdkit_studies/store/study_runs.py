@@ -18,10 +18,10 @@ from mbdkit.base.distributions import own_version
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.measures.take import Description
 from mbdkit.runs.simulation import simulate
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, expressions_of, other_values
+from mbdkit_studies.spec.listed_measures import expressions_of
+from mbdkit_studies.spec.measures import MEASURES, Description, other_values
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import Index

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
 from mbdkit.trust.criteria import Evidence, Judgement, judge
 from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
@@ -17,7 +18,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doub
 from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
-from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import inertias_about_joints, model_doubts, spec_doubts
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import model_doubts, spec_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import large_errors, record_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.shared_columns import equal_columns, shared_columns
 from mbdkit_biomech.inverse_dynamics.criteria.smoothing_criteria import cutoff_doubts

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import Coordinate, MarkerCoordinate
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
@@ -23,7 +22,6 @@ from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 
 #: A plate on the ground cannot push its body sideways, on average, with more than this multiple of its vertical force.
@@ -339,13 +337,11 @@ def residual_wrench(
     for place, actuator in enumerate(result.problem.actuators):
         if only_residuals and not actuator.is_residual:
             continue
-        on = without_scale(actuator.quantity)
-        if isinstance(on, Coordinate | MarkerCoordinate):
-            own = on.body if isinstance(on, Coordinate) else on.point.body
-            if own == body:
-                values[:, on.axis] += result.dynamics.value[:, place] * actuator.quantity.scale
-                if bars is not None:
-                    noise[:, on.axis] += np.nan_to_num(bars.actuators[:, place]) * actuator.quantity.scale
+        own, axis = actuator.quantity.unscaled.place or (None, 0)
+        if own == body:
+            values[:, axis] += result.dynamics.value[:, place] * actuator.quantity.scale
+            if bars is not None:
+                noise[:, axis] += np.nan_to_num(bars.actuators[:, place]) * actuator.quantity.scale
     return values, noise
 
 

@@ -9,10 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.base.text import cited, listed
+from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.trust.finding import Finding
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import spans

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate, Point
+from mbdkit.mechanism.mechanism_quantities import Point
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 
 #: The unit is doubtful if distances between markers of one body differ from the model by more than this factor.
@@ -76,8 +76,9 @@ def marker_columns(measured: Measured) -> dict[Point, list[int]]:
     """Return the columns of x and y of each marker whose x and y are measured."""
     columns: dict[Point, dict[int, int]] = {}
     for index, quantity in enumerate(measured.quantities.quantities):
-        if isinstance(quantity, MarkerCoordinate):
-            columns.setdefault(quantity.point, {})[quantity.axis] = index
+        if quantity.marker is not None:
+            point, axis = quantity.marker
+            columns.setdefault(point, {})[axis] = index
     return {point: [axes[0], axes[1]] for point, axes in columns.items() if len(axes) == 2}
 
 

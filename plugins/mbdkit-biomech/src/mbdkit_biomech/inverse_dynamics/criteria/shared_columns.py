@@ -7,9 +7,10 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit.base.text import cited, listed
+from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.finding import Finding
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Load

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.base.text import cited
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 #: Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise

@@ -13,8 +13,9 @@ from typing import TypeAlias
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import cited, did_you_mean, listed
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import Unit, read_quantity, read_unit
+from mbdkit_biomech.cited_text import cited
 
 #: Texts, in lower case, of cells without a value.
 GAPS = (

@@ -40,7 +40,6 @@ from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import (
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
-from mbdkit_biomech.inverse_dynamics.results.record import with_members
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
@@ -217,8 +216,7 @@ class _Frames:
             self.seeds.count,
             cumulative_simpson(supplied, x=motion.time, axis=0, initial=0),
             handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
-            names=with_members(
-                archive_names(mechanism),
+            names=archive_names(mechanism).with_members(
                 actuators=members_of_actuators(recorded),
                 muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
             ),

@@ -14,11 +14,12 @@ import numpy as np
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import cited, counted, listed
+from mbdkit.base.text import counted, listed
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.stacked_matrices import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, table_of, unit_of_time_as_cause
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism_quantities import MarkerCoordinate
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
@@ -47,7 +45,7 @@ class UnusedData:
         observed = {
             names.element(name)
             for name, quantity in zip(measured.names, measured.quantities.quantities, strict=True)
-            if isinstance(without_scale(quantity), MarkerCoordinate) and name not in names.mechanism.coordinates
+            if quantity.unscaled.marker is not None and name not in names.mechanism.coordinates
         }
         markers = tuple(name for name in names.mechanism.markers if name not in observed)
         used = table.resolved(_headings(spec, measured))

@@ -6,7 +6,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from mbdkit.base.text import cited, listed
+from mbdkit.base.text import listed
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import cited, did_you_mean
+from mbdkit.base.text import did_you_mean
 from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of, with_gaps_bridged

@@ -13,7 +13,6 @@ import numpy as np
 
 from mbdkit.archive.accuracy_summary import RunErrors
 from mbdkit.archive.headlines import JOINTS_NAMED, plus_minus
-from mbdkit.archive.peak_errors import errors_of_measures, peak_errors
 from mbdkit.archive.result_seams import run_attribute
 from mbdkit.archive.run import Run
 from mbdkit.base.text import listed
@@ -52,7 +51,7 @@ class FrameErrors(RunErrors):
         if "reaction_peak_error" in parts:  # contains that another frame may have the largest force
             of_data = np.take_along_axis(parts["reaction_error_data"], rows[None], axis=0)[0]
             bars = np.where(np.isfinite(bars), np.sqrt(of_data**2 + parts["reaction_peak_error"] ** 2), np.nan)
-        for index, value, error in errors_of_measures(run, quantity, names):
+        for index, value, error in self.of_measures(quantity, names):
             if np.isclose(value, size[rows[index], index], rtol=1e-9, atol=0.0):
                 bars[index] = error
         return np.asarray(bars)
@@ -70,7 +69,7 @@ class FrameErrors(RunErrors):
         if not size.size:
             return ""
         row, joint = map(int, np.unravel_index(np.argmax(size), size.shape))
-        errors = peak_errors(run, "reaction_error", size, len(run.time))
+        errors = self.of_reactions("reaction_error", size)
         assert errors is not None
         error = float(errors[joint])
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""

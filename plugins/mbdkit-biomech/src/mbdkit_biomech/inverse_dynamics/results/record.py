@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -121,8 +120,7 @@ def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> Measure
 def _names(result: Inverse) -> ArchiveNames:
     measured, problem = result.fitted.measured, result.problem
     units = [quantity.unit for quantity in measured.quantities.quantities]
-    return with_members(
-        archive_names(problem.prepared.workspace.mechanism),
+    return archive_names(problem.prepared.workspace.mechanism).with_members(
         motion=[(name, (unit,)) for name, unit in zip(measured.names, units, strict=True)],
         actuators=members_of_actuators(problem.recorded_actuators),
         muscles=[(name, ()) for name in ({} if problem.recruiter is None else problem.recruiter.muscles)],
@@ -162,9 +160,3 @@ def _rows(result: Inverse, bars: ResultBars | None, *, is_sample: bool) -> dict[
             "muscles/reaction_force_without": reaction_forces_without_muscles(result),
         }
     return rows
-
-
-def with_members(names: ArchiveNames, **members: Sequence[tuple[str, Sequence[str]]]) -> ArchiveNames:
-    """Return names with those of the elements of further kinds, see `ArchiveNames.members`; empty ones are left out."""
-    more = {kind: each for kind, each in members.items() if each}
-    return replace(names, members=tuple((dict(names.members) | more).items())) if more else names

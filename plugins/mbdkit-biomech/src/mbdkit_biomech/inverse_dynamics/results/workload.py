@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
-from mbdkit.archive.peak_errors import peak_errors
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
@@ -311,7 +310,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
     found: dict[tuple[str, str], float] = {}
     force, torque = (np.abs(run.array(f"joints/reaction_{what}")) for what in ("force", "torque"))
     for name, size, unit in (("reaction_error", np.linalg.norm(force, axis=2), "N"), ("torque_error", torque, "N m")):
-        errors = peak_errors(run, name, size, len(run.time))
+        errors = run.errors.of_reactions(name, size)
         if errors is not None:
             found |= {(joint, unit): error for joint, error in zip(run.joint_names, errors.tolist(), strict=True)}
     if run.actuators:

@@ -1,4 +1,4 @@
-"""Quantities of a mechanism that are evaluated together, and what a quantity is based on."""
+"""Quantities of a mechanism that are evaluated together."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbdkit.mechanism.mechanism_quantities import Affine, Quantity
+from mbdkit.mechanism.mechanism_quantities import Quantity
 
 
 class Quantities:
@@ -56,8 +56,3 @@ class Quantities:
         for index, quantity in enumerate(self.quantities):
             out[:, index] = quantity.curvature(q, v)
         return out
-
-
-def without_scale(quantity: Quantity) -> Quantity:
-    """Return the angle or length on which a quantity is based."""
-    return quantity.of if isinstance(quantity, Affine) else quantity

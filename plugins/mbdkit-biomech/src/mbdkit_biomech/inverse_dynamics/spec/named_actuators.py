@@ -17,16 +17,10 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import (
-    AXES,
-    Coordinate,
-    MarkerCoordinate,
     Point,
     Quantity,
-    RelativeAngle,
-    Travel,
 )
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import without_scale
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Actuator, Recruitment
 
 RESERVE = "reserve."  #: Prefix of the names of reserves.
@@ -183,8 +177,8 @@ def actuators_of(
 def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list[NamedActuator]:
     found: dict[Quantity, NamedActuator] = {}
     for name, quantity in observed.items():
-        driven = without_scale(quantity)
-        if isinstance(driven, RelativeAngle | Travel):
+        driven = quantity.unscaled
+        if driven.place is None:
             own = name if name in names.mechanism.coordinates else names.element(name)
             found.setdefault(driven, NamedActuator(own, quantity))
     return list(found.values())
@@ -196,7 +190,7 @@ def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
         return NamedActuator(name, names.joint(one.joint, f"{key}.joint"), one.weight)
     if one.body is not None:
         assert one.coordinate is not None
-        quantity = Coordinate(names.body(one.body, f"{key}.body"), AXES.index(one.coordinate))
+        quantity = names.pose(names.body(one.body, f"{key}.body"))[one.coordinate]
         return NamedActuator(name, quantity, one.weight)
     if one.bodies is None:
         return NamedActuator(name, _coordinate_of_actuator(name, names), one.weight)
@@ -204,7 +198,7 @@ def _given(name: str, one: Actuator, names: QuantityNames) -> NamedActuator:
         names.body(body, f"{key}.bodies[{side}]", may_be_ground=True) for side, body in enumerate(one.bodies)
     )
     if one.points is None:
-        return NamedActuator(name, RelativeAngle(first, second), one.weight)
+        return NamedActuator(name, names.angle_between(first, second), one.weight)
     ends = Point(first, *one.points[0]), Point(second, *one.points[1])
     return NamedActuator(name, Shortening(*ends), one.weight)
 
@@ -231,10 +225,11 @@ def _residuals(names: QuantityNames) -> list[NamedActuator]:
     found = []
     for root in roots:
         body, prefix = names.body(root, "model"), ROOT if len(roots) == 1 else root
-        axes = AXES if mechanism.bodies[root].inertia is not None else AXES[:2]
-        named = _coordinates_of_body(body, names)
-        own = {f"{prefix}.{axis}": Coordinate(body, index) for index, axis in enumerate(axes)}
-        found += [NamedActuator(*one, is_residual=True) for one in (named if len(named) == len(axes) else own).items()]
+        pose, named = names.pose(body), _coordinates_of_body(body, names)
+        if mechanism.bodies[root].inertia is None:
+            del pose["angle"]
+        own = {f"{prefix}.{axis}": coordinate for axis, coordinate in pose.items()}
+        found += [NamedActuator(*one, is_residual=True) for one in (named if len(named) == len(own) else own).items()]
     return found
 
 
@@ -245,12 +240,9 @@ def _coordinates_of_body(body: int, names: QuantityNames) -> dict[str, Quantity]
     found: dict[int, tuple[str, Quantity]] = {}
     for name in names.mechanism.coordinates:
         quantity = names.coordinate(name)
-        measured = without_scale(quantity)
-        if not isinstance(measured, Coordinate | MarkerCoordinate):
-            continue
-        own = measured.point.body if isinstance(measured, MarkerCoordinate) else measured.body
+        own, axis = quantity.unscaled.place or (None, 0)
         if own == body:
-            found.setdefault(measured.axis, (name, quantity))
+            found.setdefault(axis, (name, quantity))
     return dict(found[axis] for axis in sorted(found))
 
 
