@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -41,7 +42,8 @@ from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
 from mbdkit.runs.run_seams import Progress
-from mbdkit.runs.simulation import begun_archive, simulate_on
+from mbdkit.runs.simulated_run import Request
+from mbdkit.runs.simulation import begun_archive, integrate_to_run, measured_in
 from mbdkit.spec import RunSpec, load_spec
 
 PART = f"{SUFFIX}.part"
@@ -283,7 +285,11 @@ class _Unfinished:
         try:
             check_calls(spec)
             with returning(self._returned()):
-                return simulate_on(spec, continuation, begun, progress=progress, measures=measures)
+                request = Request(
+                    begun=begun, begin=time.perf_counter(), measured_in=measured_in, measures=measures,
+                    continuation=continuation,
+                )  # fmt: skip
+                return integrate_to_run(spec, request, progress)
         except SpecError as error:
             raise error.located(file=self.part) from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,14 +16,13 @@ import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.checkpoint import StoredState
-from mbdkit.archive.finished_run import ArrayWriter
+from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending, RunWriter
+from mbdkit.archive.run_writer import RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.called_functions import returning
-from mbdkit.base.logs import logger_of
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
@@ -49,8 +47,8 @@ from mbdkit.runs.accuracy.compared_measures import compared_measures
 from mbdkit.runs.accuracy.parameter_errors import with_parameter_errors
 from mbdkit.runs.accuracy.pilot_run import Replay
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
+from mbdkit.runs.conclusion import NO_STEPS, EndedRun, conclude, estimated_errors, log_end
 from mbdkit.runs.corners import stops_of
-from mbdkit.runs.evidence import estimated_errors, evidence_of_run
 from mbdkit.runs.finish import finish
 from mbdkit.runs.integrals import RunIntegrals, compared_loads, expressions_of
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
@@ -62,13 +60,10 @@ from mbdkit.runs.run_criteria import step_advice
 from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
-from mbdkit.trust.criteria import judge
-from mbdkit.trust.finding import Finding
+from mbdkit.trust.finding import Doubts, Finding
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Found, Watch
-
-_LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
 
 #: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
@@ -161,8 +156,6 @@ class SimulatedRun:
         self.request, self.findings, self.choice, self.interrupted = request, findings, choice, False
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        #: The run, once it is finished; None if only the arrays in its writer are used.
-        self.run: Run | None = None
         self.size = size_at_start(spec, workspace)
         self.guards = guards(spec, self.size)
         self._functionals = functionals
@@ -509,68 +502,60 @@ class SimulatedRun:
         if failed:
             yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 
-    def finish(self) -> None:
-        """Finish the archive with the final status."""
-        stepper = self.stepper
-        counters = dict(vars(stepper.counters if stepper is not None else Counters()))
-        counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
-        pairs = len(self.workspace.mechanism.topology.pairs)
-        status, reason = "complete", ""
-        if self.failure is not None:
-            advice = step_advice(self.spec, self.failure.code)
-            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
-        elif self.interrupted_because:
-            status, reason = "interrupted", self.interrupted_because
-        elif stepper is not None and not stepper.finished:
-            at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
-            status, reason = "interrupted", f"interrupted: stopped by the user at {at}."
-        elif self.interrupted and (self.recorder.kept is not None or self.spec.gradients):
-            what = "errors were estimated" if self.recorder.kept is not None else "gradients were computed"
-            status, reason = "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
-        elif self.watch is not None and self.watch.stopped is not None:
-            reason = f"event: {self.watch.stopped}."
-        misalignment_max = self.recorder.misalignment_max(
-            stepper.worst_pairs if stepper is not None else np.zeros(pairs)
-        )
-        steps = None if stepper is None else stepper.evidence
-        memory = self.memory
-        of_drivers = [] if steps is None else [impact for impact in steps.impacts if isinstance(impact, DriverImpulse)]
+    def conclude(self) -> Run | FinishedRun:
+        """Conclude the run: its archive or its arrays are finished, with status and verdict."""
+        stepper, memory, mechanism = self.stepper, self.memory, self.workspace.mechanism
+        status, reason = self._status()
+        steps = NO_STEPS if stepper is None else stepper.evidence
+        of_drivers = [impact for impact in steps.impacts if isinstance(impact, DriverImpulse)]
         drivers = stops_of(self.spec).impacts if of_drivers else {}
         self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
         totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event, self.deadline)
         findings = (*self.findings, *self.recorder.findings(totals))
         if self.request.becomes_run and self.spec.gradients and status == "complete":
             self.gradients = higher_layers.gradients_json(self.spec)
-        evidence = evidence_of_run(
-            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, findings,
-            self.doubtful_gradients(),
-        )  # fmt: skip
+        doubts = Doubts.of(findings, self.spec.accept)
+        notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
         errors = None
         if self.accuracy is not None:
             missed = missed_because(self.accuracy, self.tried, self.failure)
             position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
-            errors = estimated_errors(self.spec, self.recorder, self.accuracy, position, missed, totals)
-        judgement = judge(evidence, errors)
-        message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
-        level = logging.WARNING if status == "failed" else logging.INFO
-        if _LOG.isEnabledFor(level):
-            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), message, judgement.level)
-        _LOG.debug("counters: %s; timings: %s", counters, self.timings)
-        notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
-        ending = Ending(
-            status,
-            reason,
-            {**counters, **self.timings},
-            misalignment_max,
-            judgement,
-            (*map(str, findings), *notes),
-            self.accuracy,
-            totals,
-            self.cause,
-            self.request.tables,
+            rows = ObservedRows.joined(self.recorder.kept or [])
+            errors = estimated_errors(self.spec, mechanism, rows, self.accuracy, position, missed, totals)
+        ended = EndedRun(
+            mechanism=mechanism,
+            size=self.size,
+            doubts=doubts._replace(open=(*doubts.open, *self.doubtful_gradients())),
+            warnings=(*map(str, findings), *notes),
+            status=status,
+            reason=reason,
+            counters=Counters() if stepper is None else stepper.counters,
+            pivotings=self.workspace.pivotings + self.recorder.workspace.pivotings,
+            timings=self.timings,
+            errors=errors,
+            finer=self.spec.finer,
         )
+        worst = np.zeros(len(mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs
+        (ending,) = conclude([ended], self.recorder.extremes(worst, steps))
+        log_end(self.spec, ending)
+        ending = replace(ending, accuracy=self.accuracy, integrals=totals, cause=self.cause, tables=self.request.tables)
         if self.request.becomes_run:
-            self.run = finish(self.writer, self.spec, ending, gradients=self.gradients)
-        else:
-            assert isinstance(self.writer, ArrayWriter)
-            self.writer.finish(ending)
+            return finish(self.writer, self.spec, ending, gradients=self.gradients)
+        assert isinstance(self.writer, ArrayWriter)
+        return self.writer.finish(ending)
+
+    def _status(self) -> tuple[str, str]:
+        """Return the status of the run and its reason, as in the archive."""
+        stepper, end = self.stepper, self.spec.time.final
+        if self.failure is not None:
+            advice = step_advice(self.spec, self.failure.code)
+            return "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
+        if self.interrupted_because:
+            return "interrupted", self.interrupted_because
+        if stepper is not None and not stepper.finished:
+            return "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s of {end:.6g} s."
+        if self.interrupted and (self.recorder.kept is not None or self.spec.gradients):
+            what = "errors were estimated" if self.recorder.kept is not None else "gradients were computed"
+            return "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
+        stopped = None if self.watch is None else self.watch.stopped
+        return "complete", "" if stopped is None else f"event: {stopped}."

@@ -48,7 +48,6 @@ from mbdkit.runs.preparation import (
 )
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorder import shared_forces
-from mbdkit.runs.run_checkpoint import Continuation
 from mbdkit.runs.run_seams import Progress, computed_run
 from mbdkit.runs.simulated_run import Request, SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
@@ -160,29 +159,10 @@ def simulate(
         begun=begun, begin=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
         tables=tables or {},
     )  # fmt: skip
-    return _finished(_ended(spec, request, progress))
+    return integrate_to_run(spec, request, progress)
 
 
 computed_run(simulate)
-
-
-def simulate_on(
-    spec: RunSpec,
-    continuation: Continuation,
-    begun: Callable[[RunSpec, Method, _Start], RunWriter],
-    *,
-    progress: Progress | None = None,
-    measures: Sequence[str] = (),
-) -> Run:
-    """Continue a run from a checkpoint.
-
-    `continuation`: the state to continue from. `begun`: function that returns a writer with the rows up to this state.
-    `progress`, `measures`: see `simulate`.
-    """
-    request = Request(
-        begun=begun, begin=time.perf_counter(), measured_in=measured_in, measures=measures, continuation=continuation
-    )
-    return _finished(_ended(spec, request, progress))
 
 
 def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Sequence[str] = ()) -> FinishedRun:
@@ -197,18 +177,19 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
         begun=begun_arrays, begin=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
         becomes_run=False,
     )  # fmt: skip
-    simulation = _ended(spec, request, None)
-    assert isinstance(simulation.writer, ArrayWriter)
-    assert simulation.writer.finished is not None
-    return simulation.writer.finished
+    finished = _integrate(spec, request, None)
+    assert isinstance(finished, FinishedRun)
+    return finished
 
 
-def _finished(simulation: SimulatedRun) -> Run:
-    assert simulation.run is not None
-    return simulation.run
+def integrate_to_run(spec: RunSpec, request: Request, progress: Progress | None = None) -> Run:
+    """Integrate a spec from its start, or from a checkpoint, to its end, and return the run."""
+    run = _integrate(spec, request, progress)
+    assert isinstance(run, Run)
+    return run
 
 
-def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
+def start_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
     """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
     them.
     """
@@ -244,21 +225,20 @@ def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> 
     return simulation
 
 
-def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
+def _integrate(spec: RunSpec, request: Request, progress: Progress | None) -> Run | FinishedRun:
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     check_calls(spec)
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
-            return _with_accuracy(spec, request, progress)
-        with _finished_or_abandoned(begun_run(spec, request)) as simulation:
+            return _integrate_accurately(spec, request, progress)
+        with _abandoning_failures(start_run(spec, request)) as simulation:
             simulation.integrate(progress)
-            simulation.finish()
-            return simulation
+            return simulation.conclude()
 
 
-def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
+def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | None) -> Run | FinishedRun:
     """Choose method and step for the requested accuracy of a spec, and repeat the run with smaller steps or tolerances
     until it reaches the accuracy.
 
@@ -269,23 +249,21 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(begun_run(choice.applied_to(spec), request, choice)) as simulation:
+        with _abandoning_failures(start_run(choice.applied_to(spec), request, choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
             following = None if simulation.is_final else _following(spec, workspace, simulation, len(tried))
             simulation.tried = [attempted for _, attempted in tried]
             if simulation.is_final or (following is None and best is choice):
-                simulation.finish()
-                return simulation
+                return simulation.conclude()
         if following is None:
             # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
             # equal results.
-            with _finished_or_abandoned(begun_run(best.applied_to(spec), request, best)) as simulation:
+            with _abandoning_failures(start_run(best.applied_to(spec), request, best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [attempted for _, attempted in tried]
-                simulation.finish()
-                return simulation
+                return simulation.conclude()
         choice = following
 
 
@@ -356,7 +334,7 @@ def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
 
 
 @contextmanager
-def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
+def _abandoning_failures(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
     try:
         noting = interrupts_noted if simulation.request.becomes_run else _not_noted

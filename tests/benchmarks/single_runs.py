@@ -46,11 +46,10 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "start of the method": [(simulated_run, "start_method")],
     "steps": [(CompiledStepper, "advance")],
     "recording, with accelerations and reactions": [(simulated_run, "Recorder"), (Recorder, "record")],
-    "evidence and verdict": [(simulated_run, "evidence_of_run"), (simulated_run, "judge")],
+    "evidence and verdict": [(simulated_run, "conclude")],
     "provenance": [(finish, "provenance"), (simulation, "provenance")],
     "archive: begun": [(simulation, "ArchiveWriter")],
     "archive: finished": [(ArchiveWriter, "finish")],
-    "archive: opened again": [(simulated_run.SimulatedRun, "run")],
 }
 
 

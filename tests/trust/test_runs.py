@@ -73,9 +73,7 @@ def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: i
     request = Request(begun=lambda spec, method, start: writer, begin=0.0, measured_in=measured_in)
     simulation = SimulatedRun(given, workspace, start, Exploding(), writer, request, (), None, ())
     simulation.integrate(None)
-    simulation.finish()
-    assert simulation.run is not None
-    with simulation.run as run:
+    with simulation.conclude() as run:
         assert run.status_reason.startswith("fell-apart: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"

@@ -31,7 +31,7 @@ from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.goal import goal_at
 from mbdkit.runs.run_checkpoint import why_without
 from mbdkit.runs.simulated_run import Request, SimulatedRun
-from mbdkit.runs.simulation import begun_archive, begun_arrays, begun_run, measured_in, simulate
+from mbdkit.runs.simulation import begun_archive, begun_arrays, measured_in, simulate, start_run
 from mbdkit.runs.stepping.input_history import InputHistory
 from mbdkit.runs.stepping.present_values import PresentState, PresentValues
 from mbdkit.runs.stepping.record import Record
@@ -178,7 +178,7 @@ class Simulation:
             is_open=True,
         )
         with one_thread_of_linear_algebra():
-            return begun_run(spec, request)
+            return start_run(spec, request)
 
     def _restart(self) -> None:
         """Go to the start, with an empty history."""
@@ -275,12 +275,12 @@ class Simulation:
                 run.interrupted_because = reason
                 run.timings |= {"wall_s": self._record.seconds, "cpu_s": self._record.cpu_seconds}
                 run.check_accuracy(None)
-                run.finish()
+                result = run.conclude()
             finally:
                 run.writer.abandon()
-        self._result = run.run
-        assert self._result is not None
-        return self._result
+        assert isinstance(result, Run)
+        self._result = result
+        return result
 
     def _final_time(self) -> float:
         """Return the end of the recorded spec: the time reached, or that of the spec if the run could not reach it."""
