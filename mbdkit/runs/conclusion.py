@@ -6,26 +6,17 @@ A conclusion depends on nothing else, so that it is the same for simulated runs,
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.measured_values import Integrals
-from mbdkit.archive.peak_errors import errors_of_largest, expression_of_largest, missed_by_rows, missed_of_verdict
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.counters import Counters
 from mbdkit.integrators.interface import StepEvidence
-from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.quantities.names import archive_names
-from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.quantities.states import States
-from mbdkit.runs.law_ranges import steps_are_rows
-from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.spec import RunSpec
 from mbdkit.trust.criteria import EstimatedErrors, Evidence, judge
 from mbdkit.trust.energy_record import EnergyRecord, gravity_level
@@ -59,11 +50,10 @@ class Extremes:
         gaps = states.misalignment.max(axis=0, initial=0.0)[None]
         return cls(states.time[-1:], gaps, np.zeros_like(gaps), [EnergyRecord()], [NO_STEPS])
 
-    def of_runs(self, runs: Sequence[int]) -> Extremes:
+    def of_runs(self, runs: list[int]) -> Extremes:
         """Return those of some of the runs."""
-        chosen, energies = [*runs], [self.energies[run] for run in runs]
-        arrays = (values[chosen] for values in (self.end, self.misalignment, self.angle_misalignment))
-        return Extremes(*arrays, energies=energies, steps=[self.steps[run] for run in runs])
+        energies, steps = [self.energies[run] for run in runs], [self.steps[run] for run in runs]
+        return Extremes(self.end[runs], self.misalignment[runs], self.angle_misalignment[runs], energies, steps)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,68 +148,3 @@ def _largest(values: np.ndarray) -> list[tuple[float, int]]:
     columns = values.argmax(axis=1)
     largest = values[np.arange(len(values)), columns].tolist()
     return [(0.0 if gap <= 0.0 else gap, column) for gap, column in zip(largest, columns.tolist(), strict=True)]
-
-
-def estimated_errors(
-    spec: RunSpec,
-    mechanism: CompiledMechanism,
-    rows: ObservedRows,
-    accuracy: Accuracy,
-    position_error: float,
-    missed: str,
-    integrals: Integrals,
-) -> EstimatedErrors:
-    """Return the estimated errors of a checked run in the form used by the verdict.
-
-    - `spec`, `mechanism`, `rows`: the run and its recorded rows.
-    - `accuracy`: the estimates.
-    - `position_error`: largest estimated error of positions as a share of the mechanism's size; nan if nothing is
-      known.
-    - `missed`: reason why the requested accuracy is not reached, as a clause.
-    - `integrals`: integrals and extrema of the run.
-    """
-    skips_steps = not steps_are_rows(spec) and "joints" in spec.recorded
-    measures = {measure.name: measure.expression for measure in spec.defined_measures() if measure.item is None}
-    joints, size = mechanism.joints, np.linalg.norm(rows.force, axis=2)
-    beyond = missed_by_rows(integrals, "joints.force", joints, size, skips_steps=skips_steps)
-    beyond = missed_of_verdict(beyond, joints, measures)
-    figures = accuracy.figures(joints, rows.force, beyond)
-    worst = figures.worst_joint
-    between = ""
-    if worst is not None and worst.missed > worst.error:
-        advice = "record more rows" if skips_steps else f"use {spec.finer}"
-        between = (
-            f"joint '{worst.name}' reaches {worst.peak + worst.missed:.4g} N, in the recorded rows {worst.peak:.4g} N; "
-            f"{advice}"
-        )
-    peak, peak_of = _peak_error(mechanism, accuracy, integrals)
-    return EstimatedErrors(
-        position=position_error,
-        peak=peak,
-        peak_of=peak_of,
-        reaction=0.0 if worst is None else worst.share,
-        known_until=figures.known_until,
-        between=between,
-        **({} if math.isnan(accuracy.asked) else {"asked": accuracy.asked, "reached": accuracy.reached}),
-        missed=missed,
-        unknown=accuracy.unknown,
-    )
-
-
-def _peak_error(mechanism: CompiledMechanism, accuracy: Accuracy, integrals: Integrals) -> tuple[float, str]:
-    """Return the largest error of the largest force of an element of a plugin's kind, relative to this force, and a
-    phrase that names the force.
-
-    Only forces that were compared with those of other runs count; without them, the result is 0 and an empty text. An
-    unknown error is nan, and counts as the largest.
-    """
-    ratios = [(0.0, "")]
-    for peaks in peaks_of(archive_names(mechanism)):
-        force, kind = peaks.quantities[0], element_kinds()[peaks.of].name
-        errors = errors_of_largest(integrals, accuracy.compared_measures, force, peaks.names)
-        for name, error in zip(peaks.names, errors.tolist(), strict=True):
-            text = expression_of_largest(force, name)
-            if text in accuracy.compared_measures:
-                phrase = f"the largest {force.partition('.')[2].replace('_', ' ')} of {kind} '{name}'"
-                ratios.append((error / float(integrals[text]), phrase))  # type: ignore[arg-type] # not a vector
-    return max(ratios, key=lambda ratio: math.inf if math.isnan(ratio[0]) else ratio[0])

@@ -35,7 +35,7 @@ from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
-from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
+from mbdkit.runs.preparation import caution, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec.run_spec import RunSpec
@@ -213,7 +213,7 @@ class LaneRuns:
         """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
         spec, method = run.spec, run.method
         size = size or start.mechanism.length
-        table = timetable(spec, guards(spec, size))
+        table = timetable(spec, size)
         # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
