@@ -5,10 +5,9 @@ Each run is computed in a lane, an element of the SIMD vectors with which one lo
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
-from mbdkit.base.logs import logger_of
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
 from mbdkit.engine.input_schedule import start_settings
@@ -25,7 +23,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.lane_starts import at_starts
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Guards, StepEvidence, Stretch, Timetable
+from mbdkit.integrators.interface import Guards, Stretch, Timetable
 from mbdkit.integrators.lane_stepper import (
     ControlledLaneStepper,
     LaneResults,
@@ -36,23 +34,20 @@ from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
-from mbdkit.quantities.array import FLOAT, TEXT, Recorded
+from mbdkit.quantities.array import TEXT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
+from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.evidence import evidence_of_run
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
-from mbdkit.runs.preparation import caution, guards, make_method, recorded_arrays, timetable
+from mbdkit.runs.preparation import caution, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.trust.criteria import judge
 from mbdkit.trust.energy_record import EnergyRecord
-from mbdkit.trust.finding import Finding
-
-_LOG = logger_of(__name__)
+from mbdkit.trust.finding import Doubts, Finding
 
 #: Largest number of loops that are stored for later batches; each loop is for one mechanism and method.
 MOST_GROUPS = 8
@@ -218,7 +213,7 @@ class LaneRuns:
         """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
         spec, method = run.spec, run.method
         size = size or start.mechanism.length
-        table = timetable(spec, guards(spec, size))
+        table = timetable(spec, size)
         # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
@@ -286,16 +281,6 @@ def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[s
     assert integrals.continuous is not None
     integrals.continuous.add_ends(time, q, v, np.zeros((len(time), 0)))
     return replace(run, integrals=integrals.totals())
-
-
-@dataclass(frozen=True)
-class _RecordedRun:
-    """Quantities recorded during one run; see `mbdkit.runs.evidence.Recorded`."""
-
-    mechanism: CompiledMechanism
-    largest_angle: np.ndarray
-    energies: EnergyRecord
-    last_time: float
 
 
 def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
@@ -369,34 +354,53 @@ class _Group:
         with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
             arrays = {key: self._by_run(one.take(states), key, len(members)) for key, one in self.recorded.items()}
             intervals = self._intervals(tables, results)
-            recorded = self._recorded(members, results, states)
+            extremes = self._extremes(results, states)
             digests = self.hash.shared_digests(arrays | intervals) if results.work is None else {}
-        finished: list[FinishedRun | None] = []
-        for lane, (member, rows) in enumerate(zip(members, results.rows.tolist(), strict=True)):
-            if lost[lane]:
-                finished.append(None)
-                continue
+        ended: dict[int, EndedRun] = {}
+        for lane in np.flatnonzero(~lost).tolist():
+            member, watched = members[lane], self._watched(members[lane], results, lane, extremes.energies[lane])
+            if watched is not None:
+                found = (*member.findings, *watched)
+                ended[lane] = EndedRun(
+                    mechanism=member.start.mechanism,
+                    size=member.size,
+                    doubts=Doubts.of(found, member.spec.accept),
+                    warnings=tuple(map(str, found)),
+                    counters=results.counters[lane],
+                    pivotings=int(member.pivots is not None),
+                    timings={"setup_s": member.seconds},
+                    finer=member.spec.finer,
+                )
+        endings = conclude([*ended.values()], extremes.of_runs([*ended]))
+        finished: list[FinishedRun | None] = [None] * len(members)
+        for lane, ending in zip(ended, endings, strict=True):
+            begin, rows, start = time.perf_counter(), int(results.rows[lane]), members[lane].start
+            log_end(members[lane].spec, ending)
             own = {key: values[lane, :rows] for key, values in arrays.items()}
             own |= {key: values[lane, : rows - 1] for key, values in intervals.items()}
-            own |= start_settings(member.start.mechanism, member.table.start)
-            stops, mechanism = member.spec.limits.law_range == "stop", member.spec.mechanism()
-            ranges = LawRanges.of(mechanism, member.start.mechanism, stops=stops)
-            if ranges is not None:
-                left = ranges.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
-                if left is not None and ranges.stops:
-                    finished.append(None)
-                    continue
-            watchers = StateWatchers(member.spec, member.start.mechanism, member.size)
-            if watchers:
-                watchers.add(_states_of_lane(member.start.mechanism, results, lane, rows))
-            watched = watchers.findings(recorded[lane][1].energies, {})
-            told = (*member.findings, *watched, *(() if ranges is None else ranges.findings()))
-            counters = vars(results.counters[lane]).copy()
-            # The mechanism was factorized once more when the pivots of the stage matrix were chosen.
-            counters["factorizations"] += int(member.pivots is not None)
-            made = self._run(member, own, recorded[lane], told, results.evidence[lane], counters, digests)
-            finished.append(made)
+            own |= start_settings(start.mechanism, members[lane].table.start)
+            data_sha256 = self.hash.of(own, digests)
+            stats = {**ending.stats, "finish_s": time.perf_counter() - begin}
+            finished[lane] = FinishedRun(
+                **vars(ending) | {"stats": stats}, names=self.names, layout=self.layout, arrays=own, shared=None,
+                data_sha256=data_sha256, assembly=start.assembled.describe(),
+            )  # fmt: skip
         return finished
+
+    def _watched(
+        self, member: LaneMember, results: LaneResults, lane: int, energies: EnergyRecord
+    ) -> list[Finding] | None:
+        """Return what is found in the recorded states of a run; None if it stops where a law leaves its range."""
+        mechanism, rows, spec = member.start.mechanism, int(results.rows[lane]), member.spec
+        ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
+        if ranges is not None:
+            left = ranges.add(results.time[lane, :rows], results.observed.forces[lane, :rows])
+            if left is not None and ranges.stops:
+                return None
+        watchers = StateWatchers(spec, mechanism, member.size)
+        if watchers:
+            watchers.add(_states_of_lane(mechanism, results, lane, rows))
+        return [*watchers.findings(energies, {}), *(() if ranges is None else ranges.findings())]
 
     def _states(self, results: LaneResults) -> States:
         """Return the states of all runs, one run after another."""
@@ -427,10 +431,8 @@ class _Group:
         # The residual of a joint, which has at most three rows, is below 4 times that of its largest row.
         return np.asarray(~(largest <= smallest / 4))
 
-    def _recorded(
-        self, members: Sequence[LaneMember], results: LaneResults, states: States
-    ) -> list[tuple[np.ndarray, _RecordedRun]]:
-        """Return the largest misalignments (J,) of each run over all steps, and quantities of its recorded states."""
+    def _extremes(self, results: LaneResults, states: States) -> Extremes:
+        """Return what was largest in each run, over all steps and in its recorded states."""
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
         worst = np.maximum(self.joints.misalignment_of_squares(results.worst), misalignment)
@@ -438,10 +440,7 @@ class _Group:
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
         others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
         energies = EnergyRecord.of_runs(kinetic, others, balance)
-        return [
-            (worst[lane], _RecordedRun(member.start.mechanism, angles[lane], energies[lane], last))
-            for lane, (member, last) in enumerate(zip(members, results.time[:, -1].tolist(), strict=True))
-        ]
+        return Extremes(results.time[:, -1], worst, angles, energies, results.evidence)
 
     def _intervals(self, tables: Sequence[Timetable], results: LaneResults) -> dict[str, np.ndarray]:
         """Return the statistics (W, T - 1) of the intervals between the recorded states of all runs."""
@@ -465,30 +464,3 @@ class _Group:
         }
         typed = {f"steps/{name}": array for name, array in values.items() if f"steps/{name}" in self.types}
         return {key: np.ascontiguousarray(array, self.types[key]) for key, array in typed.items()}
-
-    def _run(
-        self,
-        member: LaneMember,
-        arrays: dict[str, np.ndarray],
-        recorded: tuple[np.ndarray, _RecordedRun],
-        told: Sequence[Finding],
-        steps: StepEvidence,
-        counters: Mapping[str, int],
-        digests: Mapping[str, str],
-    ) -> FinishedRun:
-        """Return a run with its verdict; its `stats` do not yet include the wall time of the steps.
-
-        `digests` contains those of arrays that are equal for all runs.
-        """
-        begin = time.perf_counter()
-        worst, extremes = recorded
-        ending = "complete", ""
-        judgement = judge(evidence_of_run(member.spec, extremes, steps, ending, worst, member.size, told))
-        if _LOG.isEnabledFor(logging.INFO):
-            _LOG.info("run %s ends: complete, verdict %s", member.spec.run_id(), judgement.level)
-        data_sha256 = self.hash.of(arrays, digests)
-        return FinishedRun(
-            *ending, {**counters, "setup_s": member.seconds, "finish_s": time.perf_counter() - begin},
-            np.asarray(worst, FLOAT), judgement, tuple(map(str, told)), names=self.names, layout=self.layout,
-            arrays=arrays, shared=None, data_sha256=data_sha256, assembly=member.start.assembled.describe(),
-        )  # fmt: skip

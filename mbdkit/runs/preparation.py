@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLES, SETTINGS, of_elements, recorded_by
@@ -22,7 +24,8 @@ from mbdkit.engine.python_controllers import PythonControllers
 from mbdkit.engine.redundancy import require_unique_start
 from mbdkit.engine.workspace import Workspace
 from mbdkit.expressions.program import Program
-from mbdkit.integrators.interface import Failure, Guards, Timetable
+from mbdkit.integrators.interface import Failure, Guards, Stepper, Timetable
+from mbdkit.integrators.start import start_method
 from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.kinds import Method
@@ -222,19 +225,9 @@ def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
     return mechanism_size(spec.mechanism(), position) or start.mechanism.length
 
 
-def guards(spec: RunSpec, size: float) -> Guards:
-    """Return the limits that stop a run of a mechanism of a given size [m]."""
-    limits = spec.limits
-    return Guards(
-        misalignment=limits.misalignment * size,
-        angle_misalignment=limits.misalignment,
-        energy_jump=math.inf if limits.energy_jump is None else limits.energy_jump,
-    )
-
-
 def timetable(
     spec: RunSpec,
-    guards: Guards,
+    size: float | None,
     *,
     all_knots: bool = False,
     nodes: bool = False,
@@ -244,11 +237,16 @@ def timetable(
 ) -> Timetable:
     """Return the timetable of a run: start, end, steps, stops (see `stops_of`), recorded states, nodes and limits.
 
+    `size` of the mechanism [m]: misalignments are limited relative to it; None for a run without limits on its states.
     With `all_knots`, points of tables close to the grid are stops as well. With `nodes`, states at the stages of steps
     are stored. With `ends`, the stepper returns after each step unless all steps are recorded, so that the states at
     the ends of all steps are available. `integrands`, `share`: see `stops_of`.
     """
-    stops = stops_of(spec, all_knots=all_knots, integrands=integrands, share=share)
+    stops, limits = stops_of(spec, all_knots=all_knots, integrands=integrands, share=share), spec.limits
+    guards = Guards()
+    if size is not None:
+        jump = math.inf if limits.energy_jump is None else limits.energy_jump
+        guards = Guards(limits.misalignment * size, limits.misalignment, jump)
     table = Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -256,7 +254,7 @@ def timetable(
         steps=spec.time.count or 0,
         every=spec.output.every or 1,
         interval=spec.output.interval,
-        max_steps=spec.limits.max_steps,
+        max_steps=limits.max_steps,
         nodes=nodes,
         single=bool(spec.events),
         guards=guards,
@@ -268,6 +266,38 @@ def timetable(
     )
     reacts = spec.reacting is not None
     return replace(table, single=table.single or reacts or not rows_are_ends(table)) if ends else table
+
+
+@dataclass(frozen=True, eq=False)
+class RunSetup:
+    """A spec that is ready to be integrated.
+
+    - `spec`, `method`: the spec, and the method of its integrator.
+    - `workspace`, `start`: the mechanism at its consistent start, and the changes made by assembly.
+    """
+
+    spec: RunSpec
+    method: Method
+    workspace: Workspace
+    start: AssembledState
+
+    @classmethod
+    def of(cls, spec: RunSpec, starts: Starts | None = None, *, method: Method | None = None) -> RunSetup:
+        """Return the setup of a spec; `starts` and errors: see `build`. `method` is created if omitted."""
+        return cls(spec, method or make_method(spec), *build(spec, starts))
+
+    @cached_property
+    def size(self) -> float:
+        """Size of the mechanism at its start [m]."""
+        return size_at_start(self.spec, self.workspace)
+
+    def timetable(self, **wanted: Any) -> Timetable:
+        """Return the timetable of the run; for the arguments, see the function of this name."""
+        return timetable(self.spec, self.size, **wanted)
+
+    def stepper(self, table: Timetable | None = None) -> Stepper:
+        """Return a stepper at the start, with another timetable if one is given; for errors, see `start_method`."""
+        return start_method(self.method, self.workspace, table or self.timetable())
 
 
 def rows_are_ends(table: Timetable) -> bool:

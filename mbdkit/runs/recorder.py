@@ -19,10 +19,11 @@ from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Failure, Stretch, Timetable
+from mbdkit.integrators.interface import Failure, StepEvidence, Stretch, Timetable
 from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
+from mbdkit.runs.conclusion import Extremes
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
@@ -363,16 +364,19 @@ class Recorder:
         ranges = () if self.ranges is None or self.ranges.stops else self.ranges.findings()
         return [*watched, *ranges]
 
-    def misalignment_max(self, worst_pairs: np.ndarray) -> np.ndarray:
-        """Return the largest misalignment of each joint over all steps, recorded or not, (J,) [m].
+    def extremes(self, worst_pairs: np.ndarray, steps: StepEvidence) -> Extremes:
+        """Return what was largest in the run.
 
-        If a state was refused, only recorded states count: steps after the last row are not part of the run.
+        If a state was refused, only the misalignments of recorded states count: steps after the last row are not part
+        of the run.
 
-        `worst_pairs`: (P,) largest squared norm of the constraint functions Phi of each pair of rows over the steps.
+        - `worst_pairs`: (P,) largest squared norm of the constraint functions Phi of each pair of rows over the steps.
+        - `steps`: quantities observed over the steps.
         """
-        if self._refused:
-            return self.largest
-        return np.asarray(np.maximum(self._joints.misalignment_of_squares(worst_pairs), self.largest))
+        largest = self.largest
+        if not self._refused:
+            largest = np.maximum(self._joints.misalignment_of_squares(worst_pairs), largest)
+        return Extremes(np.array([self.last_time]), largest[None], self.largest_angle[None], [self.energies], [steps])
 
 
 def _at(stretch: Stretch, row: int) -> str:

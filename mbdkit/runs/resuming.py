@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -32,16 +33,14 @@ from mbdkit.base.files_read import only_known
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
 from mbdkit.base.text import listed, shown
-from mbdkit.engine.assembly import AssembledState
-from mbdkit.engine.workspace import Workspace
-from mbdkit.methods.kinds import Method
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.runs.preparation import check_calls, make_method
+from mbdkit.runs.preparation import RunSetup, check_calls, make_method
 from mbdkit.runs.provenance import DECIDE_LAST_BITS, provenance
 from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.runs.run_checkpoint import INTERVAL, Continuation, why_without
+from mbdkit.runs.run_checkpoint import INTERVAL, why_without
+from mbdkit.runs.run_record import Continuation, Request, begin_archive
 from mbdkit.runs.run_seams import Progress
-from mbdkit.runs.simulation import begun_archive, simulate_on
+from mbdkit.runs.simulation import integrate_to_run, measured_in
 from mbdkit.spec import RunSpec, load_spec
 
 PART = f"{SUFFIX}.part"
@@ -263,8 +262,8 @@ class _Unfinished:
             raise _refused(self.part, why)
         writers: list[ArchiveWriter] = []
 
-        def begun(spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
-            writers.append(self._writer(spec, method, start))
+        def begin(setup: RunSetup) -> ArchiveWriter:
+            writers.append(self._writer(setup))
             try:
                 self._copy(writers[0])
             except BaseException:
@@ -283,14 +282,18 @@ class _Unfinished:
         try:
             check_calls(spec)
             with returning(self._returned()):
-                return simulate_on(spec, continuation, begun, progress=progress, measures=measures)
+                request = Request(
+                    begin=begin, since=time.perf_counter(), measured_in=measured_in, measures=measures,
+                    continuation=continuation,
+                )  # fmt: skip
+                return integrate_to_run(spec, request, progress)
         except SpecError as error:
             raise error.located(file=self.part) from error
 
-    def _writer(self, spec: RunSpec, method: Method, start: tuple[Workspace, AssembledState]) -> ArchiveWriter:
+    def _writer(self, setup: RunSetup) -> ArchiveWriter:
         then, part = self.checkpoint.head["provenance"], None if self.has_ended else _replacement(self.part)
         origin = {**then, "resumed": int(then.get("resumed", 0)) + 1, "resumed_by": command_line()}
-        writer = begun_archive(spec, method, start, path=self.path, overwrite=self.overwrite, part=part, origin=origin)
+        writer = begin_archive(setup, path=self.path, overwrite=self.overwrite, part=part, origin=origin)
         # Another call may have resumed and finished the run after this call opened the file.
         if not file_locks.has_name(self.stream.fileno(), self.part):
             writer.abandon()

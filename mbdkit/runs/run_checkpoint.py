@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.checkpoint import StoredState
+from mbdkit.archive.run_writer import RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -24,9 +25,7 @@ from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.methods.kinds import Method
 from mbdkit.runs import stored_python_steps
-from mbdkit.runs.integrals import RunIntegrals
-from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.runs.recorder import Recorder
+from mbdkit.runs.run_record import RunRecord
 
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
@@ -39,8 +38,6 @@ INTERVAL = 5.0  #: Smallest wall time between two checkpoints [s].
 
 SHARE = 0.01  #: Largest share of the wall time that checkpoints may take.
 
-TIMES = ("setup_s", "wall_s", "cpu_s", "integrals_s")
-
 
 @dataclass(frozen=True)
 class Parts:
@@ -49,16 +46,11 @@ class Parts:
     workspace: Workspace
     stepper: CompiledStepper | StepHost
     watch: Watch | None
-    recorder: Recorder
-    integrals: RunIntegrals | None
+    record: RunRecord
 
     def stored(self) -> StoredState:
         """Return the state of these objects as plain values; arrays are not copied."""
-        return {
-            **self.motion(),
-            "recorder": self.recorder.stored(),
-            "integrals": None if self.integrals is None else self.integrals.stored(),
-        }
+        return {**self.motion(), **self.record.stored()}
 
     def motion(self) -> StoredState:
         """Return the part of the state on which later steps depend."""
@@ -85,9 +77,7 @@ class Parts:
         """
         try:
             self.restore_motion(state)
-            self.recorder.restore(state["recorder"])
-            if self.integrals is not None:
-                self.integrals.restore(state["integrals"])
+            self.record.restore(state)
         except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
             raise SpecError(
                 f"this run cannot be resumed: the state of its checkpoint does not fit its spec ({one_line(error)})"
@@ -105,29 +95,6 @@ class Parts:
             _restore_stepper(self.stepper, state["stepper"])
         if self.watch is not None:
             self.watch.restore(state["watch"])
-
-
-@dataclass(frozen=True)
-class Continuation:
-    """A checkpoint to continue from.
-
-    `state`: the state of the run. `rows`: function that returns states and reactions of the rows before the checkpoint,
-    needed to estimate the errors of the run. `restored`: function that is called when the state has been restored.
-    """
-
-    state: StoredState
-    rows: Callable[[], list[ObservedRows]]
-    restored: Callable[[], None]
-
-    @property
-    def times(self) -> dict[str, float]:
-        """The times in `TIMES` of the run up to the checkpoint [s]; 0 for entries that are missing or not numbers."""
-        known = self.state.get("times")
-        times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
-        return {
-            name: float(seconds) if isinstance(seconds, float) else 0.0
-            for name, seconds in zip(TIMES, times, strict=True)
-        }
 
 
 def why_without(spec: RunSpec, method: Method) -> str:
@@ -150,6 +117,16 @@ class Checkpoints:
     def __init__(self, writer: ArchiveWriter, state: Callable[[], StoredState]):
         self._writer, self._state = writer, state
         self._due, self._is_told = time.monotonic() + INTERVAL, False
+
+    @classmethod
+    def of(cls, writer: RunWriter, parts: Parts | None, times: Callable[[], Mapping[str, float]]) -> Checkpoints | None:
+        """Return those of a run; None if its writer keeps none, or parts of it cannot be stored.
+
+        `times`: function that returns the times in `TIMES` so far [s].
+        """
+        if parts is None or not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+            return None
+        return cls(writer, lambda: {**parts.stored(), "times": times()})
 
     def write(self) -> None:
         """Write a checkpoint; if the memory of the method cannot be stored, say so once."""

@@ -1,74 +1,44 @@
-"""A run in progress: its stretches of steps, the recording, and the end of the run."""
+"""A run in progress: it advances the method in stretches, passes what the steps give to the record, and concludes."""
 
 from __future__ import annotations
 
 import json
-import logging
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.checkpoint import StoredState
-from mbdkit.archive.finished_run import ArrayWriter
-from mbdkit.archive.result_table import ResultTable
+from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending, RunWriter
-from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
-from mbdkit.base.called_functions import returning
-from mbdkit.base.logs import logger_of
 from mbdkit.base.text import listed, shown
-from mbdkit.engine.assembly import AssembledState
-from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.host.step_host import StepHost
-from mbdkit.integrators.interface import Advancing, ConsecutiveSteps, Failure, Nodes, Stretch
+from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
-from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory, reacting_memory
-from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
-from mbdkit.integrators.start import start_method
-from mbdkit.measures.reductions import Functional
-from mbdkit.mechanism.motion_pieces import share_of_integrals
-from mbdkit.methods.kinds import Method
-from mbdkit.quantities.names import archive_names
-from mbdkit.quantities.registered_kinds import peaks_of
-from mbdkit.runs.accuracy.check_run import check_by_pilots, check_run, missed_because, with_asked
+from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
 from mbdkit.runs.accuracy.chosen_method import Choice
 from mbdkit.runs.accuracy.companion import Budget
-from mbdkit.runs.accuracy.compared_measures import compared_measures
-from mbdkit.runs.accuracy.parameter_errors import with_parameter_errors
 from mbdkit.runs.accuracy.pilot_run import Replay
-from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.corners import stops_of
-from mbdkit.runs.evidence import estimated_errors, evidence_of_run
+from mbdkit.runs.accuracy.run_estimates import estimate_accuracy, estimated_errors
+from mbdkit.runs.conclusion import NO_STEPS, EndedRun, conclude, log_end
 from mbdkit.runs.finish import finish
-from mbdkit.runs.integrals import RunIntegrals, compared_loads, expressions_of
-from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
-from mbdkit.runs.preparation import guards, plugin_failure, size_at_start, timetable
-from mbdkit.runs.recorded_states import ObservedRows
-from mbdkit.runs.recorder import Recorder
-from mbdkit.runs.run_checkpoint import TIMES, Checkpoints, Continuation, Parts, why_without
+from mbdkit.runs.preparation import plugin_failure
+from mbdkit.runs.run_checkpoint import Checkpoints, Parts, why_without
 from mbdkit.runs.run_criteria import step_advice
+from mbdkit.runs.run_record import TIMES, Continuation, RunRecord, Taken
 from mbdkit.runs.run_seams import Progress
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
-from mbdkit.trust.criteria import judge
-from mbdkit.trust.finding import Finding
+from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
-    from mbdkit.events.watch import Found, Watch
-
-_LOG = logger_of("mbdkit.runs.simulation")  # the start and the end of a run go to the same logger
+    from mbdkit.events.watch import Watch
 
 #: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
@@ -97,88 +67,19 @@ class _Reporter:
             self.stop()
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Request:
-    """What is asked of a simulation besides its spec.
-
-    - `begun`: function that returns the writer of a run, given its spec, its method and its start.
-    - `begin`: time at which the run was requested [s].
-    - `measured_in`: function that evaluates expressions of measures in a comparison run.
-    - `path`, `starts`, `measures`, `tables`: see `mbdkit.runs.simulation.simulate`.
-    - `continuation`: the state to continue from, if any.
-    - `is_open`: whether a program decides when the run ends, so that its number of rows is not known.
-    - `becomes_run`: whether the caller gets a `Run`, which Ctrl-C ends early and which shows the rows until then;
-      otherwise, only the arrays in its writer are used.
-    """
-
-    begun: Callable[[RunSpec, Method, tuple[Workspace, AssembledState]], RunWriter]
-    begin: float
-    measured_in: Callable[[Sequence[str], RunSpec], Sequence[float] | None]
-    path: Path | None = None
-    starts: Starts | None = None
-    measures: Sequence[str] = ()
-    tables: Mapping[str, ResultTable] = field(default_factory=dict)
-    continuation: Continuation | None = None
-    is_open: bool = False
-    becomes_run: bool = True
-
-
-class Taken(NamedTuple):
-    """What some steps have given: rows, nodes of integrals, the steps themselves, and crossings of events."""
-
-    stretch: Stretch
-    nodes: Nodes | None = None
-    steps: Sequence[ConsecutiveSteps] = ()
-    found: Sequence[Found] = ()
-
-
 class SimulatedRun:
-    """A run in progress: the method, the mechanism, and the recorder that writes the archive.
+    """A run in progress.
 
-    - `spec`: the validated spec of the run.
-    - `workspace`, `start`: the mechanism at its start, and the changes made by assembly.
-    - `method`: the method of integration.
-    - `writer`: receives the rows and writes them to an open archive, or to arrays in memory.
-    - `request`: what is asked of the run.
-    - `findings`: findings so far.
+    - `record`: what the run records; it has the spec, the method and the mechanism at its start.
     - `choice`: the method and step chosen for the requested accuracy, if any.
-    - `functionals`: integrals over time, extrema and values at given times that measures need.
     """
 
-    def __init__(
-        self,
-        spec: RunSpec,
-        workspace: Workspace,
-        start: AssembledState,
-        method: Method,
-        writer: RunWriter,
-        request: Request,
-        findings: tuple[Finding, ...],
-        choice: Choice | None,
-        functionals: Sequence[Functional],
-    ):
-        self.spec, self.workspace, self.start_state, self.method = spec, workspace, start, method
-        self.request, self.findings, self.choice, self.interrupted = request, findings, choice, False
+    def __init__(self, record: RunRecord, choice: Choice | None = None):
+        self.record, self.choice, self.request, self.interrupted = record, choice, record.request, False
+        self.method, self.workspace = record.setup.method, record.setup.workspace
         self.tried = [] if choice is None else [choice]
         self.timings: dict[str, float] = {}
-        #: The run, once it is finished; None if only the arrays in its writer are used.
-        self.run: Run | None = None
-        self.size = size_at_start(spec, workspace)
-        self.guards = guards(spec, self.size)
-        self._functionals = functionals
         self.failure: Failure | None = None
-        self.begin_record(writer)
-        if self.integrals is not None:
-            tolerances, estimate, share = method.traits.tolerances, method.traits.local_error, None
-            if tolerances is not None and self.integrals.needs_nodes:
-                # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
-                share = share_of_integrals(tolerances.rtol, 6.0 if estimate is None else estimate.order)
-            self.table = timetable(
-                spec, self.guards, nodes=self.keeps_nodes, ends=self.integrals.continuous is not None, share=share,
-                integrands=[functional.program for functional in functionals],
-            )  # fmt: skip
-        elif self.keeps_nodes:
-            self.table = replace(self.table, nodes=True)
         #: When the wall time of the run is over (`time.perf_counter`).
         self.deadline = math.inf
         self.stepper: Advancing | None = None
@@ -190,53 +91,25 @@ class SimulatedRun:
         #: Why the run was interrupted, if not by `interrupt`; see ``status_reason`` of archives.
         self.interrupted_because = ""
 
-    def begin_record(self, writer: RunWriter) -> None:
-        """Begin to record the run with a writer that has no rows."""
-        spec, workspace = self.spec, self.workspace
-        between = None if steps_are_rows(spec) else workspace
-        stops = spec.limits.law_range == "stop"
-        ranges = LawRanges.of(spec.mechanism(), workspace.mechanism, between, stops=stops)
-        watchers = StateWatchers(spec, workspace.mechanism, self.size)
-        self.writer = writer
-        self.table = timetable(spec, self.guards)
-        self.recorder = Recorder(workspace, writer, self.table, ranges, watchers, finer=spec.finer)
-        if spec.estimates_errors:
-            self.recorder.kept = []
-        self.integrals: RunIntegrals | None = None
-        if self._functionals:
-            suits_stiff = self.method.traits.suits_stiff
-            self.integrals = RunIntegrals(workspace, self._functionals, self.table, suits_stiff=suits_stiff)
-
-    def begin_record_again(self) -> None:
-        """Discard what was recorded, and begin the record anew."""
-        table = self.table
-        self.writer.abandon()
-        self.begin_record(self.request.begun(self.spec, self.method, (self.workspace, self.start_state)))
-        self.table = table
-
-    def use_spec(self, spec: RunSpec) -> None:
-        """Record the run as one of another spec, which repeats it; comparison runs then have its inputs."""
-        self.workspace.schedules = spec.schedules()
-        if spec is not self.spec:
-            self.spec = spec
-            self.writer.use_spec(spec)
+    @property
+    def spec(self) -> RunSpec:
+        """The validated spec of the run."""
+        return self.record.setup.spec
 
     def integrate(self, progress: Progress | None) -> None:
         """Record the initial state, integrate to the end, and check the accuracy; raise what `progress` raises."""
         reporter = None if progress is None else _Reporter(progress, self.interrupt)
-        if self.request.continuation is None:
+        continuation, before = self.request.continuation, dict.fromkeys(TIMES, 0.0)
+        if continuation is None:
             self.record_start()
         with self.blaming_the_plugin():
             if self.failure is None:
                 self.start()
-        before = (
-            dict.fromkeys(TIMES, 0.0) if self.request.continuation is None else self.take_up(self.request.continuation)
-        )
-        setup = before["setup_s"] + time.perf_counter() - self.request.begin
+        if continuation is not None:
+            before = self.restore(continuation)
+        setup = before["setup_s"] + time.perf_counter() - self.request.since
         wall, cpu = time.perf_counter() - before["wall_s"], time.process_time() - before["cpu_s"]
-        self.timings = {"setup_s": setup}
-        if self.integrals is not None:
-            self.timings["integrals_s"] = before["integrals_s"]
+        self.timings, self.record.integrals_s = {"setup_s": setup}, before["integrals_s"]
         if self.stepper is not None:
             self.advance(self.stepper, reporter, wall, self.checkpoints(wall, cpu))
         self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
@@ -276,39 +149,27 @@ class SimulatedRun:
         return self.accuracy.known_until, -self.accuracy.reached
 
     def record_start(self) -> None:
-        """Record the initial state."""
-        workspace, none = self.workspace, np.zeros(1)
-        first = Stretch(
-            np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
-            z=states_at_start(workspace)[None],
-        )  # fmt: skip
-        self.failure = self.recorder.record(first, (0.0, 0.0), start=True) or Sampler(workspace).failure
+        """Record the initial state, or note why this fails in `failure`."""
+        self.failure = self.record.add_start()
 
     def start(self) -> None:
         """Create the stepper of the method, or note why this fails in `failure`."""
         self.stepper = self.watch = None
-        final = self.choice.final if self.choice is not None else None
-        if final is not None and final.is_run and not (self.table.nodes or self.table.single):
+        table, final = self.record.table, self.choice.final if self.choice is not None else None
+        if final is not None and final.is_run and not (table.nodes or table.single):
             self.stepper = Replay(final)
             return
         try:
-            stepper = start_method(self.method, self.workspace, self.table)
+            stepper = self.record.setup.stepper(table)
         except SingularSystemError as error:
             name = self.workspace.mechanism.unknown_name(error.index)
             self.failure = Failure("singular", f"the stage equations are singular at the start, near {name}.")
             return
-        if self.table.single:
+        if table.single:
             from mbdkit.runs.watched_events import watch_events
 
             self.watch = watch_events(self.spec, self.workspace, stepper)
         self.stepper = self.watch or stepper
-
-    @property
-    def keeps_nodes(self) -> bool:
-        """Whether states within the steps are needed, in addition to those at their ends."""
-        ranges = self.recorder.ranges
-        integrals = self.integrals is not None and self.integrals.needs_nodes
-        return integrals or (ranges is not None and ranges.needs_nodes)
 
     def next_stretch(self, stepper: Advancing) -> Stretch | None:
         """Advance, and return the rows; if the method fails, those before the failure, or None if there are none."""
@@ -319,39 +180,16 @@ class SimulatedRun:
 
     def taken(self, stepper: Advancing, stretch: Stretch) -> Taken:
         """Return what the latest steps have given."""
-        nodes = stepper.taken_nodes() if self.keeps_nodes else None
+        compiled, nodes, apart = self.inner_stepper, stepper.taken_nodes() if self.record.needs_nodes else None, 1
+        if self.method.traits.is_explicit and isinstance(compiled, CompiledStepper):
+            apart = compiled.method.stages  # only the first stage, at the start of the step, is a state of the motion
         if self.watch is None:
-            return Taken(stretch, nodes)
-        return Taken(stretch, nodes, self.watch.taken_steps(), self.watch.taken())
+            return Taken(stretch, nodes, nodes_apart=apart)
+        return Taken(stretch, nodes, self.watch.taken_steps(), self.watch.taken(), apart)
 
-    def record(self, taken: Taken, elapsed: tuple[float, float]) -> None:
-        """Pass the states of steps, at their ends and within them, to integrals and range checks, and record the rows.
-
-        `elapsed`: wall time since the first step at the start and at the end of these steps [s].
-        """
-        self._pass_on(taken)
-        self.failure = self.recorder.record(taken.stretch, elapsed) or self.failure
-        if self.watch is not None:
-            self.recorder.record_events(taken.found)
-
-    def _pass_on(self, taken: Taken) -> None:
-        stretch, nodes, steps = taken.stretch, taken.nodes, taken.steps
-        if self.integrals is not None:
-            begin = time.perf_counter()
-            if self.integrals.continuous is not None and self.watch is not None:
-                self.integrals.continuous.add_steps(steps)
-            elif self.integrals.continuous is not None:
-                z = np.zeros((len(stretch.time), 0)) if stretch.z is None else stretch.z
-                self.integrals.continuous.add_ends(stretch.time, stretch.q, stretch.v, z)
-            if nodes is not None and self.integrals.needs_nodes:
-                self.integrals.add(nodes)
-            self.timings["integrals_s"] += time.perf_counter() - begin
-        if nodes is not None and self.recorder.ranges is not None:
-            compiled = self.inner_stepper
-            # For explicit methods, only the first stage, at the start of the step, is a state of the motion.
-            stages = compiled.method.stages if isinstance(compiled, CompiledStepper) else 1
-            every = stages if self.method.traits.is_explicit else 1
-            self.recorder.ranges.add_between(nodes.part(slice(None, None, every)))
+    def add(self, taken: Taken, elapsed: tuple[float, float]) -> None:
+        """Record what steps have given; see `RunRecord.add`."""
+        self.failure = self.record.add(taken, elapsed) or self.failure
 
     @contextmanager
     def blaming_the_plugin(self) -> Iterator[None]:
@@ -365,13 +203,13 @@ class SimulatedRun:
             self.failure = plugin_failure(self.spec, error)
             self.cause = error
 
-    def take_up(self, continuation: Continuation) -> Mapping[str, float]:
+    def restore(self, continuation: Continuation) -> dict[str, float]:
         """Restore the state of a checkpoint, and return the times that the run took before the checkpoint [s]."""
-        parts = self.parts()
+        parts, recorder = self.parts(), self.record.recorder
         assert parts is not None
         parts.restore(continuation.state)
-        if self.recorder.kept is not None:
-            self.recorder.kept = continuation.rows()
+        if recorder.kept is not None:
+            recorder.kept = continuation.rows()
         continuation.restored()
         return continuation.times
 
@@ -390,25 +228,19 @@ class SimulatedRun:
         stepper = self.inner_stepper
         if why_without(self.spec, self.method) or not isinstance(stepper, CompiledStepper | StepHost):
             return None
-        return Parts(self.workspace, stepper, self.watch, self.recorder, self.integrals)
+        return Parts(self.workspace, stepper, self.watch, self.record)
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
         """Return the object that writes the checkpoints of the run; None if the run has no checkpoints.
 
         The arguments are the wall time and the processor time at which its steps began [s].
         """
-        writer = self.writer
-        if not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
-            return None
-        parts = self.parts()
-        if parts is None:
-            return None
 
-        def state() -> StoredState:
+        def times() -> dict[str, float]:
             spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-            return {**parts.stored(), "times": {**self.timings, **spent}}
+            return {**self.timings, "integrals_s": self.record.integrals_s, **spent}
 
-        return Checkpoints(writer, state)
+        return Checkpoints.of(self.record.writer, self.parts(), times)
 
     def advance(
         self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None
@@ -417,14 +249,14 @@ class SimulatedRun:
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         self.deadline = math.inf if limit is None else begin + limit
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
-        recorded = self.recorder.last_time
+        recorded = self.record.recorder.last_time
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             since, done = time.perf_counter(), stepper.counters.steps
             stretch = self.next_stretch(stepper)
             if stretch is None:
                 break
             now = time.perf_counter() - begin
-            self.record(self.taken(stepper, stretch), (elapsed, now))
+            self.add(self.taken(stepper, stretch), (elapsed, now))
             self._record_inputs()
             if len(stretch.time):
                 recorded = float(stretch.time[-1])
@@ -445,7 +277,7 @@ class SimulatedRun:
         unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
         self.failure = self.failure or stepper.failure
         if recorded < stepper.time and not stepper.finished and not unrecordable:
-            self.recorder.record(stepper.last_state(), (elapsed, elapsed))
+            self.record.recorder.record(stepper.last_state(), (elapsed, elapsed))
         self._record_inputs(at_end=True)
 
     def _record_inputs(self, *, at_end: bool = False) -> None:
@@ -457,50 +289,19 @@ class SimulatedRun:
             stopped = None if self.watch is None else self.watch.stopped
             until = math.inf if stopped is None else max(stopped.time, math.nextafter(self.workspace.t0, math.inf))
             settings = [setting for setting in inner.sampler.taken() if setting.time < until]  # it ends before a jump
-            self.recorder.record_inputs([*settings, *(inner.sampler.ends(inner.time) if at_end else ())])
+            self.record.recorder.record_inputs([*settings, *(inner.sampler.ends(inner.time) if at_end else ())])
             if self.workspace.python is not None:
-                self.recorder.record_samples(inner.sampler.taken_samples())
+                self.record.recorder.record_samples(inner.sampler.taken_samples())
 
     def check_accuracy(self, progress: Progress | None) -> None:
         """Estimate the errors of the recorded rows if the spec asks for it."""
-        kept, python = self.recorder.kept, self.workspace.python
-        if kept:
-            with returning(None if python is None else python.returned):
-                self._check_accuracy(kept, progress)
-
-    def _check_accuracy(self, kept: Sequence[ObservedRows], progress: Progress | None) -> None:
-        budget = Budget(self.spec.limits.wall_time, lambda: self.interrupted)
-        rows, steps = ObservedRows.joined(kept), self.stepper.counters.steps if self.stepper is not None else 0
-        choice = self.choice
-        if choice is not None and choice.pilots and len(rows.time) > 1 and not self.spec.check:
-            estimated = check_by_pilots(self.spec, self.workspace, rows, choice.pilots, choice.setting)
-        else:
-            estimated = check_run(self.spec, self.method, self.workspace, rows, steps, budget, progress, self.memory)
-        self.accuracy = with_asked(estimated, self.spec, self.workspace, self.choice)
-        expressions = (
-            tuple(dict.fromkeys((*expressions_of(self.spec, self.request.measures), *self.compared_loads())))
-            if self.spec.check
-            else ()
-        )
-        if expressions and self.failure is None:
-            compared = compared_measures(
-                self.spec, self.method, self.workspace, steps, expressions,
-                partial(self.request.measured_in, expressions), budget,
+        if (rows := self.record.kept) is not None:
+            budget = Budget(self.spec.limits.wall_time, lambda: self.interrupted)
+            steps = self.stepper.counters.steps if self.stepper is not None else 0
+            self.accuracy = estimate_accuracy(
+                self.record, rows, steps, budget, progress, self.memory, choice=self.choice, deadline=self.deadline,
+                has_failed=self.failure is not None,
             )  # fmt: skip
-            self.accuracy = replace(self.accuracy, compared_measures=compared)
-        if self.spec.check:
-            expressions = () if self.failure else expressions
-            self.accuracy = with_parameter_errors(
-                self.accuracy, self.spec, self.method, steps, expressions,
-                partial(self.request.measured_in, expressions), budget, progress,
-            )  # fmt: skip
-
-    def compared_loads(self) -> tuple[str, ...]:
-        """Return expressions of the largest loads that are compared with those of other runs."""
-        peaks = peaks_of(archive_names(self.workspace.mechanism))
-        if self.integrals is None or not peaks:
-            return ()
-        return compared_loads(self.spec, self.integrals.totals(self.recorder.of_event, self.deadline), peaks)
 
     def doubtful_gradients(self) -> Iterator[str]:
         """Yield a sentence about the measures whose gradients fail their checks, if any."""
@@ -509,68 +310,54 @@ class SimulatedRun:
         if failed:
             yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 
-    def finish(self) -> None:
-        """Finish the archive with the final status."""
-        stepper = self.stepper
-        counters = dict(vars(stepper.counters if stepper is not None else Counters()))
-        counters["factorizations"] += self.workspace.pivotings + self.recorder.workspace.pivotings
-        pairs = len(self.workspace.mechanism.topology.pairs)
-        status, reason = "complete", ""
+    def conclude(self) -> Run | FinishedRun:
+        """Conclude the run: finish its archive or its arrays with its status and its verdict."""
+        spec, record, stepper, memory = self.spec, self.record, self.stepper, self.memory
+        status, reason = self._status()
+        steps = NO_STEPS if stepper is None else stepper.evidence
+        record.add_impacts(memory, steps)
+        totals = record.totals(self.deadline)
+        findings = record.findings(totals)
+        if self.request.becomes_run and spec.gradients and status == "complete":
+            self.gradients = higher_layers.gradients_json(spec)
+        doubts, accuracy = Doubts.of(findings, spec.accept), self.accuracy
+        notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
+        if record.integrals is not None:
+            self.timings["integrals_s"] = record.integrals_s
+        ended = EndedRun(
+            mechanism=self.workspace.mechanism,
+            size=record.setup.size,
+            doubts=doubts._replace(open=(*doubts.open, *self.doubtful_gradients())),
+            warnings=(*map(str, findings), *notes),
+            status=status,
+            reason=reason,
+            counters=Counters() if stepper is None else stepper.counters,
+            pivotings=self.workspace.pivotings + record.recorder.workspace.pivotings,
+            timings=self.timings,
+            errors=None if accuracy is None else estimated_errors(record, accuracy, self.tried, self.failure, totals),
+            finer=spec.finer,
+        )
+        worst = np.zeros(len(self.workspace.mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs
+        (ending,) = conclude([ended], record.recorder.extremes(worst, steps))
+        log_end(spec, ending)
+        ending = replace(ending, accuracy=accuracy, integrals=totals, cause=self.cause, tables=self.request.tables)
+        if self.request.becomes_run:
+            return finish(record.writer, spec, ending, gradients=self.gradients)
+        assert isinstance(record.writer, ArrayWriter)
+        return record.writer.finish(ending)
+
+    def _status(self) -> tuple[str, str]:
+        """Return the status of the run and its reason, as in the archive."""
+        stepper, end = self.stepper, self.spec.time.final
         if self.failure is not None:
             advice = step_advice(self.spec, self.failure.code)
-            status, reason = "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
-        elif self.interrupted_because:
-            status, reason = "interrupted", self.interrupted_because
-        elif stepper is not None and not stepper.finished:
-            at = f"t = {stepper.time:.6g} s of {self.spec.time.final:.6g} s"
-            status, reason = "interrupted", f"interrupted: stopped by the user at {at}."
-        elif self.interrupted and (self.recorder.kept is not None or self.spec.gradients):
-            what = "errors were estimated" if self.recorder.kept is not None else "gradients were computed"
-            status, reason = "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
-        elif self.watch is not None and self.watch.stopped is not None:
-            reason = f"event: {self.watch.stopped}."
-        misalignment_max = self.recorder.misalignment_max(
-            stepper.worst_pairs if stepper is not None else np.zeros(pairs)
-        )
-        steps = None if stepper is None else stepper.evidence
-        memory = self.memory
-        of_drivers = [] if steps is None else [impact for impact in steps.impacts if isinstance(impact, DriverImpulse)]
-        drivers = stops_of(self.spec).impacts if of_drivers else {}
-        self.recorder.record_impacts(() if memory is None else memory.impacts, of_drivers, drivers)
-        totals = {} if self.integrals is None else self.integrals.totals(self.recorder.of_event, self.deadline)
-        findings = (*self.findings, *self.recorder.findings(totals))
-        if self.request.becomes_run and self.spec.gradients and status == "complete":
-            self.gradients = higher_layers.gradients_json(self.spec)
-        evidence = evidence_of_run(
-            self.spec, self.recorder, steps, (status, reason), misalignment_max, self.size, findings,
-            self.doubtful_gradients(),
-        )  # fmt: skip
-        errors = None
-        if self.accuracy is not None:
-            missed = missed_because(self.accuracy, self.tried, self.failure)
-            position = PositionMeasure.of(self.spec, self.workspace).known(self.accuracy)
-            errors = estimated_errors(self.spec, self.recorder, self.accuracy, position, missed, totals)
-        judgement = judge(evidence, errors)
-        message = f"{status}: {reason.removeprefix('interrupted: ')}" if reason else status
-        level = logging.WARNING if status == "failed" else logging.INFO
-        if _LOG.isEnabledFor(level):
-            _LOG.log(level, "run %s ends: %s, verdict %s", self.spec.run_id(), message, judgement.level)
-        _LOG.debug("counters: %s; timings: %s", counters, self.timings)
-        notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
-        ending = Ending(
-            status,
-            reason,
-            {**counters, **self.timings},
-            misalignment_max,
-            judgement,
-            (*map(str, findings), *notes),
-            self.accuracy,
-            totals,
-            self.cause,
-            self.request.tables,
-        )
-        if self.request.becomes_run:
-            self.run = finish(self.writer, self.spec, ending, gradients=self.gradients)
-        else:
-            assert isinstance(self.writer, ArrayWriter)
-            self.writer.finish(ending)
+            return "failed", shown(f"{self.failure.code}: {self.failure.sentence}{advice}")
+        if self.interrupted_because:
+            return "interrupted", self.interrupted_because
+        if stepper is not None and not stepper.finished:
+            return "interrupted", f"interrupted: stopped by the user at t = {stepper.time:.6g} s of {end:.6g} s."
+        if self.interrupted and (self.record.recorder.kept is not None or self.spec.gradients):
+            what = "errors were estimated" if self.record.recorder.kept is not None else "gradients were computed"
+            return "interrupted", f"interrupted: stopped by the user after the last step, before {what}."
+        stopped = None if self.watch is None else self.watch.stopped
+        return "complete", "" if stopped is None else f"event: {stopped}."

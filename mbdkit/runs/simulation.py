@@ -11,13 +11,11 @@ from functools import partial
 from pathlib import Path
 from typing import Unpack
 
-from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
+from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
-from mbdkit.archive.run_writer import Origin, RunWriter
-from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.errors import MbdkitError
@@ -30,27 +28,21 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.methods.kinds import Method
-from mbdkit.quantities.names import archive_names
-from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
-from mbdkit.runs.integrals import functionals_of, largest_loads_of
 from mbdkit.runs.preparation import (
+    RunSetup,
     build,
     caution,
     check_calls,
     check_disk_space,
     make_method,
-    recorded_arrays,
     require_support,
 )
-from mbdkit.runs.provenance import provenance
-from mbdkit.runs.recorder import shared_forces
-from mbdkit.runs.run_checkpoint import Continuation
+from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
-from mbdkit.runs.simulated_run import Request, SimulatedRun
+from mbdkit.runs.simulated_run import SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.trust.finding import Finding
@@ -155,34 +147,15 @@ def simulate(
     if path is not None:
         check_target(path, overwrite=overwrite)
     in_arrays = path is None and not tables
-    begun = begun_arrays if in_arrays else partial(begun_archive, path=path, overwrite=overwrite)
     request = Request(
-        begun=begun, begin=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
+        begin=begin_arrays if in_arrays else partial(begin_archive, path=path, overwrite=overwrite),
+        since=begin, measured_in=measured_in, path=path, starts=starts, measures=measures,
         tables=tables or {},
     )  # fmt: skip
-    return _finished(_ended(spec, request, progress))
+    return integrate_to_run(spec, request, progress)
 
 
 computed_run(simulate)
-
-
-def simulate_on(
-    spec: RunSpec,
-    continuation: Continuation,
-    begun: Callable[[RunSpec, Method, _Start], RunWriter],
-    *,
-    progress: Progress | None = None,
-    measures: Sequence[str] = (),
-) -> Run:
-    """Continue a run from a checkpoint.
-
-    `continuation`: the state to continue from. `begun`: function that returns a writer with the rows up to this state.
-    `progress`, `measures`: see `simulate`.
-    """
-    request = Request(
-        begun=begun, begin=time.perf_counter(), measured_in=measured_in, measures=measures, continuation=continuation
-    )
-    return _finished(_ended(spec, request, progress))
 
 
 def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Sequence[str] = ()) -> FinishedRun:
@@ -194,21 +167,22 @@ def simulate_arrays(spec: RunSpec, *, starts: Starts | None = None, measures: Se
         See `simulate`.
     """
     request = Request(
-        begun=begun_arrays, begin=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
+        begin=begin_arrays, since=time.perf_counter(), measured_in=measured_in, starts=starts, measures=measures,
         becomes_run=False,
     )  # fmt: skip
-    simulation = _ended(spec, request, None)
-    assert isinstance(simulation.writer, ArrayWriter)
-    assert simulation.writer.finished is not None
-    return simulation.writer.finished
+    finished = _integrate(spec, request, None)
+    assert isinstance(finished, FinishedRun)
+    return finished
 
 
-def _finished(simulation: SimulatedRun) -> Run:
-    assert simulation.run is not None
-    return simulation.run
+def integrate_to_run(spec: RunSpec, request: Request, progress: Progress | None = None) -> Run:
+    """Integrate a spec from its start, or from a checkpoint, to its end, and return the run."""
+    run = _integrate(spec, request, progress)
+    assert isinstance(run, Run)
+    return run
 
 
-def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
+def start_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> SimulatedRun:
     """Return the simulation of a spec; `choice` says how method and step were chosen, and is None if the user gave
     them.
     """
@@ -218,47 +192,38 @@ def begun_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> 
         higher_layers.check_gradients(spec, method)
     cautions = caution(spec, method, request.measures)
     _log(cautions)
-    workspace, start = build(spec, request.starts)
-    require_support(spec, method, workspace.mechanism)
-    moves = findings("start", spec, start)
+    setup = RunSetup.of(spec, request.starts, method=method)
+    mechanism = setup.workspace.mechanism
+    require_support(spec, method, mechanism)
+    moves = findings("start", spec, setup.start)
     _log(moves)
     if _LOG.isEnabledFor(logging.DEBUG):
-        _LOG.debug("mechanism: %s; start: %s", workspace.mechanism.freedoms(), start.describe())
+        _LOG.debug("mechanism: %s; start: %s", mechanism.freedoms(), setup.start.describe())
     if not request.is_open:
-        check_disk_space(spec, workspace.mechanism, request.path)
-    loads = largest_loads_of(spec, peaks_of(archive_names(workspace.mechanism)))
-    functionals = functionals_of(spec, (*request.measures, *loads))
+        check_disk_space(spec, mechanism, request.path)
     noted: list[bool] = []
-    noting = _not_noted if request.begun is begun_arrays else interrupts_noted
+    noting = _not_noted if request.begin is begin_arrays else interrupts_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
-        writer = request.begun(spec, method, (workspace, start))
-        try:
-            simulation = SimulatedRun(
-                spec, workspace, start, method, writer, request, (*cautions, *moves), choice, functionals
-            )
-        except BaseException:
-            writer.abandon()
-            raise
+        simulation = SimulatedRun(RunRecord(setup, request, (*cautions, *moves)), choice)
     if noted:
         simulation.interrupt()
     return simulation
 
 
-def _ended(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
+def _integrate(spec: RunSpec, request: Request, progress: Progress | None) -> Run | FinishedRun:
     method = "the method is chosen during the run" if spec.choose == "method" else spec.integrator_item.id
     if _LOG.isEnabledFor(logging.INFO):
         _LOG.info("run %s begins: %s with %s", spec.run_id(), spec.model_item.id, method)
     check_calls(spec)
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
-            return _with_accuracy(spec, request, progress)
-        with _finished_or_abandoned(begun_run(spec, request)) as simulation:
+            return _integrate_accurately(spec, request, progress)
+        with _abandoning_failures(start_run(spec, request)) as simulation:
             simulation.integrate(progress)
-            simulation.finish()
-            return simulation
+            return simulation.conclude()
 
 
-def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -> SimulatedRun:
+def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | None) -> Run | FinishedRun:
     """Choose method and step for the requested accuracy of a spec, and repeat the run with smaller steps or tolerances
     until it reaches the accuracy.
 
@@ -269,23 +234,21 @@ def _with_accuracy(spec: RunSpec, request: Request, progress: Progress | None) -
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _finished_or_abandoned(begun_run(choice.applied_to(spec), request, choice)) as simulation:
+        with _abandoning_failures(start_run(choice.applied_to(spec), request, choice)) as simulation:
             simulation.integrate(progress)
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
             following = None if simulation.is_final else _following(spec, workspace, simulation, len(tried))
             simulation.tried = [attempted for _, attempted in tried]
             if simulation.is_final or (following is None and best is choice):
-                simulation.finish()
-                return simulation
+                return simulation.conclude()
         if following is None:
             # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
             # equal results.
-            with _finished_or_abandoned(begun_run(best.applied_to(spec), request, best)) as simulation:
+            with _abandoning_failures(start_run(best.applied_to(spec), request, best)) as simulation:
                 simulation.integrate(progress)
                 simulation.tried = [attempted for _, attempted in tried]
-                simulation.finish()
-                return simulation
+                return simulation.conclude()
         choice = following
 
 
@@ -296,40 +259,6 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
     if choice.limited:
         return None if math.isnan(simulation.reached) else other_method(spec, workspace, choice)
     return None if attempts >= MOST_ATTEMPTS else choice.tightened(spec, spec.accuracy, simulation.reached)
-
-
-def begun_archive(
-    spec: RunSpec,
-    method: Method,
-    start: _Start,
-    *,
-    path: Path | None,
-    overwrite: bool,
-    part: Path | None = None,
-    origin: Mapping[str, str | int | float] | None = None,
-) -> ArchiveWriter:
-    """Return the writer of the archive of a run; by default, its provenance `origin` is that of this process."""
-    mechanism = start[0].mechanism
-    return ArchiveWriter(
-        path,
-        archive_names(mechanism),
-        Origin.of(spec, origin or {**provenance(spec), "assembly": start[1].describe()}),
-        arrays=recorded_arrays(spec, method, mechanism),
-        overwrite=overwrite,
-        part=part,
-        shared=shared_forces(mechanism),
-    )
-
-
-def begun_arrays(spec: RunSpec, method: Method, start: _Start) -> RunWriter:
-    """Return a writer that stores the rows of a run in memory."""
-    workspace, assembled = start
-    return ArrayWriter(
-        archive_names(workspace.mechanism),
-        recorded_arrays(spec, method, workspace.mechanism),
-        shared=shared_forces(workspace.mechanism),
-        assembly=assembled.describe(),
-    )
 
 
 def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | None:
@@ -356,7 +285,7 @@ def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
 
 
 @contextmanager
-def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
+def _abandoning_failures(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
     """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
     try:
         noting = interrupts_noted if simulation.request.becomes_run else _not_noted
@@ -366,4 +295,4 @@ def _finished_or_abandoned(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
         _LOG.warning("run %s is abandoned: %s", simulation.spec.run_id(), one_line(error))
         raise
     finally:
-        simulation.writer.abandon()
+        simulation.record.writer.abandon()

@@ -25,7 +25,7 @@ from mbdkit.integrators.lanes.lane_run import LaneRun, new_lane_run
 from mbdkit.integrators.run.run_plan import guard_limits
 from mbdkit.integrators.run.step_guards import new_guard_state
 from mbdkit.runs.law_ranges import has_ranges
-from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.runs.preparation import build, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 
 
@@ -47,7 +47,7 @@ def why_not_batched(spec: RunSpec) -> str:
     if reason := next((clause for holds, clause in reasons if holds), ""):
         return reason
     workspace, _ = build(spec)
-    mechanism, table = workspace.mechanism, replace(timetable(spec, guards(spec, 1.0)), interval=None)
+    mechanism, table = workspace.mechanism, replace(timetable(spec, None), interval=None)
     if new_guard_state(mechanism).has_loops[0]:
         return "its joints close a loop"
     if mechanism.extensions or not suits_lanes(method, mechanism, table):
@@ -115,7 +115,7 @@ class SimulationBatch:
         bundle, workspace = method.traits.lanes().bundle, self._workspace
         example = new_lane_run(bundle(method, workspace, None, None), workspace, 1)
         self._state = BatchState.like(example, self._vectors)
-        table, mechanism = timetable(self.spec, guards(self.spec, size_at_start(self.spec, workspace))), self.mechanism
+        table, mechanism = timetable(self.spec, size_at_start(self.spec, workspace)), self.mechanism
         limits = guard_limits(mechanism, table.guards).squared_misalignment
         runs = []
         for number in range(self._vectors):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 
 @dataclass(frozen=True)
@@ -38,3 +38,27 @@ def open_doubts(
 def accepted_doubts(findings: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
     """Return the texts of the doubts of accepted criteria."""
     return tuple(str(finding) for finding in findings if finding.level is not None and finding.criterion in accepted)
+
+
+class Doubts(NamedTuple):
+    """What findings mean for the verdict on a result, as sentences.
+
+    - `open`: doubts that the spec does not accept. `accepted`: those that it accepts.
+    - `remarks`: remarks, which do not change the verdict.
+    - `faults`: findings that make the result bad, and that the spec does not accept.
+    """
+
+    open: tuple[str, ...] = ()
+    accepted: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, findings: Collection[Finding], accepted: Collection[str]) -> Doubts:
+        """Return those of findings, of which the spec accepts some criteria."""
+        return cls(
+            open_doubts(findings, accepted),
+            accepted_doubts(findings, accepted),
+            tuple(str(finding) for finding in findings if finding.level is None),
+            open_doubts(findings, accepted, "bad"),
+        )

@@ -25,7 +25,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.engine import consistent_start
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
-from mbdkit.runs import finish, preparation, simulated_run, simulation
+from mbdkit.runs import finish, preparation, run_record, simulated_run, simulation
 from mbdkit.runs.recorder import Recorder
 from mbdkit.spec.model_spec import ModelSpec
 
@@ -43,14 +43,13 @@ PARTS: dict[str, list[tuple[Any, str]]] = {
     "assembly": [(consistent_start, "search_for"), (consistent_start, "assemble")],
     "working arrays": [(consistent_start, "Workspace")],
     "redundancy": [(preparation, "require_unique_start")],
-    "start of the method": [(simulated_run, "start_method")],
+    "start of the method": [(preparation, "start_method")],
     "steps": [(CompiledStepper, "advance")],
-    "recording, with accelerations and reactions": [(simulated_run, "Recorder"), (Recorder, "record")],
-    "evidence and verdict": [(simulated_run, "evidence_of_run"), (simulated_run, "judge")],
-    "provenance": [(finish, "provenance"), (simulation, "provenance")],
-    "archive: begun": [(simulation, "ArchiveWriter")],
+    "recording, with accelerations and reactions": [(run_record, "Recorder"), (Recorder, "record")],
+    "evidence and verdict": [(simulated_run, "conclude")],
+    "provenance": [(finish, "provenance"), (run_record, "provenance")],
+    "archive: begun": [(run_record, "ArchiveWriter")],
     "archive: finished": [(ArchiveWriter, "finish")],
-    "archive: opened again": [(simulated_run.SimulatedRun, "run")],
 }
 
 

@@ -13,8 +13,7 @@ from mbdkit.events.crossing import crossings
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.loop.steps_ahead import StepsAhead
-from mbdkit.integrators.start import start_method
-from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec import load_spec
 from tests.slow_cases import slow_but
 
@@ -109,9 +108,8 @@ def test_many_steps_at_once_yield_the_same_bits_as_one_by_one(
 def stepper_of(spec: dict[str, Any]) -> CompiledStepper:
     """Return the stepper of a run, started to take steps one by one."""
     loaded = load_spec(spec)
-    workspace, _ = build(loaded)
-    limits = guards(loaded, size_at_start(loaded, workspace))
-    stepper = start_method(make_method(loaded), workspace, timetable(loaded, limits, nodes=True, ends=True))
+    setup = RunSetup.of(loaded)
+    stepper = setup.stepper(setup.timetable(nodes=True, ends=True))
     assert isinstance(stepper, CompiledStepper)
     return stepper
 

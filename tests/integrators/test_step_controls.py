@@ -161,7 +161,7 @@ def adaptive_spec(name: str, method: str) -> RunSpec:
 def started(spec: RunSpec) -> Parts:
     workspace = build(spec)[0]
     stepper: Any = start_method(make_method(spec), workspace, Timetable(0.0, END, single=True))
-    return Parts(workspace, stepper, None, None, None)  # type: ignore[arg-type]
+    return Parts(workspace, stepper, None, None)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("method", ["dopri5", "python", *slow("radau-iia")])

@@ -14,7 +14,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import data_sha256, seal
 from mbdkit.archive.info import describe
 from mbdkit.methods.step_methods import StepMethod, StepState
-from mbdkit.runs.preparation import guards, size_at_start
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec import load_spec
 from tests.margins import assert_within
 
@@ -60,22 +60,15 @@ class Exploding(StepMethod):
 @pytest.mark.parametrize("every", [1, 1000])
 def test_a_stopped_run_reports_no_misalignment_from_beyond_its_last_row(every: int) -> None:
     # a state between rows is recorded when a run stops there: it is refused too if its joints are apart
-    from mbdkit.archive.finished_run import ArrayWriter
-    from mbdkit.quantities.names import archive_names
-    from mbdkit.runs.preparation import build, make_method, recorded_arrays
-    from mbdkit.runs.simulated_run import Request, SimulatedRun
+    from mbdkit.runs.run_record import Request, RunRecord, begin_arrays
+    from mbdkit.runs.simulated_run import SimulatedRun
     from mbdkit.runs.simulation import measured_in
 
     given = load_spec(spec(DOUBLE, RK4, 2.0, 0.01, output={"every": every}), ())
-    workspace, start = build(given)
-    arrays = recorded_arrays(given, make_method(given), workspace.mechanism)
-    writer = ArrayWriter(archive_names(workspace.mechanism), arrays)
-    request = Request(begun=lambda spec, method, start: writer, begin=0.0, measured_in=measured_in)
-    simulation = SimulatedRun(given, workspace, start, Exploding(), writer, request, (), None, ())
+    setup = RunSetup.of(given, method=Exploding())
+    simulation = SimulatedRun(RunRecord(setup, Request(begin=begin_arrays, since=0.0, measured_in=measured_in)))
     simulation.integrate(None)
-    simulation.finish()
-    assert simulation.run is not None
-    with simulation.run as run:
+    with simulation.conclude() as run:
         assert run.status_reason.startswith("fell-apart: ")
         assert run.misalignment_max == run.array("joints/misalignment").max() <= 1.5
         assert run.verdict == "bad"
@@ -217,11 +210,9 @@ def test_the_verdict_is_no_part_of_the_data_hash(tmp_path: Path) -> None:
 
 
 def test_limits_reach_the_stepper_in_metres_and_radians() -> None:
-    from mbdkit.runs.preparation import build
-
     given = load_spec(spec(DOUBLE, RK4, 0.1, 0.01, limits={"misalignment": 0.1, "energy_jump": 0.2}), ())
-    size = size_at_start(given, build(given)[0])
-    found = guards(given, size)
-    assert size == 1.5
+    setup = RunSetup.of(given)
+    found = setup.timetable().guards
+    assert setup.size == 1.5
     assert found.misalignment == pytest.approx(0.15)
     assert (found.angle_misalignment, found.energy_jump) == (0.1, 0.2)

@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Guards, Timetable
+from mbdkit.integrators.interface import Timetable
 from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
@@ -91,7 +91,7 @@ def choose_companions(spec: RunSpec, method: Method, workspace: Workspace, times
         what, (first, second) = "tolerance", _tighter(spec, method, workspace, within)
         rough, fine = TENTHS if _has_tolerances(spec, method) else OTHER_TENTHS
     else:
-        what, plan = "step", timetable(spec, Guards())
+        what, plan = "step", timetable(spec, None)
         interval = row_interval(plan)
         rough, fine = step_factors(spec)
         first, second = (
@@ -259,7 +259,7 @@ def _projected(workspace: Workspace) -> Stabilization:
 
 def _steps_within(spec: RunSpec, times: np.ndarray) -> Timetable:
     """Return the timetable of an adaptive run over `times` that returns after each step."""
-    run = until(timetable(spec, Guards(), all_knots=True), float(times[-1]))
+    run = until(timetable(spec, None, all_knots=True), float(times[-1]))
     return replace(run, step=None, steps=0, every=NEVER, interval=None, single=True)
 
 

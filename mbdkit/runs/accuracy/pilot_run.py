@@ -20,7 +20,7 @@ from mbdkit.integrators.interface import Advancing, Failure, Nodes, StepEvidence
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.preparation import guards, make_method, plugin_failure, size_at_start, timetable
+from mbdkit.runs.preparation import make_method, plugin_failure, size_at_start, timetable
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.step_interpolation import StepStates
@@ -72,7 +72,7 @@ def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: i
     dense = adaptive and spec.integrator_plugin.dense_output
     steps = spec.time.count or 0
     table = replace(
-        timetable(spec, guards(spec, PositionMeasure.of(spec, workspace).size)),
+        timetable(spec, size_at_start(spec, workspace)),
         interval=(end - start) / SAMPLES if dense else None,
         every=1 if adaptive else max(1, steps // SAMPLES),
         single=False,
@@ -150,7 +150,7 @@ class RecordedPilot:
         self.setting = setting
         self.workspace = workspace.for_another_run(spec.formulated.name, spec.stabilized)
         method = make_method(spec)
-        given = timetable(spec, guards(spec, size_at_start(spec, workspace)))
+        given = timetable(spec, size_at_start(spec, workspace))
         kept = MOST_VALUES // len(workspace.q0)
         self.timetable = replace(
             given, every=1, interval=None, single=False, max_steps=min(given.max_steps, most_steps, kept)
@@ -200,7 +200,7 @@ def can_be_recorded(spec: RunSpec) -> bool:
         spec.claims.adaptive
         and "rtol" in type(spec.integrator).model_fields
         and make_method(spec).traits.is_explicit
-        and not timetable(spec, guards(spec, 1.0)).impacts
+        and not timetable(spec, None).impacts
     )
 
 

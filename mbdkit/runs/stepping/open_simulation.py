@@ -30,8 +30,9 @@ from mbdkit.integrators.interface import Advancing, Goal, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.goal import goal_at
 from mbdkit.runs.run_checkpoint import why_without
-from mbdkit.runs.simulated_run import Request, SimulatedRun
-from mbdkit.runs.simulation import begun_archive, begun_arrays, begun_run, measured_in, simulate
+from mbdkit.runs.run_record import Request, begin_archive, begin_arrays
+from mbdkit.runs.simulated_run import SimulatedRun
+from mbdkit.runs.simulation import measured_in, simulate, start_run
 from mbdkit.runs.stepping.input_history import InputHistory
 from mbdkit.runs.stepping.present_values import PresentState, PresentValues
 from mbdkit.runs.stepping.record import Record
@@ -161,24 +162,24 @@ class Simulation:
 
     def _begin(self, spec: RunSpec) -> None:
         self.spec = spec
-        self._run = self._begun(spec)
+        self._run = self._started(spec)
         self._pivots: object = None
         self._record = Record(self._run)
         self._restart()
 
-    def _begun(self, spec: RunSpec) -> SimulatedRun:
+    def _started(self, spec: RunSpec) -> SimulatedRun:
         path = self._archive
-        writer = begun_arrays if path is None else partial(begun_archive, path=path, overwrite=self._overwrite)
+        writer = begin_arrays if path is None else partial(begin_archive, path=path, overwrite=self._overwrite)
         request = Request(
-            begun=writer,
-            begin=time.perf_counter(),
+            begin=writer,
+            since=time.perf_counter(),
             measured_in=measured_in,
             path=path,
             starts=self._starts,
             is_open=True,
         )
         with one_thread_of_linear_algebra():
-            return begun_run(spec, request)
+            return start_run(spec, request)
 
     def _restart(self) -> None:
         """Go to the start, with an empty history."""
@@ -193,7 +194,7 @@ class Simulation:
     def _start_stepper(self) -> None:
         """Let the steps begin at the start, with the inputs of the workspace."""
         run = self._run
-        run.timings = {"setup_s": time.perf_counter() - run.request.begin, "integrals_s": 0.0}
+        run.timings, run.record.integrals_s = {"setup_s": time.perf_counter() - run.request.since}, 0.0
         if run.stepper is not None and self._quick is not None and self._quick.restart():
             return
         if self._pivots is None:
@@ -211,7 +212,12 @@ class Simulation:
         self._advancing: Advancing = run.stepper
         self._present: PresentValues | None = None
         self._is_fixed: bool = stepper.is_fixed
-        is_plain = run.watch is None and run.integrals is None and not run.keeps_nodes and not run.table.single
+        is_plain = (
+            run.watch is None
+            and run.record.integrals is None
+            and not run.record.needs_nodes
+            and not run.record.table.single
+        )
         self._quick = stepper if isinstance(stepper, CompiledStepper) and stepper.is_fixed and is_plain else None
         if self._quick is not None:
             self._quick.keep_start()
@@ -232,7 +238,7 @@ class Simulation:
         if self._result is not None:
             return
         if self.time <= self._run.workspace.t0:
-            self._run.writer.abandon()
+            self._run.record.writer.abandon()
         elif error is None:
             self.finish()
         else:
@@ -264,10 +270,10 @@ class Simulation:
         with one_thread_of_linear_algebra():
             try:
                 if not self._record.is_whole:
-                    run.writer.abandon()
+                    run.record.writer.abandon()
                     self._result = simulate(spec, path=self._archive, overwrite=self._overwrite)
                     return self._result
-                run.use_spec(spec)
+                run.record.use_spec(spec)
                 if not self.ended:
                     stepper.finished = not reason
                 self._record.flush(self._history, self.time)
@@ -275,12 +281,12 @@ class Simulation:
                 run.interrupted_because = reason
                 run.timings |= {"wall_s": self._record.seconds, "cpu_s": self._record.cpu_seconds}
                 run.check_accuracy(None)
-                run.finish()
+                result = run.conclude()
             finally:
-                run.writer.abandon()
-        self._result = run.run
-        assert self._result is not None
-        return self._result
+                run.record.writer.abandon()
+        assert isinstance(result, Run)
+        self._result = result
+        return result
 
     def _final_time(self) -> float:
         """Return the end of the recorded spec: the time reached, or that of the spec if the run could not reach it."""
@@ -587,7 +593,7 @@ class Simulation:
             self._restart()
             self._record.clear()
             return
-        self._run.writer.abandon()
+        self._run.record.writer.abandon()
         try:
             self._begin(spec)
         except BaseException:

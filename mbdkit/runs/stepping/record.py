@@ -11,7 +11,8 @@ import numpy as np
 
 from mbdkit.integrators.interface import Stretch
 from mbdkit.integrators.loop.step_loop import ROW_MARGIN
-from mbdkit.runs.simulated_run import SimulatedRun, Taken
+from mbdkit.runs.run_record import Taken
+from mbdkit.runs.simulated_run import SimulatedRun
 from mbdkit.runs.stepping.input_history import InputHistory
 from mbdkit.runs.stepping.simulation_state import SimulationState
 
@@ -87,7 +88,7 @@ class Record:
         if self._is_begun and self._since_passed() is None:
             self._passed = self._first
             if self._since_passed() is not None:
-                self.run.begin_record_again()
+                self.run.record.begin_again()
                 self._is_begun, self._written = False, 0
 
     def adopt(self, other: Record, state: SimulationState) -> None:
@@ -120,18 +121,18 @@ class Record:
             self._is_begun = True
         if end is not None:
             links = [*self._with_end(links, end)]
-        elif run.table.interval is not None:
+        elif run.record.table.interval is not None:
             rows = [number for number, link in enumerate(links) if len(_rows(link).time)]
             links = links[: rows[-1]] if rows else []
-        until = max([run.recorder.last_time, *(time for link in links for time in _rows(link).time[-1:])])
+        until = max([run.record.recorder.last_time, *(time for link in links for time in _rows(link).time[-1:])])
         settings = history.settings(self._written, until if end is None else end, is_over=end is not None)
-        run.recorder.record_inputs(settings)
+        run.record.recorder.record_inputs(settings)
         self._written += len(settings)
         for link in links:
             if run.failure is not None:
                 break
             assert link.taken is not None
-            run.record(link.taken, link.elapsed)
+            run.add(link.taken, link.elapsed)
             self._passed = link
         self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
         self.seconds += time.perf_counter() - begin
@@ -144,9 +145,9 @@ class Record:
         rows = [number for number, link in enumerate(links) if len(_rows(link).time)]
         last = links[rows[-1]] if rows else None
         row = None if last is None else _rows(last)
-        recorded = run.recorder.last_time if row is None else row.time[-1]
+        recorded = run.record.recorder.last_time if row is None else row.time[-1]
         is_cut = stepper.failure is not None or (run.watch is not None and run.watch.stopped is not None)
-        interval = None if is_cut else run.table.interval  # a run that is cut has its last row
+        interval = None if is_cut else run.record.table.interval  # a run that is cut has its last row
         if run.failure is not None or (recorded >= stepper.time and (row is None or interval is None)):
             yield from links
             return

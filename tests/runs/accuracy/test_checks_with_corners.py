@@ -15,7 +15,7 @@ import mbdkit
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.runs.accuracy.companion import finer
 from mbdkit.runs.accuracy.companion_choice import choose_companions
-from mbdkit.runs.preparation import guards, make_method, timetable
+from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec import load_spec
 from tests.linkages import driven_crank
 from tests.margins import assert_within
@@ -142,7 +142,7 @@ def test_guards_stop_at_smooth_knots_on_the_grid_of_the_run_too() -> None:
     time = {"end": 1.0, "step": 0.05}
     spec = load_spec({"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": time})
     workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
-    assert timetable(spec, guards(spec, 1.0)).stops == ()
+    assert timetable(spec, None).stops == ()
     chosen = choose_companions(spec, make_method(spec), workspace, np.linspace(0, 1, 21), 20)
     assert all(companion.timetable.stops == (0.25, 0.5) for companion in chosen.guards)
 
@@ -150,7 +150,7 @@ def test_guards_stop_at_smooth_knots_on_the_grid_of_the_run_too() -> None:
 def test_companions_of_a_run_that_ended_early_have_no_stops_beyond_its_end() -> None:
     spec = load_spec(spec_of({"name": "rk4"}, 0.5037))
     workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
-    plan = timetable(spec, guards(spec, 1.0))
+    plan = timetable(spec, None)
     assert plan.stops == plan.impacts == (0.5037,)
     for end in (0.3, 0.5037 - plan.stop_margins[0]):
         early = finer(plan, np.array([0.0, end]), 2)

@@ -116,7 +116,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     with causes_named(problem):
         check(problem)
     measured, time = problem.measured, problem.measured.time
-    for warning in (*problem.warnings, *doubts_before_computation(problem).open):
+    for warning in (*problem.warnings, *doubts_before_computation(problem)):
         say(f"warning: {warning}")
     show(f"{name}: this spec of inverse dynamics is valid")
     show(f"model        {spec.model_item.id}: {spec.mechanism().description()}")

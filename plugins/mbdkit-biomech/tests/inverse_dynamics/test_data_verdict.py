@@ -248,7 +248,7 @@ def test_a_unit_that_contradicts_the_file_is_named(tmp_path: Path) -> None:
     assert not right.measured.contradictions
     columns = {name: {"column": name, "unit": "rad"} for name in ANGLES}
     wrong = InverseProblem.of(load_inverse_spec(spec | {"motion": spec["motion"] | {"columns": columns}}))
-    (first, *_) = doubts_before_computation(wrong).open
+    (first, *_) = doubts_before_computation(wrong)
     assert first.startswith("units: the unit rad at motion.columns.hip_flexion.unit contradicts the unit of column")
     assert "'hip_flexion' in the file, deg" in first
 

@@ -154,7 +154,7 @@ def _cautions(spec: RunSpec | InverseSpec) -> Iterable[str]:
     if isinstance(spec, RunSpec):
         return map(str, caution(spec))
     problem = InverseProblem.of(spec)
-    return (*problem.warnings, *doubts_before_computation(problem).open)
+    return (*problem.warnings, *doubts_before_computation(problem))
 
 
 @spec_check

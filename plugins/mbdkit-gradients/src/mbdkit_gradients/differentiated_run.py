@@ -16,16 +16,15 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.engine.workspace import Workspace
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.run.sampled_control import states_at_start
-from mbdkit.integrators.start import compiled_method, start_method
+from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
@@ -164,11 +163,9 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
     RunError
         If the run stops early, or if the accelerations of a recorded state are not unique.
     """
-    method = make_method(spec)
-    workspace, _ = build(spec)
-    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
-    stepper = start_method(method, workspace, table)
-    none = np.zeros(1)
+    setup, none = RunSetup.of(spec), np.zeros(1)
+    workspace, table = setup.workspace, setup.timetable()
+    stepper = setup.stepper(table)
     stretches = [
         Stretch(
             np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
@@ -241,7 +238,7 @@ def differentiated_stepper(
     seeds: Seeds,
     needs: Needs,
     sizes: Sequence[float] | None,
-    workspace: Workspace | None = None,
+    setup: RunSetup | None = None,
     **changes: Any,
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
@@ -250,20 +247,18 @@ def differentiated_stepper(
 
     Parameters
     ----------
-    workspace
-        The workspace of the spec, possibly with another initial state; built by default.
+    setup
+        The setup of the spec; made by default.
     **changes
         Fields of the timetable, such as ``every``.
     """
-    method = make_method(spec)
-    if workspace is None:
-        workspace, _ = build(spec)
+    setup = setup or RunSetup.of(spec)
+    method, workspace = setup.method, setup.workspace
     workspace.mechanism.refuse_kinds("gradients")
     if needs != Needs():
         workspace.mechanism.refuse_states("the gradient of an extremum, of an integral or of a value at a time")
-    table = timetable(spec, guards(spec, size_at_start(spec, workspace)))
-    table = replace(table, single=table.single or needs.ends)
-    table = replace(table, **changes)
+    table = setup.timetable()
+    table = replace(table, **{"single": table.single or needs.ends, **changes})
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     require_derivatives(method, FORMULATIONS[workspace.formulation], workspace.stabilization)
@@ -482,10 +477,10 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
         If the run stops early.
     """
     stepper: Stepper
-    method = make_method(spec)
-    workspace, _ = build(spec)
+    setup = RunSetup.of(spec)
+    workspace = setup.workspace
     if sizes is None and with_sides(workspace.mechanism) is None:
-        stepper = start_method(method, workspace, timetable(spec, guards(spec, size_at_start(spec, workspace))))
+        stepper = setup.stepper()
     else:
         stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
         workspace = stepper.workspace

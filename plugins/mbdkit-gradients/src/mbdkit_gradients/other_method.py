@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
-from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.simulation import measured_in
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
@@ -58,8 +58,7 @@ class Reference:
 
     def __post_init__(self) -> None:
         self._specs = VariedSpecs(self.spec.canonical_json())
-        self._method = make_method(self.spec)
-        self._has_sides = with_sides(build(self.spec)[0].mechanism) is not None
+        self._has_sides = with_sides(RunSetup.of(self.spec).workspace.mechanism) is not None
         self._chosen: int | None = None
 
     def values(self, settings: Settings) -> Sequence[float]:
@@ -93,7 +92,8 @@ class Reference:
         return np.array([one.slope for one in derived.values()]).reshape(unknown.shape)
 
     def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
-        return other_methods(spec, self._method, build(spec)[0], ASSUMED_STEPS, interval)
+        setup = RunSetup.of(spec)
+        return other_methods(spec, setup.method, setup.workspace, ASSUMED_STEPS, interval)
 
 
 def _recorded_interval(spec: RunSpec) -> float | None:

@@ -19,10 +19,9 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import Starts
-from mbdkit.engine.workspace import Workspace
 from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.runs.given_start import GivenStart
-from mbdkit.runs.preparation import build
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
@@ -89,9 +88,9 @@ class PreparedSpec:
         self.knots = knots_of(spec)
 
     @cached_property
-    def workspace(self) -> Workspace:
-        """The workspace of a run."""
-        return build(self.spec, self._starts)[0]
+    def setup(self) -> RunSetup:
+        """The setup of the run."""
+        return RunSetup.of(self.spec, self._starts)
 
     def state(self, initial: Mapping[str, float], near: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities at the start (3 (B + 1),), ground last; see `GivenStart.state`."""
@@ -211,9 +210,10 @@ class RunPreparation(Preparation):
         self.base = self._arrays(self._own, initial)
 
     @property
-    def workspace(self) -> Workspace:
-        """The workspace of a run of the spec."""
-        return replace(self._own.workspace, q0=self.base["q"], v0=self.base["v"])
+    def setup(self) -> RunSetup:
+        """The setup of a run of the spec from the initial values."""
+        own = self._own.setup
+        return replace(own, workspace=replace(own.workspace, q0=self.base["q"], v0=self.base["v"]))
 
     def _with_values(self, values: Mapping[Path, float]) -> PreparedSpec:
         key = tuple(values.items())

@@ -23,10 +23,9 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
-from mbdkit.integrators.start import start_method
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.parameters import names_in
-from mbdkit.runs.preparation import build, guards, make_method, size_at_start, timetable
+from mbdkit.runs.preparation import build, make_method, timetable
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -352,19 +351,18 @@ class PreparedSensitivities:
     def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
         """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
         spec = preparation.spec
-        workspace = preparation.workspace
+        setup = preparation.setup
         expressions = self._parsed(spec) if self._uses_parameters else self._expressions
-        method, count = make_method(spec), seeds.count
-        uses_accelerations, way = not method.traits.suits_stiff, self._way
+        count = seeds.count
+        uses_accelerations, way = not setup.method.traits.suits_stiff, self._way
         changes: dict[str, Any] = {"every": self._grid or 1, "interval": None, "single": way == "within"}
         run: RunAtTimes
         if count:
-            stepper = differentiated_stepper(spec, seeds, Needs(), None, workspace, **changes)
+            stepper = differentiated_stepper(spec, seeds, Needs(), None, setup, **changes)
             run = DifferentiatedRunAtTimes(stepper, count, way, uses_accelerations=uses_accelerations)
         else:
-            table = replace(timetable(spec, guards(spec, size_at_start(spec, workspace))), **changes)
-            plain = start_method(method, workspace, table)
-            run = RunAtTimes(plain, workspace, way, uses_accelerations=uses_accelerations)
+            plain = setup.stepper(replace(setup.timetable(), **changes))
+            run = RunAtTimes(plain, setup.workspace, way, uses_accelerations=uses_accelerations)
         states = run.states(self.sorted, is_kinematic=all(map(_is_kinematic, expressions)))
         values = np.empty((len(expressions), len(self.sorted)))
         slopes = np.empty((*values.shape, seeds.count))
@@ -447,7 +445,7 @@ def is_smooth(spec: RunSpec) -> bool:
     first-order states, and force laws that fixed steps may cross at a discontinuity.
     """
     mechanism = spec.mechanism()
-    if timetable(spec, guards(spec, 1.0)).stops or mechanism.state_names() or mechanism.held_names():
+    if timetable(spec, None).stops or mechanism.state_names() or mechanism.held_names():
         return False
     return spec.claims.adaptive or with_sides(build(spec)[0].mechanism) is None
 

@@ -1,18 +1,12 @@
-"""The verdict on a result of inverse dynamics, from the doubts about its data and model that the spec does not
-accept.
-"""
+"""The doubts about the data and the model of a result of inverse dynamics, from which its verdict follows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
-
-import numpy as np
+from collections.abc import Iterable, Iterator
 
 from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
-from mbdkit.trust.criteria import Evidence, Judgement, judge
-from mbdkit.trust.finding import Finding, accepted_doubts, open_doubts
+from mbdkit.trust.finding import Doubts, Finding, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion
@@ -31,32 +25,10 @@ from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 
 
-class DataDoubts(NamedTuple):
-    """Doubts about the data and the model, as sentences that begin with the name of the criterion.
-
-    Attributes
-    ----------
-    open
-        Doubts that the spec does not accept.
-    accepted
-        Doubts that the spec accepts.
-    remarks
-        Sentences on the data that do not change the verdict.
-    faults
-        Findings that make the result bad, and that the spec does not accept.
-    """
-
-    open: tuple[str, ...] = ()
-    accepted: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
-    faults: tuple[str, ...] = ()
-
-
-def doubts_about_data(result: Inverse, bars: ResultBars | None) -> DataDoubts:
+def doubts_about_data(result: Inverse, bars: ResultBars | None) -> Doubts:
     """Return the doubts about the data and the model of a result, and remarks on the data."""
     found = ranked_doubts(result, bars, findings("data", result, bars, kind="inverse"))
-    remarks = tuple(str(finding) for finding in found if finding.level is None)
-    return _sorted(found, result.problem.spec.accept)._replace(remarks=remarks)
+    return Doubts.of(found, result.problem.spec.accept)
 
 
 @data_criterion
@@ -116,41 +88,12 @@ def _remarks(sentences: Iterable[str]) -> Iterator[Finding]:
     return (Finding("", None, sentence, is_named=False) for sentence in sentences)
 
 
-def doubts_before_computation(problem: InverseProblem) -> DataDoubts:
-    """Return those doubts about the data and the model that do not depend on the computed motion and forces."""
+def doubts_before_computation(problem: InverseProblem) -> tuple[str, ...]:
+    """Return those doubts about the data and the model that do not depend on the computed motion and forces, and that
+    the spec does not accept.
+    """
     columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
     found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
     found += person_findings(problem)
     found += spec_doubts(problem.spec)
-    return _sorted(found, problem.spec.accept)
-
-
-def _sorted(found: Sequence[Finding], accepted: Sequence[str]) -> DataDoubts:
-    """Separate open doubts from accepted ones; remarks are left out."""
-    faults = open_doubts(found, accepted, "bad")
-    return DataDoubts(open_doubts(found, accepted), accepted_doubts(found, accepted), faults=faults)
-
-
-def verdict_on_data(result: Inverse, misalignment: np.ndarray, doubts: DataDoubts) -> Judgement:
-    """Return the verdict, which is ``unknown`` at best: error bars do not cover wrong data, masses and lengths.
-
-    Parameters
-    ----------
-    misalignment
-        (J,) largest misalignment of each joint [m].
-    doubts
-        The doubts about data and model. Only open doubts lower the level; the accepted ones are added to the reasons.
-    """
-    joints = result.problem.prepared.workspace.mechanism.joints
-    worst = int(np.argmax(misalignment)) if misalignment.size else 0
-    return judge(
-        Evidence(
-            end=float(result.motion.time[-1]),
-            size=result.problem.fitter.manifold.length,
-            misalignment=float(np.max(misalignment, initial=0.0)),
-            joint=joints[worst] if misalignment.size else "",
-            warnings=doubts.open,
-            faults=doubts.faults,
-            accepted=doubts.accepted,
-        )
-    )
+    return open_doubts(found, problem.spec.accept)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -11,20 +12,20 @@ import numpy as np
 
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import Ending
 from mbdkit.base.plain_data import json_text
 from mbdkit.measures.take import take_all
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.runs.conclusion import EndedRun, Extremes, conclude
 from mbdkit.runs.finish import finish_states
 from mbdkit.runs.provenance import model_provenance
+from mbdkit.trust.finding import Doubts
 from mbdkit_biomech.inverse_dynamics.compute import (
     Inverse,
     reaction_forces_without_muscles,
     recorded_states,
     without_followers,
 )
-from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import DataDoubts, verdict_on_data
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import long_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.motion.fit import raw_misalignment
@@ -37,7 +38,7 @@ TIMINGS = ("setup_s", "wall_s", "cpu_s")
 def run_of(
     result: Inverse,
     bars: ResultBars | None = None,
-    doubts: DataDoubts | None = None,
+    doubts: Doubts | None = None,
     path: Path | None = None,
     *,
     overwrite: bool = False,
@@ -67,22 +68,21 @@ def run_of(
         If the archive cannot be written.
     """
     states, names, is_sample = recorded_states(result), _names(result), doubts is None
-    doubts = doubts or DataDoubts()
+    doubts = doubts or Doubts()
     groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
-    misalignment = states.misalignment.max(axis=0, initial=0.0)
-    ending = Ending(
-        "complete",
-        "",
-        timings or dict.fromkeys(TIMINGS, 0.0),
-        misalignment,
-        judgement=verdict_on_data(result, misalignment, doubts),
+    # The verdict is unknown at best: error bars do not cover wrong data, masses and lengths.
+    ended = EndedRun(
+        mechanism=states.mechanism,
+        size=result.problem.fitter.manifold.length,
+        doubts=doubts,
         warnings=(*result.warnings, *doubts.remarks, *doubts.faults, *doubts.open),
-        accuracy=None if bars is None else bars.accuracy,
+        timings=timings or dict.fromkeys(TIMINGS, 0.0),
     )
+    (ending,) = conclude([ended], Extremes.of_states(states))
     return finish_states(
         result.problem.source,
         states,
-        ending,
+        replace(ending, accuracy=None if bars is None else bars.accuracy),
         _provenance(result),
         path=path,
         overwrite=overwrite,
