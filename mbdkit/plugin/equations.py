@@ -15,7 +15,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.engine.force_laws import NativeLaw as NativeLaw
     from mbdkit.engine.least_change import LeastChange as LeastChange
     from mbdkit.engine.observed_states import GivenForces as GivenForces, StateObserver as StateObserver
-    from mbdkit.engine.stored_arrays import fill as fill
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -6,6 +6,7 @@ import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
 from pydantic import BaseModel
@@ -37,6 +38,37 @@ def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec)
     schema["required"].remove("integrator")
     schema["anyOf"] = [{"required": ["integrator"]}, {"required": ["accuracy"]}]
     return {"$schema": DRAFT, **described(schema)}
+
+
+def schema_on_bases(
+    spec: type[BaseModel],
+    installed: Registry | None = None,
+    others: Mapping[str, dict[str, Any]] = MappingProxyType({}),
+    *,
+    users: Sequence[str] = (),
+    quantities: Sequence[str] | None = (),
+) -> dict[str, Any]:
+    """Return the JSON schema of a spec whose `base` is a run spec, or one of the specs with the schemas `others`.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    users
+        Further definitions of the schema that have a `base`.
+    quantities
+        Definitions all numbers of which may have units, beside numbers whose description names a unit; None if numbers
+        have no units.
+    """
+    schema, bases = described(spec.model_json_schema()), {"RunBase": run_schema(installed), **others}
+    if quantities is not None:
+        allow_units(schema, *quantities)
+    for place in (schema, *(schema["$defs"][name] for name in users)):
+        place["properties"]["base"]["anyOf"] = [{"type": "string"}, *({"$ref": LOCAL + name} for name in bases)]
+    for name, base in reversed(bases.items()):  # definitions of run specs come last
+        own = {"type": "object", "properties": base["properties"], "additionalProperties": False}
+        schema["$defs"] |= base["$defs"] | {name: own}
+    return {"$schema": DRAFT, **schema}
 
 
 def schema_of(kind: SpecKind, installed: Registry | None = None) -> dict[str, Any]:

@@ -105,7 +105,8 @@ def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plu
 LINKS = """
 from typing import ClassVar
 import sympy
-from mbdkit.plugin import ElementForces, ElementKind, ExpressionLaw, LineForce, Number, Positive, Target, hookimpl
+from mbdkit import ExpressionLaw
+from mbdkit.plugin import ElementForces, ElementKind, LineForce, Number, Positive, Target, hookimpl
 
 LENGTH, STIFFNESS = sympy.symbols("length stiffness", real=True)
 

@@ -1,26 +1,17 @@
-"""JSON schema of specs of identifications."""
+"""The JSON schema of the spec of an identification."""
 
 from __future__ import annotations
 
 from mbdkit.plugin.seams import spec_schema
-from mbdkit.plugin.specs import DRAFT, Registry, allow_units, described, run_schema
+from mbdkit.plugin.specs import Registry, schema_on_bases
 from mbdkit_identify.identify_spec import IdentifySpec
 
 
 @spec_schema
 def identify_schema(installed: Registry | None = None) -> dict[str, object]:
-    """Return the JSON schema (draft 2020-12) of the spec of an identification, whose base is a run spec.
-
-    Parameters
-    ----------
-    installed
-        Registry of the models, integrators and force laws to include; by default, all that are installed.
-    """
-    schema, run = allow_units(described(IdentifySpec.model_json_schema())), run_schema(installed)
-    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
-    schema["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/RunBase"}]
+    """Return the JSON schema (draft 2020-12) of the spec of an identification; see `schema_on_bases`."""
+    schema = schema_on_bases(IdentifySpec, installed)
     for key in ("observed", "inputs"):  # the heading of a column stands for a signal
         columns = schema["$defs"]["Experiment"]["properties"][key]
         columns["additionalProperties"] = {"anyOf": [{"type": "string"}, columns["additionalProperties"]]}
-    schema["$defs"] |= run["$defs"] | {"RunBase": base}
-    return {"$schema": DRAFT, **schema}
+    return schema

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from pathlib import Path as FilePath
 
 from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, path_text
-from mbdkit.plugin.files import Path
 from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import (
     Document,
+    Path,
     example_names,
     parameter_values,
     parse_key,
@@ -18,8 +18,8 @@ from mbdkit.plugin.specs import (
     set_value,
     variable_path,
 )
+from mbdkit.plugin.studies import base_document, document_of
 from mbdkit_identify.identify_spec import IdentifySpec
-from mbdkit_studies import base_document, document_of
 
 
 def load_identify_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> IdentifySpec:

@@ -18,10 +18,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
-from mbdkit.plugin.files import Path
 from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Torque, TorsionSpring, mechanism_size
-from mbdkit.plugin.specs import parameters_in_use, put
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit.plugin.specs import Path, parameters_in_use, put
+from mbdkit.plugin.studies import PreparedSensitivities
 
 AT_ONCE = 12  #: Number of probes in one spec; the time to prepare a run grows with the number of its elements.
 SLIP = 0.01  #: Rate below which dry friction is smooth, as a share of the typical rate of the mechanism.

@@ -12,7 +12,7 @@ from scipy.interpolate import make_interp_spline
 from mbdkit.plugin import RunSpec, SpecError, copied, path_text
 from mbdkit.plugin.equations import Starts
 from mbdkit.plugin.runs import GivenStart
-from mbdkit_gradients import PreparedSensitivities, is_smooth
+from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
@@ -166,7 +166,7 @@ def segments_of(
 
 
 def _parameter(spec: IdentifySpec, name: str) -> Unknown:
-    from mbdkit_report import key_unit
+    from mbdkit.plugin.reports import key_unit
 
     given, base = spec.parameters[name], spec.run_spec
     low, high = given.bounds or (-np.inf, np.inf)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbdkit.registry.catalogue import Registry
-from mbdkit.spec.schema import DRAFT, described, run_schema
+from mbdkit.spec.schema import schema_on_bases
 from mbdkit.spec.spec_kinds import spec_schema
 from mbdkit_studies.spec.study_spec import StudySpec
 
@@ -17,9 +17,4 @@ def study_schema(installed: Registry | None = None) -> dict[str, object]:
     installed
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
-    schema, run = described(StudySpec.model_json_schema()), run_schema(installed)
-    base = {"type": "object", "properties": run["properties"], "additionalProperties": False}
-    for place in (schema, schema["$defs"]["Family"]):
-        place["properties"]["base"]["anyOf"] = [{"type": "string"}, {"$ref": "#/$defs/Base"}]
-    schema["$defs"] |= run["$defs"] | {"Base": base}
-    return {"$schema": DRAFT, **schema}
+    return schema_on_bases(StudySpec, installed, users=("Family",), quantities=None)
