@@ -71,7 +71,7 @@ class NativeLaw:
 
     function: LawFunction
     program: tuple[int, ...] = ()
-    parameters: Callable[[object], Sequence[float]] | None = None
+    parameters: Callable[[Any], Sequence[float]] | None = None
     potential: bool = False
     passive: bool = False
     states: ClassVar[tuple[LawState, ...]] = ()

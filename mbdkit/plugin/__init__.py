@@ -20,9 +20,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.base.files_read import read_data as read_data
     from mbdkit.base.html_view import HtmlView as HtmlView
-    from mbdkit.base.plain_data import (
-        copied as copied, parse_path as parse_path, path_text as path_text, quoted as quoted, value_text as value_text,
-    )
+    from mbdkit.base.plain_data import path_text as path_text, quoted as quoted, value_text as value_text
     from mbdkit.base.strict_model import FormatVersion as FormatVersion, StrictModel as StrictModel
     from mbdkit.base.terminal import show as show
     from mbdkit.base.text import counted as counted, did_you_mean as did_you_mean, listed as listed, table as table

@@ -1,4 +1,4 @@
-"""Archives: tables of results, files of other results, motions that are not simulated."""
+"""Archives: tables of results, and files of results that are no runs."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.archive import recorded_columns as recorded_columns
     from mbdkit.archive.result_file import ResultFile as ResultFile
     from mbdkit.archive.result_table import ResultTable as ResultTable, TableColumn as TableColumn
-    from mbdkit.runs.finish import finish_states as finish_states
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -19,7 +19,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.pages.report_page import ReportPage as ReportPage
     from mbdkit_report.pages.run_report import environment as environment, run_report as run_report, TONES as TONES
     from mbdkit_report.plot.pose_pictures import PosePictures as PosePictures
-    from mbdkit_report.seams import report_of_folder as report_of_folder, report_sections as report_sections
+    from mbdkit_report.seams import (
+        report_charts as report_charts, report_of_folder as report_of_folder, report_sections as report_sections,
+    )
     from mbdkit_report.spec_words import key_unit as key_unit
     from mbdkit_report.table_formats import ExportedTable as ExportedTable, table_writer as table_writer
     # fmt: on

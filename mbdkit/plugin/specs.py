@@ -6,7 +6,6 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit.base.plain_data import Path as Path
     from mbdkit.mechanism.checks import check_name as check_name
     from mbdkit.mechanism.parameters import parameter_values as parameter_values, parameters_in_use as parameters_in_use
     from mbdkit.registry.catalogue import Registry as Registry
@@ -14,8 +13,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.spec.loading import example_names as example_names, read_source as read_source, RunSource as RunSource
     from mbdkit.spec.model_spec import StrictSpec as StrictSpec
     from mbdkit.spec.reading import (
-        Document as Document, parse_key as parse_key, put as put, set_value as set_value,
-        variable_path as variable_path,
+        Document as Document, parse_key as parse_key, put as put, variable_path as variable_path,
     )
     from mbdkit.spec.schema import schema_on_bases as schema_on_bases
     from mbdkit.spec.sections import Count as Count, Section as Section

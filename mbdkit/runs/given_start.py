@@ -81,10 +81,10 @@ def _check_equal_but_for_start(one: Mechanism, other: Mechanism) -> None:
 class GivenStart:
     """Finds states of a mechanism in which quantities have given values; see `spec_started_at` for the arguments."""
 
-    def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
+    def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts | None = None):
         if mechanism.beams:
             raise SpecError("initial values cannot be given for mechanisms with beams", key="initial")
-        self.start = starts.at_start(mechanism, spec.time.start, spec.time.final)
+        self.start = (starts or Starts()).at_start(mechanism, spec.time.start, spec.time.final)
         self.names = QuantityNames(mechanism)
         self.length = self.start.mechanism.length
         self.search = search_for(mechanism, self.start.mechanism, spec.time.start)

@@ -26,7 +26,7 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec.estimates import read_estimates
 from mbdkit.spec.input_tables import read_input_files
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import Document, read_file, read_stdin, read_text, set_value
+from mbdkit.spec.reading import Document, read_file, read_stdin, read_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import refused, spec_kinds, spec_loader
 
@@ -103,7 +103,7 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
     if error := refused(document.data, name):
         raise document.place(error)
     for assignment in overrides:
-        set_value(document, assignment)
+        document.assign(assignment)
     files = document.files
     with SpecError.place_by(document.place):
         _read_files(document)

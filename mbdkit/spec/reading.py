@@ -68,6 +68,18 @@ class Document:
         nearest = next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), None)
         return error.located(file=self.file, line=nearest)
 
+    def assign(self, assignment: str) -> None:
+        """Set a key according to an assignment ``key.path=value`` from the command line.
+
+        Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit the
+        document.
+        """
+        path, value = read_assignment(assignment)
+        where = f"--set {assignment}"
+        with SpecError.place_by(lambda error: error.located(file=where)):
+            put(self.data, path, value)
+        self.overridden[path] = assignment
+
 
 LARGEST_FILE = 16 * 2**20  # bytes
 STDIN = "<stdin>"
@@ -225,19 +237,6 @@ def _toml_key(text: str) -> Path:
     return tuple(word.strip("\"'") for word in words)
 
 
-def set_value(document: Document, assignment: str) -> None:
-    """Set one key of the document according to an assignment ``key.path=value`` from the command line.
-
-    Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit the
-    document.
-    """
-    path, value = read_assignment(assignment)
-    where = f"--set {assignment}"
-    with SpecError.place_by(lambda error: error.located(file=where)):
-        put(document.data, path, value)
-    document.overridden[path] = assignment
-
-
 def read_assignment(assignment: str) -> tuple[Path, object]:
     """Return the key path and the value of an assignment ``key.path=value`` from the command line.
 
@@ -258,7 +257,7 @@ def read_assignments(assignments: Iterable[str]) -> dict[str, object]:
     """Return plain data with the values that assignments ``key.path=value`` from the command line set."""
     document = Document({})
     for assignment in assignments:
-        set_value(document, assignment)
+        document.assign(assignment)
     return document.data
 
 

@@ -17,9 +17,9 @@ PLUGIN = """
 from typing import Annotated
 import sympy
 from mbdkit.plugin import (
-    Accessor, Element, ElementForces, ElementKind, ExpressionLaw, StrictModel, Target, Treatment, TreatmentName,
-    hookimpl,
+    Accessor, Element, ElementForces, ElementKind, StrictModel, Target, Treatment, TreatmentName, hookimpl,
 )
+from mbdkit import ExpressionLaw
 
 SIZE = sympy.Symbol("size", real=True)
 PULSES = ExpressionLaw(SIZE * sympy.cos(sympy.Symbol("time", real=True)), parameters=dict)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import Mechanism, RunSpec, SpecError
-from mbdkit.plugin.equations import Starts
+from mbdkit import Mechanism, RunSpec, SpecError, load_spec
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.plugin.runs import SimulationBatch
-from mbdkit.plugin.specs import load_spec
 from tests.engine.random_mechanisms import chain, loop, tree
 
 NUMBER = 11

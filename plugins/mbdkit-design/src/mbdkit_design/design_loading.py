@@ -11,7 +11,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.loading import example_names, read_source
-from mbdkit.spec.reading import Document, parse_key, put, set_value, variable_path
+from mbdkit.spec.reading import Document, parse_key, put, variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
@@ -52,7 +52,7 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
                 raise document.place(SpecError(message, key=key))
     with SpecError.place_by(document.place):
         for assignment in assignments:
-            set_value(document, assignment)
+            document.assign(assignment)
         spec = DesignSpec(**document.data)
         spec._document = document
         spec._specs = {

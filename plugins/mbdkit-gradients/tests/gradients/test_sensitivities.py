@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import RunError, SpecError
-from mbdkit.plugin.specs import load_spec
+from mbdkit import RunError, SpecError, load_spec
 from mbdkit_gradients.sensitivities import PreparedSensitivities
 from tests.margins import assert_within
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path as FilePath
+from copy import deepcopy
+from pathlib import Path
 
-from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, path_text
+from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, path_text
 from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import (
     Document,
-    Path,
     example_names,
     parameter_values,
     parse_key,
     put,
     read_source,
-    set_value,
     variable_path,
 )
 from mbdkit.plugin.studies import base_document, document_of
@@ -47,13 +46,13 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
             return source
         source = source._document or source.model_dump(exclude_unset=True)
 
-    def packaged(name: str) -> tuple[Document, FilePath] | None:
+    def packaged(name: str) -> tuple[Document, Path] | None:
         return (document := read_source(name), document.folder) if name in example_names("identify") else None
 
     document, folder = document_of(
         source, ("identification", "identifications"), packaged, lambda: example_names("identify")
     )
-    document = Document(copied(document.data), document.file, folder=document.folder) if sections else document
+    document = Document(deepcopy(document.data), document.file, folder=document.folder) if sections else document
     document.data |= sections
     document.keywords = frozenset(sections)
     if "mbdkit_identify" not in document.data:
@@ -63,7 +62,7 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
                 raise document.place(SpecError(message, key=key))
     with SpecError.place_by(document.place):
         for assignment in assignments:
-            set_value(document, assignment)
+            document.assign(assignment)
         spec = IdentifySpec(**document.data)
         spec._document = document
         spec._base = _base(spec, folder)
@@ -74,11 +73,11 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
 spec_loader(load_identify_spec)
 
 
-def _base(spec: IdentifySpec, folder: FilePath) -> RunSpec:
+def _base(spec: IdentifySpec, folder: Path) -> RunSpec:
     """Return the validated base, with the parameters at their start values."""
     document = base_document(spec.base, folder, "base", "identification")
-    data = copied(document.data)
-    given: dict[str, tuple[Path, object]] = {
+    data = deepcopy(document.data)
+    given: dict[str, tuple[tuple[str | int, ...], object]] = {
         path_text(("overrides", key)): (parse_key(key), value) for key, value in spec.overrides.items()
     }
     for name, one in spec.parameters.items():

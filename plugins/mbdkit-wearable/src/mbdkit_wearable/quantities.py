@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,7 +35,7 @@ def displacements(states: States) -> np.ndarray:
     return np.asarray(length - np.array([cuff.zeros for cuff in cuffs]))
 
 
-def _of_cuffs(name: str, units: str, what: str, **more: object) -> Recorded:
+def _of_cuffs(name: str, units: str, what: str, **more: Any) -> Recorded:
     return Recorded(name, ("time", "cuff"), units, what, take=lambda s: s.of(cuffs_in)[name], **more)
 
 

@@ -14,7 +14,7 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, read_source
-from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text, set_value
+from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text
 from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader
 from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
@@ -92,7 +92,7 @@ def _override(document: Document, assignment: str) -> None:
     """
     path, value = read_assignment(assignment)
     if path[0] == "sample":  # not a key of runs
-        set_value(document, assignment)
+        document.assign(assignment)
         return
     key = path_text(path)
     holders: dict[Path, dict[str, object]] = {(): document.data}
