@@ -13,7 +13,6 @@ from mbdkit.base.lazy_names import door, import_part
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit import spec as spec
     from mbdkit.archive.reader import load as load
     from mbdkit.archive.run import Run as Run
     from mbdkit.base.errors import (
@@ -37,35 +36,28 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.runs.resuming import resume as resume
     from mbdkit.runs.simulation import run as run
-    from mbdkit.runs.stepping.open_simulation import Simulation as Simulation, open as open
+    from mbdkit.runs.stepping.open_simulation import open as open
     from mbdkit.runs.stepping.simulation_state import SimulationState as SimulationState
     from mbdkit.spec import RunSpec as RunSpec
+    from mbdkit.spec.loading import load_spec as load_spec
     from mbdkit_biomech.inverse_dynamics.gradient.inverse_gradient import inverse_gradient as inverse_gradient
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse as inverse
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec as InverseSpec
-    from mbdkit_biomech.inverse_dynamics.results.workload import Workload as Workload, workload as workload
-    from mbdkit_design.design import Design as Design
-    from mbdkit_design.design_spec import DesignSpec as DesignSpec
+    from mbdkit_biomech.inverse_dynamics.results.workload import workload as workload
     from mbdkit_design.solve_design import design as design, load_design as load_design
     from mbdkit_explore.server import explore as explore
-    from mbdkit_gradients.gradient import Gradient as Gradient, gradient as gradient
-    from mbdkit_gradients.sensitivities import Sensitivities as Sensitivities, sensitivities as sensitivities
+    from mbdkit_gradients.gradient import gradient as gradient
+    from mbdkit_gradients.sensitivities import sensitivities as sensitivities
     from mbdkit_identify.archive import load_identification as load_identification
-    from mbdkit_identify.identification import Identification as Identification
     from mbdkit_identify.identify import identify as identify
-    from mbdkit_identify.identify_spec import IdentifySpec as IdentifySpec
     from mbdkit_predict.prediction import predict as predict
     from mbdkit_report import plot as plot
-    from mbdkit_statics.equilibrium import Equilibrium as Equilibrium, equilibrium as equilibrium
-    from mbdkit_statics.equilibrium_path import EquilibriumPath as EquilibriumPath, equilibrium_path as equilibrium_path
-    from mbdkit_statics.kinematics import Kinematics as Kinematics, kinematics as kinematics
-    from mbdkit_statics.modes import (
-        Linearization as Linearization, Modes as Modes, linearize as linearize, modes as modes,
-    )
+    from mbdkit_statics.equilibrium import equilibrium as equilibrium
+    from mbdkit_statics.equilibrium_path import equilibrium_path as equilibrium_path
+    from mbdkit_statics.kinematics import kinematics as kinematics
+    from mbdkit_statics.modes import linearize as linearize, modes as modes
     from mbdkit_studies.compute.carry_out import ensemble as ensemble, load_study as load_study, study as study
-    from mbdkit_studies.lanes.prepared_run import PreparedRun as PreparedRun, prepare as prepare
+    from mbdkit_studies.lanes.prepared_run import prepare as prepare
     from mbdkit_studies.study import Study as Study
-    from mbdkit_studies.spec.study_spec import StudySpec as StudySpec
     # fmt: on
 
     __version__: str

@@ -25,11 +25,12 @@ def core_names() -> dict[str, set[tuple[str, str]]]:
     used: dict[str, set[tuple[str, str]]] = {}
     for part, folder in PARTS.items():
         used[part] = {
-            (homes.get(str(node.module), {}).get(alias.name, str(node.module)), alias.name)
+            (home, alias.name)
             for file in folder.rglob("*.py")
             for node in import_statements(file)
-            if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == "mbdkit"
+            if isinstance(node, ast.ImportFrom)
             for alias in node.names
+            if (home := homes.get(str(node.module), {}).get(alias.name, str(node.module))).partition(".")[0] == "mbdkit"
         }
     return used
 

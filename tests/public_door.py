@@ -2,18 +2,22 @@
 
 ``python -m tests.public_door > tests/public_door.txt`` writes them. They are taken from the source, without importing
 it, so that the text is the same on every machine. The doors are `mbdkit` (users), `mbdkit.plugin` with its modules
-(authors of plugins), `mbdkit.kernels` (authors of machine code) and `mbdkit.testing`.
+(authors of plugins), `mbdkit.kernels` (authors of machine code), `mbdkit.testing` and `mbdkit_gym`.
+
+A name is promised because somebody outside needs it: ``python -m tests.public_door --reasons`` prints who uses each.
 """
 
 from __future__ import annotations
 
 import ast
+import re
+import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 from mbdkit.base.lazy_names import homes_of
-from tests.first_party import PACKAGES
+from tests.first_party import PACKAGES, ROOT
 
 _CORE = PACKAGES["mbdkit"]
 FACES = {"mbdkit": _CORE / "__init__.py", "mbdkit.kernels": _CORE / "kernels.py"} | {
@@ -26,12 +30,49 @@ GUESTS = ("mbdkit_gym", "mbdkit_identify", "mbdkit_transmissions", "mbdkit_weara
 """Parts that import the public doors only, as the plugins of others do."""
 
 KIT = PACKAGES.get("mbdkit_testing", Path()) / "__init__.py"
+GYM = PACKAGES.get("mbdkit_gym", Path()) / "__init__.py"
 
 
 def entries() -> list[tuple[str, str, str]]:
     """Return door, name and home module of each public name."""
     faces = FACES | ({"mbdkit.testing": KIT} if KIT.exists() else {})
-    return sorted((face, name, home) for face, file in faces.items() for name, home in homes_of(file).items())
+    names = [(face, name, home) for face, file in faces.items() for name, home in homes_of(file).items()]
+    exported = _tree(GYM).body if GYM.exists() else []
+    aliases = [(node, name) for node in exported if isinstance(node, ast.ImportFrom) for name in node.names]
+    return sorted([*names, *(("mbdkit_gym", name.name, str(node.module)) for node, name in aliases if name.asname)])
+
+
+@cache
+def reasons() -> dict[tuple[str, str], list[str]]:
+    """Return who uses each name of a door: distributions of their own, guests, templates, README and the guide."""
+    public = {(face, name) for face, name, _ in entries()}
+    faces = "|".join(sorted({face for face, _ in public}, reverse=True))  # the longer ones first
+    users: dict[tuple[str, str], set[str]] = {entry: set() for entry in public}
+    for user, text in _texts():
+        text = re.sub(r"(?<![\w.])plugin\.", "mbdkit.plugin.", text)  # of `from mbdkit import plugin`
+        for module, names in re.findall(r"from ([\w.]+) import (\([^)]*\)|.*)", text):
+            for entry in {(module, name) for name in re.findall(r"\w+", names)} & public:
+                users[entry].add(user)
+        for entry in set(re.findall(rf"\b({faces})[.:](\w+)", text)) & public:
+            users[entry].add(user)
+        if user.endswith(".md"):  # a page also names what it explains, as `name` or in its code
+            words = set(re.findall(r"`(\w+)\b", text)) | set(re.findall(r"^    .*?\b([A-Z]\w+)\(", text, re.M))
+            for entry in public:
+                if entry[1] in words and entry[0] not in ("mbdkit", "mbdkit_gym"):
+                    users[entry].add(user)
+    return {entry: sorted(names) for entry, names in sorted(users.items())}
+
+
+def _texts() -> Iterator[tuple[str, str]]:
+    """Yield the users of doors, with the text of each of their files."""
+    for project in (ROOT / "plugins").glob("*/pyproject.toml"):
+        yield from ((project.parent.name, file.read_text("utf-8")) for file in project.parent.glob("src/**/*.py"))
+    for guest in GUESTS:
+        yield from ((guest, file.read_text("utf-8")) for file in PACKAGES.get(guest, Path("absent")).rglob("*.py"))
+    templates = ROOT.glob("plugins/mbdkit-testing/src/mbdkit_testing/scaffold/templates/*.jinja")
+    pages = [*ROOT.glob("mbdkit/guide/*.md"), *ROOT.glob("plugins/**/*.md"), ROOT / "README.md"]
+    yield from ((f"template {file.name}", file.read_text("utf-8")) for file in templates)
+    yield from ((file.name, file.read_text("utf-8")) for file in pages)
 
 
 def lines() -> Iterator[str]:
@@ -109,4 +150,5 @@ def _tree(file: Path) -> ast.Module:
 
 
 if __name__ == "__main__":
-    print(*lines(), sep="\n")
+    users = (f"{face}.{name}: {', '.join(names)}" for (face, name), names in reasons().items())
+    print(*(users if "--reasons" in sys.argv else lines()), sep="\n")

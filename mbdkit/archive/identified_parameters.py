@@ -6,14 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.fingerprint import StoredHashes
-from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import SpecError
+from mbdkit.archive.result_file import ResultFile
 from mbdkit.base.files_read import read_data
 
-#: Attributes `format` and `format_version` of the files that are read.
-FORMAT, VERSION = "mbdkit-identification", 1
+FILE = ResultFile("mbdkit-identification", 1, "result of an identification", "repeat the identification")
 
 LARGEST_FILE = 2**30  #: Largest size of a file [bytes].
 
@@ -26,13 +22,7 @@ def read_identified(path: Path) -> tuple[list[str], np.ndarray, np.ndarray, list
     result of an identification. Raises ArchiveError if it is damaged.
     """
     read_data(path, LARGEST_FILE)
-    what = "result of an identification"
-    with reading("/parameters", path, hint="repeat the identification"), open_hdf5(path, what) as file:
-        if file.attrs.get("format") != FORMAT:
-            raise SpecError(f"this is an HDF5 file, but not the {what} by `mbdkit identify`", file=path)
-        if (version := file.attrs.get("format_version")) != VERSION:
-            raise SpecError(f"this {what} has the format version {version}; this mbdkit reads {VERSION}", file=path)
-        StoredHashes(file).verify()
+    with FILE.open(path) as file:
         group = file["parameters"]
         names = [str(name) for name in group["parameter"].asstr()[:]]
         values, covariance, known = (group[name][:] for name in ("value", "covariance", "identifiable"))

@@ -33,7 +33,7 @@ class Animation(Protocol):
 
 
 class StatedErrors(Protocol):
-    """What is known of the errors of a run, and how it is stated; see `mbdkit.plugin.archives.RunErrors`."""
+    """What is known of the errors of a run, and how it is stated; see `mbdkit.archive.accuracy_summary.RunErrors`."""
 
     @property
     def are_estimated(self) -> bool:

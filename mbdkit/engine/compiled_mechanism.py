@@ -63,8 +63,8 @@ class ActingForce:
     """A compiled force element with a law along a pathway.
 
     `kind`, `name`: word for the kind of element, such as ``force``, and name of the element. `force`: the element.
-    `place`: index among all force elements, along the second axis of `mbdkit.plugin.Observed.forces`. `state`: index of
-    its first state among the first-order states.
+    `place`: index among all force elements, along the second axis of `mbdkit.kernels.Observed.forces`. `state`: index
+    of its first state among the first-order states.
     """
 
     kind: str

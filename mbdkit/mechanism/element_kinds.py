@@ -132,7 +132,7 @@ def element_forces(elements: Never, /) -> Mapping[str, LawForce]:
 def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str, LawForce]:
     """Return the force elements with laws by which elements of a kind act, by name; see `element_forces`.
 
-    Raises PluginError if they are not objects as `mbdkit.plugin.LawForce` describes.
+    Raises PluginError if they are not objects as `LawForce` describes.
     """
     own = kind.acts.forces
     if own is None and kind.acts.lower is not None:
@@ -144,7 +144,7 @@ def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str,
         what = f"the force element '{name}' of the kind of elements '{kind.name}'"
         for attribute in ("law_id", "force_law", "pathway"):
             if not hasattr(force, attribute):
-                raise PluginError(f"{what} has no `{attribute}`, which mbdkit.plugin.LawForce describes")
+                raise PluginError(f"{what} has no `{attribute}`, which an element with a force law has")
         if isinstance(force, FromTo) and force.points is None:
             raise PluginError(f"{what} has no `points`, the points in the frames of the bodies")
     return cast("Mapping[str, LawForce]", forces)

@@ -78,9 +78,7 @@ class LinePathway(FromTo):
 
 
 class LineForce(LinePathway):
-    """Base class of elements of plugins that are forces along the line between two points; see
-    `mbdkit.plugin.LawForce`.
-    """
+    """Base class of elements of plugins that are forces along the line between two points; see `LawForce`."""
 
     force_law: ClassVar[ForceLaw]
     """The force law, which gets the element as its options. Kinds with `ElementForces.forces` need none."""

@@ -11,11 +11,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.base.quadrature import gauss_on_unit as gauss_on_unit
     from mbdkit.engine.compile_mechanism import compile_mechanism as compile_mechanism
     from mbdkit.engine.compiled_mechanism import CompiledMechanism as CompiledMechanism
-    from mbdkit.engine.consistent_start import Starts as Starts, workspace_at_start as workspace_at_start
+    from mbdkit.engine.consistent_start import workspace_at_start as workspace_at_start
     from mbdkit.engine.force_laws import NativeLaw as NativeLaw
     from mbdkit.engine.least_change import LeastChange as LeastChange
     from mbdkit.engine.observed_states import GivenForces as GivenForces, StateObserver as StateObserver
-    from mbdkit.engine.stored_arrays import fill as fill
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

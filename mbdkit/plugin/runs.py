@@ -1,4 +1,4 @@
-"""Runs: preparation, simulation, continuous motion, provenance."""
+"""Runs in lanes, and inverse dynamics: its data, errors and criteria, and bodies that follow others."""
 
 from typing import TYPE_CHECKING
 
@@ -9,7 +9,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.assembled_mechanism import AssembledMechanism as AssembledMechanism
     from mbdkit.runs.followers import AddedForces as AddedForces, Follower as Follower
     from mbdkit.runs.given_start import GivenStart as GivenStart
-    from mbdkit.runs.simulation_batch import SimulationBatch as SimulationBatch, why_not_batched as why_not_batched
+    from mbdkit.runs.simulation_batch import SimulationBatch as SimulationBatch
+    from mbdkit_biomech.inverse_dynamics.compute import Inverse as Inverse
+    from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion as data_criterion
+    from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars as ResultBars
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -1,4 +1,4 @@
-"""Specs: strict models, sections, units, loading, schemas, named parameters, and the registry that knows the kinds."""
+"""Specs: sections, documents and key paths, schemas, named parameters, and the registry that knows the kinds."""
 
 from typing import TYPE_CHECKING
 
@@ -10,17 +10,12 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.parameters import parameter_values as parameter_values, parameters_in_use as parameters_in_use
     from mbdkit.registry.catalogue import Registry as Registry
     from mbdkit.spec.choices import Choice as Choice
-    from mbdkit.spec.loading import (
-        RunSource as RunSource, example_names as example_names, load_spec as load_spec, read_source as read_source,
-    )
+    from mbdkit.spec.loading import example_names as example_names, read_source as read_source, RunSource as RunSource
     from mbdkit.spec.model_spec import StrictSpec as StrictSpec
     from mbdkit.spec.reading import (
-        Document as Document, parse_key as parse_key, put as put, read_file as read_file,
-        variable_path as variable_path,
+        Document as Document, parse_key as parse_key, put as put, variable_path as variable_path,
     )
-    from mbdkit.spec.schema import (
-        run_schema as run_schema, schema_with_bases as schema_with_bases,
-    )
+    from mbdkit.spec.schema import schema_with_bases as schema_with_bases
     from mbdkit.spec.sections import Count as Count, Section as Section
     from mbdkit.spec.table_files import read_columns as read_columns
     from mbdkit.spec.yaml_reader import write_yaml as write_yaml

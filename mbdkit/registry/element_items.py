@@ -278,7 +278,8 @@ class QuantityKind(Feature):
     Parameters
     ----------
     target
-        The `mbdkit.plugin.Kind`: its arrays, and how they are computed. It and its arrays are optional.
+        The object that `mbdkit.plugin.quantity_group` returns: its arrays, and how they are computed. It and its
+        arrays are optional.
     group
         Name of the group; by default, that of the item.
     word

@@ -101,7 +101,7 @@ class SpecKind(Feature):
         derivatives.
     errors
         Class of what is known of the errors of the quantities of such runs, derived from
-        `mbdkit.plugin.archives.RunErrors`; by default, that class, for simulated runs.
+        `mbdkit.archive.accuracy_summary.RunErrors`; by default, that class, for simulated runs.
     is_integrated
         Whether such runs are integrated step by step from an initial state, so that a longer run may continue them.
     repeat

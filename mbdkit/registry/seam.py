@@ -114,7 +114,7 @@ def check_marked(target: Target, seam: str, field: str) -> None:
     function = target()
     own = vars(function).get(_MARK) if callable(function) else None
     if not isinstance(own, _Declaration) or not callable(function):
-        sentence = f"is not decorated with `@{seam}` of mbdkit.plugin.seams, which declares its arguments"
+        sentence = f"is not decorated with `@{seam}`, which declares its arguments (see `mbdkit guide plugins`)"
     elif own.name != seam:
         sentence = f"is decorated with `@{own.name}`, not with `@{seam}`"
     else:

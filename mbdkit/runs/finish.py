@@ -41,7 +41,7 @@ def finish(
     - `writer`: the writer, which has all rows.
     - `spec`: spec of the run.
     - `ending`: how the run has ended.
-    - `measured`: evaluates the measures; by default, `mbdkit.plugin.measures.take_all`.
+    - `measured`: evaluates the measures; by default, `mbdkit.measures.take.take_all`.
     - `gradients`: gradients of the measures as JSON; empty if there are none.
     """
     if isinstance(writer, ArrayWriter):
@@ -100,7 +100,7 @@ def finish_states(
     - `spec`: spec of the run.
     - `states`: the states at the recorded times, with accelerations and reactions.
     - `ending`: how the computation has ended. Counters that `Ending.stats` lacks are 0.
-    - `provenance`: attributes of ``/provenance``; see `mbdkit.plugin.runs.model_provenance`.
+    - `provenance`: attributes of ``/provenance``; see `mbdkit.runs.provenance.model_provenance`.
     - `path`, `overwrite`: final name of the archive, None for an archive in memory, and whether an existing file may be
       replaced.
     - `names`: names of elements; by default, those of the mechanism.

@@ -42,10 +42,10 @@ class GivenStart:
     the mass metric. It is found along a path on which the values change gradually.
     """
 
-    def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts):
+    def __init__(self, mechanism: Mechanism, spec: RunSpec, starts: Starts | None = None):
         if mechanism.beams:
             raise SpecError("initial values cannot be given for mechanisms with beams", key="initial")
-        self.start = starts.at_start(mechanism, spec.time.start, spec.time.final)
+        self.start = (starts or Starts()).at_start(mechanism, spec.time.start, spec.time.final)
         self.names = QuantityNames(mechanism)
         self.length = self.start.mechanism.length
         self.search = search_for(mechanism, self.start.mechanism, spec.time.start)

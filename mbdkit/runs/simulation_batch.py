@@ -29,32 +29,6 @@ from mbdkit.runs.preparation import build, make_method, size_at_start, timetable
 from mbdkit.spec import RunSpec
 
 
-def why_not_batched(spec: RunSpec) -> str:
-    """Return the reason why simulations of a spec cannot be a `SimulationBatch`, as a clause; empty if they can."""
-    method = make_method(spec)
-    traits = method.traits
-    if traits.lanes is None or not traits.is_explicit or traits.tolerances is not None:
-        return f"{spec.integrator_item.id} is not an explicit method with fixed steps"
-    reasons = (
-        (traits.tableau is None or traits.tableau.is_first_same_as_last, "the method reuses the last stage of a step"),
-        (spec.formulated.solves_multipliers, f"the formulation is {spec.formulated.name}"),
-        (spec.stabilized.kind != "none", f"the stabilization is {spec.stabilized.kind}"),
-        (bool(spec.events), "the spec has events"),
-        (bool(spec.inputs), "its inputs are set by tables"),
-        (spec.limits.energy_jump is not None, "`limits.energy_jump` watches the energies of each step"),
-        (spec.limits.law_range is not None and has_ranges(spec.mechanism()), "the ranges of its laws are watched"),
-    )
-    if reason := next((clause for holds, clause in reasons if holds), ""):
-        return reason
-    workspace, _ = build(spec)
-    mechanism, table = workspace.mechanism, replace(timetable(spec, None), interval=None)
-    if new_guard_state(mechanism).has_loops[0]:
-        return "its joints close a loop"
-    if mechanism.extensions or not suits_lanes(method, mechanism, table):
-        return "its mechanism has controllers, discontinuous functions of time or elements that lanes do not support"
-    return ""
-
-
 class SimulationBatch:
     """N simulations of one spec in lanes of SIMD vectors, with the bits of single simulations.
 
@@ -65,7 +39,7 @@ class SimulationBatch:
     Parameters
     ----------
     spec
-        The spec, for which `why_not_batched` returns no reason.
+        The spec, for which `why_not` returns no reason.
     number
         Number of simulations N.
     apart
@@ -89,7 +63,7 @@ class SimulationBatch:
     """
 
     def __init__(self, spec: RunSpec, number: int, *, apart: bool = False, threads: int | None = None):
-        if reason := why_not_batched(spec):
+        if reason := self.why_not(spec):
             raise SpecError(f"simulations of this spec cannot be batched: {reason}")
         self.spec, self.number, self.apart = spec, number, apart
         self.in_use = UseLock("another thread is using these simulations; give each thread its own")
@@ -108,6 +82,37 @@ class SimulationBatch:
         self._inputs, self._before = np.zeros((2, self._vectors * WIDTH, len(self.mechanism.inputs)))
         self.inputs = self._inputs[:number]
         self.start(range(self._vectors * WIDTH), self._workspace.q0, self._workspace.v0)
+
+    @staticmethod
+    def why_not(spec: RunSpec) -> str:
+        """Return the reason why simulations of a spec cannot be batched, as a clause; empty if they can."""
+        method = make_method(spec)
+        traits = method.traits
+        if traits.lanes is None or not traits.is_explicit or traits.tolerances is not None:
+            return f"{spec.integrator_item.id} is not an explicit method with fixed steps"
+        reasons = (
+            (
+                traits.tableau is None or traits.tableau.is_first_same_as_last,
+                "the method reuses the last stage of a step",
+            ),
+            (spec.formulated.solves_multipliers, f"the formulation is {spec.formulated.name}"),
+            (spec.stabilized.kind != "none", f"the stabilization is {spec.stabilized.kind}"),
+            (bool(spec.events), "the spec has events"),
+            (bool(spec.inputs), "its inputs are set by tables"),
+            (spec.limits.energy_jump is not None, "`limits.energy_jump` watches the energies of each step"),
+            (spec.limits.law_range is not None and has_ranges(spec.mechanism()), "the ranges of its laws are watched"),
+        )
+        if reason := next((clause for holds, clause in reasons if holds), ""):
+            return reason
+        workspace, _ = build(spec)
+        mechanism, table = workspace.mechanism, replace(timetable(spec, None), interval=None)
+        if new_guard_state(mechanism).has_loops[0]:
+            return "its joints close a loop"
+        if mechanism.extensions or not suits_lanes(method, mechanism, table):
+            return (
+                "its mechanism has controllers, discontinuous functions of time or elements that lanes do not support"
+            )
+        return ""
 
     def _new_runs(self) -> list[LaneRun]:
         method = make_method(self.spec)

@@ -180,7 +180,7 @@ def law_element(item: Registered) -> type[Law]:
 
 
 ADD_IN_PYTHON = (
-    "; without this key, m = mbdkit.spec.load_spec('FILE.yaml').mechanism() is the mechanism in Python, to which "
+    "; without this key, m = mbdkit.load_spec('FILE.yaml').mechanism() is the mechanism in Python, to which "
     "methods such as m.torsion_spring add elements, and which mbdkit.run(m, ...) runs"
 )
 

@@ -103,7 +103,7 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
     if error := refused(document.data, name):
         raise document.place(error)
     for assignment in overrides:
-        document.set(assignment)
+        document.assign(assignment)
     files = document.files
     with SpecError.place_by(document.place):
         _read_files(document)

@@ -68,14 +68,15 @@ class Document:
         nearest = next((lines[path[:length]] for length in range(len(path), 0, -1) if path[:length] in lines), None)
         return error.located(file=self.file, line=nearest)
 
-    def set(self, assignment: str) -> None:
-        """Set one key according to an assignment ``key.path=value`` from the command line.
+    def assign(self, assignment: str) -> None:
+        """Set a key according to an assignment ``key.path=value`` from the command line.
 
-        Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit
-        the document.
+        Raises SpecError if the text is not an assignment, if the value is not YAML, or if the key path does not fit the
+        document.
         """
         path, value = read_assignment(assignment)
-        with SpecError.place_by(lambda error: error.located(file=f"--set {assignment}")):
+        where = f"--set {assignment}"
+        with SpecError.place_by(lambda error: error.located(file=where)):
             put(self.data, path, value)
         self.overridden[path] = assignment
 

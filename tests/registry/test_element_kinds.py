@@ -17,9 +17,9 @@ PLUGIN = """
 from typing import Annotated
 import sympy
 from mbdkit.plugin import (
-    Accessor, Element, ElementForces, ElementKind, ExpressionLaw, StrictModel, Target, Treatment, TreatmentName,
-    hookimpl,
+    Accessor, Element, ElementForces, ElementKind, StrictModel, Target, Treatment, TreatmentName, hookimpl,
 )
+from mbdkit import ExpressionLaw
 
 SIZE = sympy.Symbol("size", real=True)
 PULSES = ExpressionLaw(SIZE * sympy.cos(sympy.Symbol("time", real=True)), parameters=dict)
@@ -105,7 +105,8 @@ def test_elements_act_by_laws_of_their_own_and_mechanisms_have_attributes_of_plu
 LINKS = """
 from typing import ClassVar
 import sympy
-from mbdkit.plugin import ElementForces, ElementKind, ExpressionLaw, LineForce, Number, Positive, Target, hookimpl
+from mbdkit import ExpressionLaw
+from mbdkit.plugin import ElementForces, ElementKind, LineForce, Number, Positive, Target, hookimpl
 
 LENGTH, STIFFNESS = sympy.symbols("length stiffness", real=True)
 

@@ -38,7 +38,8 @@ def mbdkit_items():
 """
 PROGRAM = """
 import json, mbdkit
-from mbdkit.plugin.specs import load_spec, run_schema
+from mbdkit import load_spec
+from mbdkit.spec.schema import run_schema
 from pathlib import Path
 
 def masses(model, **more):

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit import Mechanism, RunSpec, SpecError
-from mbdkit.plugin.equations import Starts
-from mbdkit.plugin.runs import SimulationBatch, why_not_batched
-from mbdkit.plugin.specs import load_spec
+from mbdkit import Mechanism, RunSpec, SpecError, load_spec
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.plugin.runs import SimulationBatch
 from tests.engine.random_mechanisms import chain, loop, tree
 
 NUMBER = 11
@@ -166,7 +165,7 @@ def test_a_simulation_that_is_lost_starts_again() -> None:
 def test_reasons_against_batches(given: dict[str, object], reason: str) -> None:
     sections = {"integrator": {"name": "rk4"}, "time": {"end": 0.4, "step": 0.005}} | given
     spec = load_spec(chain(np.random.default_rng(0), 2), (), **sections)  # type: ignore[arg-type]
-    assert why_not_batched(spec) == reason
+    assert SimulationBatch.why_not(spec) == reason
     with pytest.raises(SpecError, match="simulations of this spec cannot be batched: "):
         SimulationBatch(spec, 2)
 
@@ -174,5 +173,5 @@ def test_reasons_against_batches(given: dict[str, object], reason: str) -> None:
 def test_loops_and_controllers_are_not_batched() -> None:
     controlled = driven()
     controlled.controller("u", period=0.02, outputs={"one": "sin(t)"})
-    assert why_not_batched(spec_of(loop(np.random.default_rng(0)))) == "its joints close a loop"
-    assert "controllers" in why_not_batched(spec_of(controlled))
+    assert SimulationBatch.why_not(spec_of(loop(np.random.default_rng(0)))) == "its joints close a loop"
+    assert "controllers" in SimulationBatch.why_not(spec_of(controlled))

@@ -45,7 +45,7 @@ Numbers = Mapping[str, float | str]
 
 
 class Prepared(Protocol):
-    """A spec with other numbers; see `mbdkit.PreparedRun`."""
+    """A spec with other numbers; see `mbdkit.prepare`."""
 
     def spec_with(self, parameters: Numbers | None, initial: Numbers | None) -> RunSpec:
         """Return the spec with other numbers."""
@@ -572,7 +572,7 @@ class Simulation:
         Parameters
         ----------
         parameters, initial
-            Other values of parameters, and initial values of kinematic quantities; see `mbdkit.PreparedRun.run`.
+            Other values of parameters, and initial values of kinematic quantities; see `mbdkit.prepare`.
             Without them, those of the spec that was opened.
         seed
             Seed of `random`; by default, its sequence continues.

@@ -14,6 +14,7 @@ import pytest
 import mbdkit
 from mbdkit import spec
 from mbdkit.runs.simulation import simulate
+from mbdkit.runs.stepping.open_simulation import Simulation
 from tests.integrators.python_methods import Pair, offering, spec_type
 from tests.runs.stepping.driven_pendulum import METHODS, driven_pendulum, sections
 
@@ -36,7 +37,7 @@ MORE_EXAMPLES = [
 ]  # fmt: skip
 
 
-def advanced(simulation: mbdkit.Simulation, random: np.random.Generator, count: int) -> None:
+def advanced(simulation: Simulation, random: np.random.Generator, count: int) -> None:
     """Advance to the end of the spec in pieces, some of which end between two fixed steps."""
     start, end = simulation.time, simulation.spec.time.final
     for t in [*np.sort(random.uniform(start, end, count)), end]:
@@ -44,7 +45,7 @@ def advanced(simulation: mbdkit.Simulation, random: np.random.Generator, count: 
             simulation.advance_to(float(t))
 
 
-def driven(simulation: mbdkit.Simulation, random: np.random.Generator, calls: int) -> None:
+def driven(simulation: Simulation, random: np.random.Generator, calls: int) -> None:
     """Advance by random times, and set inputs at some of them."""
     for _ in range(calls):
         if random.random() < 0.6:
@@ -82,7 +83,7 @@ def test_what_was_set_repeats_the_run_of_a_method_in_python(tolerance):
     registry = offering(Pair(tolerance), **claims, **({} if tolerance is None else {"adaptive": True, "order": None}))
     model, time = driven_pendulum().to_spec(), {"end": 1.0, **({} if tolerance else {"step": 0.01})}
     own = spec_type(registry)(mbdkit=1, model=model, integrator={"name": "mine"}, time=time)
-    simulation = mbdkit.Simulation(own)
+    simulation = Simulation(own)
     for t, held in (
         (0.013, 1.0),
         (0.017, None),
@@ -182,7 +183,7 @@ def yaml_of(name: str) -> dict:
     return json.loads(spec.load_spec(name, ()).canonical_json())
 
 
-def pushed(simulation: mbdkit.Simulation, held: str, ramp: str, seed: int, most: float) -> None:
+def pushed(simulation: Simulation, held: str, ramp: str, seed: int, most: float) -> None:
     """Set both inputs at random times, some after a return to an earlier state, and compare with the repeated run."""
     random = np.random.default_rng(seed)
     state = simulation.state()

@@ -5,7 +5,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit.plugin import QuantityNames
+from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 from mbdkit_biomech.muscles.patella import ANGLE, FLEXION, SHARE, contact_share

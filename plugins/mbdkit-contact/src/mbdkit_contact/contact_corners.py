@@ -32,7 +32,7 @@ class Push:
     ----------
     force, side
         Name of the contact, and index of the parameter with the side; see
-        `mbdkit.plugin.seams.LawCondition`.
+        `mbdkit.engine.law_conditions.LawCondition`.
     bodies
         Indices of both bodies.
     law
@@ -52,7 +52,7 @@ class Push:
     rows: int
 
     def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `mbdkit.plugin.seams.LawCondition.values`."""
+        """Return g in T states; see `mbdkit.engine.law_conditions.LawCondition.values`."""
         return np.min(self._overlap_and_force(q, v, numbers), axis=0).tolist()
 
     def slopes(self, state: tuple[np.ndarray, ...], directions: Sequence[tuple[np.ndarray, ...]]) -> list[float]:

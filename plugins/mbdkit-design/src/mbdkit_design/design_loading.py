@@ -52,7 +52,7 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
                 raise document.place(SpecError(message, key=key))
     with SpecError.place_by(document.place):
         for assignment in assignments:
-            document.set(assignment)
+            document.assign(assignment)
         spec = DesignSpec(**document.data)
         spec._document = document
         spec._specs = {

@@ -80,7 +80,7 @@ class ForceCondition:
     multipliers: np.ndarray
 
     def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
-        """Return g in T states; see `mbdkit.plugin.seams.LawCondition.values`."""
+        """Return g in T states; see `mbdkit.engine.law_conditions.LawCondition.values`."""
         rows = zip(observed.forces, observed.lam, strict=True)
         return [self.function(*row[self.element, :2], *self.own(numbers, lam))[0] for row, lam in rows]
 

@@ -177,7 +177,7 @@ class RunPreparation(Preparation):
     numbers
         Function that returns the numbers of expressions that may depend on named parameters, by name of the array.
     initial
-        Values of kinematic quantities at the start; see `mbdkit.PreparedRun.run`. The key path of a parameter that is
+        Values of kinematic quantities at the start; see `mbdkit.prepare`. The key path of a parameter that is
         one of them is ``("initial", NAME)``.
     specs, values
         What makes specs from the base, and the values by key path that make the spec; none by default.

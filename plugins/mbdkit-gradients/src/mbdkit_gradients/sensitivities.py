@@ -116,7 +116,7 @@ def sensitivities(
         initial values such as ``initial.crank.angle`` and ``initial.crank.angular_velocity``, which `initial` must
         contain; at most 50. A mapping of names in `parameters` to numbers also sets these numbers.
     initial
-        Initial values of kinematic quantities; see `mbdkit.PreparedRun.run`.
+        Initial values of kinematic quantities; see `mbdkit.prepare`.
     **sections
         Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.
 
@@ -193,7 +193,7 @@ class PreparedSensitivities:
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
     @cached_property
-    def _prepared(self) -> mbdkit.PreparedRun:
+    def _prepared(self) -> Any:  # a `PreparedRun`, of a part above
         return mbdkit.prepare(self.spec)
 
     def _initial(self, name: str) -> Parameter:

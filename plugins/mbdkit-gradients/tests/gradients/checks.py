@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit import Gradient
+from mbdkit_gradients.gradient import Gradient
 
 
 def assert_passed(found: Gradient) -> None:

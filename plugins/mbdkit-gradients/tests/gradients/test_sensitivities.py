@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.plugin import RunError, SpecError
-from mbdkit.plugin.specs import load_spec
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit import RunError, SpecError, load_spec
+from mbdkit_gradients.sensitivities import PreparedSensitivities
 from tests.margins import assert_within
 
 PARAMETERS = {"m": 1.0, "k": 30.0, "c": 0.4, "x0": 0.3}

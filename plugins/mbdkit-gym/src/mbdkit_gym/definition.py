@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
+from mbdkit import load_spec
 from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, quoted
 from mbdkit.plugin.measures import OPERATIONS, MeasureCompiler, RunExpression
-from mbdkit.plugin.specs import RunSource, load_spec
-from mbdkit_studies import frozen
+from mbdkit.plugin.specs import RunSource
+from mbdkit.plugin.studies import frozen
 
 Actions = Sequence[str] | Mapping[str, Sequence[float]]
 Observations = Sequence[str] | Mapping[str, str | Mapping[str, Any]]

@@ -7,7 +7,7 @@ from typing import Any
 
 from gymnasium.envs.registration import register
 
-from mbdkit.plugin.specs import read_file
+from mbdkit.plugin.specs import read_source
 from mbdkit_gym.environment import Environment
 from mbdkit_gym.vector_environment import VectorEnvironment
 
@@ -27,7 +27,7 @@ def register_environments() -> None:
 
 def arguments(name: str) -> dict[str, Any]:
     """Return the arguments of a packaged environment."""
-    return dict(read_file(_FOLDER / f"{name}.yaml").data)
+    return dict(read_source(_FOLDER / f"{name}.yaml").data)
 
 
 def environment(name: str, **changed: Any) -> Environment:

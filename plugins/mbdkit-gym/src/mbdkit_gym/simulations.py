@@ -9,7 +9,7 @@ import numpy as np
 
 import mbdkit
 from mbdkit import RunError
-from mbdkit.plugin.runs import SimulationBatch, why_not_batched
+from mbdkit.plugin.runs import SimulationBatch
 from mbdkit.plugin.specs import parameters_in_use
 from mbdkit_gym.definition import Definition
 
@@ -53,7 +53,7 @@ def why_in_turn(definition: Definition) -> str:
     used = parameters_in_use(spec.parameters, definition.expressions)
     if {name.removeprefix("parameters.") for name in definition.varied} & used:
         return "an expression contains a parameter that differs between episodes"
-    return why_not_batched(spec)
+    return SimulationBatch.why_not(spec)
 
 
 class _Batch:

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from mbdkit import Mechanism, RunSpec
-from mbdkit.plugin.specs import load_spec
+from mbdkit import Mechanism, RunSpec, load_spec
 
 CART, POLE, INERTIA, HALF, GRAVITY = 0.5, 0.2, 6e-3, 0.3, 9.81
 

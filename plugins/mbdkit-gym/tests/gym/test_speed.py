@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.plugin.specs import load_spec
+from mbdkit import load_spec
 
 pytest.importorskip("gymnasium", reason="gymnasium is not installed: pip install mbdkit[gym]")
 

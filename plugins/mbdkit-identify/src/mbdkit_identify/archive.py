@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,27 +14,11 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
-from mbdkit.plugin import ArchiveError, SpecError, shown
-from mbdkit.plugin.archives import (
-    MIXED,
-    ResultTable,
-    StoredHashes,
-    TableColumn,
-    check_target,
-    open_hdf5,
-    own_version,
-    reading,
-    seal,
-    set_text,
-    utc_now,
-)
-from mbdkit.plugin.files import json_text, replacing
+from mbdkit.plugin.archives import ResultFile, ResultTable, TableColumn
 from mbdkit.plugin.seams import file_problems
 from mbdkit_identify.identification import Doubt, Estimate, Identification, NextExperiment, Profile, Residuals
 
-FORMAT, VERSION = "mbdkit-identification", 1  #: Root attributes ``format`` and ``format_version``.
-_WHAT = "result of an identification"
-_HINT = "repeat the identification"
+FILE = ResultFile("mbdkit-identification", 1, "result of an identification", "repeat the identification")
 _TEXTS = ("verdict", "title", "way")
 _NUMBERS = ("level", "cost", "log_likelihood", "seconds", "unknowns")
 _AS_JSON = {"spec": dict, "base": dict, "combinations": list, "notes": list, "doubts": list}
@@ -74,13 +57,7 @@ def write_identification(result: Identification, path: str | Path, overwrite: bo
     ResourceError
         If the system refuses to write the file, as on a full disk.
     """
-    target = check_target(path, overwrite=overwrite)
-    with h5py.File(target.name, "w", driver="core", backing_store=False, libver=("v108", "v108")) as file:
-        _fill(file, result)
-        file.flush()
-        with replacing(target, overwrite=overwrite) as part:
-            part.write_bytes(file.id.get_file_image())
-    return target
+    return FILE.write(path, lambda file: _fill(file, result), overwrite=overwrite)
 
 
 def load_identification(path: str | Path) -> Identification:
@@ -93,61 +70,23 @@ def load_identification(path: str | Path) -> Identification:
     ArchiveError
         If the file is damaged.
     """
-    with closing(_open(Path(path))) as file, reading("the result", Path(path), hint=_HINT):
+    with FILE.open(path) as file:
         return _read(file)
-
-
-def origin(path: Path) -> dict[str, str]:
-    """Return when the result of an identification was written (UTC), and by which version of mbdkit."""
-    with closing(_open(path)) as file:
-        return {name: str(file.attrs.get(name, "")) for name in ("created_utc", "mbdkit_version")}
 
 
 @file_problems
 def problems(path: Path) -> list[str] | None:
     """Return the problems of the result of an identification as sentences; None for a file of another kind."""
-    try:
-        file = _open(path)
-    except (SpecError, ArchiveError):
-        return None
-    with closing(file):
-        try:
-            with reading("the result", path, hint=_HINT):
-                _read(file)
-        except ArchiveError as error:
-            return [shown(error.message)]
-    return []
-
-
-def _open(path: Path) -> h5py.File:
-    if not path.is_file():
-        raise SpecError(f"there is no {_WHAT} of this name", file=path)
-    file = open_hdf5(path, _WHAT, hint=_HINT)
-    try:
-        with reading("its format", path, hint=_HINT):
-            kind, version = (str(file.attrs.get(name)) for name in ("format", "format_version"))
-        if kind != FORMAT:
-            raise SpecError(f"this is an HDF5 file, but not the {_WHAT}", file=path)
-        if version != str(VERSION):
-            message = f"this {_WHAT} has the format version {shown(version)}; this mbdkit reads {VERSION}"
-            raise SpecError(message, file=path)
-    except BaseException:
-        file.close()
-        raise
-    return file
+    return FILE.problems(path, load_identification)
 
 
 def _fill(file: h5py.File, result: Identification) -> None:
-    texts = {"format": FORMAT, "mbdkit_version": own_version(), "created_utc": utc_now()}
-    texts |= {name: getattr(result, name) for name in _TEXTS}
     doubts = [[doubt.place, doubt.text, *doubt.strength] for doubt in result.doubts]
-    texts |= {name: json_text(doubts if name == "doubts" else getattr(result, name)) for name in _AS_JSON}
-    for name, text in texts.items():
-        set_text(file, name, text)
-    numbers = {name: float(getattr(result, name)) for name in _NUMBERS}
-    for name, value in {"format_version": VERSION, "evaluations": result.evaluations, **numbers}.items():
-        file.attrs[name] = value
-    covariance = TableColumn(result.covariance, ("parameter", "other"), MIXED, "covariance", "unit")
+    FILE.set_texts(file, {name: getattr(result, name) for name in (*_TEXTS, *_AS_JSON)} | {"doubts": doubts})
+    file.attrs["evaluations"] = result.evaluations
+    for name in _NUMBERS:
+        file.attrs[name] = float(getattr(result, name))
+    covariance = TableColumn(result.covariance, ("parameter", "other"), "mixed", "covariance", "unit")
     columns = _estimates(result, "parameter", result.parameters)
     others = [name for name in result.estimates if name not in result.parameters]
     _write(
@@ -168,12 +107,10 @@ def _fill(file: h5py.File, result: Identification) -> None:
         table = {
             "candidate": TableColumn(candidates, ("candidate",), "1", "candidate; an empty name is the present state"),
             **{name: columns[name] for name in ("estimate", "unit")},
-            "half_width": TableColumn(widths, ("candidate", "estimate"), MIXED, "half width of the interval", "unit"),
+            "half_width": TableColumn(widths, ("candidate", "estimate"), "mixed", "half width of the interval", "unit"),
         }
         group = _write(file, "next_experiment", table)
-        set_text(group, "narrows", following.narrows)
-        set_text(group, "best", following.best)
-    seal(file)
+        FILE.set_texts(group, {"narrows": following.narrows, "best": following.best})
 
 
 def _estimates(result: Identification, axis: str, names: Iterable[str]) -> dict[str, TableColumn]:
@@ -181,7 +118,9 @@ def _estimates(result: Identification, axis: str, names: Iterable[str]) -> dict[
     estimates, columns = [result.estimates[name] for name in names], {}
     for one in fields(Estimate):
         values = np.array([getattr(estimate, one.name) for estimate in estimates], _KINDS[one.type])
-        units = (MIXED, _LONG_NAMES[one.name], "unit") if one.type == "float" else ("1", _LONG_NAMES.get(one.name, ""))
+        units = (
+            ("mixed", _LONG_NAMES[one.name], "unit") if one.type == "float" else ("1", _LONG_NAMES.get(one.name, ""))
+        )
         columns[axis if one.name == "name" else one.name] = TableColumn(values, (axis,), *units)
     return columns
 
@@ -199,7 +138,7 @@ def _write_item(
     group = _write(parent, str(number), columns)
     for name in values.keys() - columns.keys():
         if isinstance(values[name], str):
-            set_text(group, name, values[name])
+            FILE.set_texts(group, {name: values[name]})
         else:
             group.attrs[name] = float(values[name])
 
@@ -213,7 +152,6 @@ def _write(parent: h5py.Group, name: str, columns: Mapping[str, TableColumn]) ->
 
 
 def _read(file: h5py.File) -> Identification:
-    StoredHashes(file).verify()
     given = file.attrs
     values: dict[str, Any] = {name: json.loads(str(given[name])) for name in _AS_JSON}
     for name, kind in _AS_JSON.items():

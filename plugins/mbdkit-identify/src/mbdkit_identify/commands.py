@@ -38,7 +38,7 @@ def identify(
     write_identification(result, command.path, command.overwrite)
     written, values = f"result: {command.path}", {"path": str(command.path), **_plain(result)}
     if report:
-        from mbdkit_report import report as write
+        from mbdkit.plugin.reports import report as write
 
         page = write(command.path, overwrite=command.overwrite)
         written, values = f"{written}, report: {page}", {**values, "report": str(page)}

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mbdkit import prepare
-from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, copied, path_text
+from mbdkit import RunError, prepare
+from mbdkit.plugin import MbdkitError, RunSpec, SpecError, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit.plugin.studies import PreparedSensitivities
 from mbdkit_identify.estimation import best_fit, factors, failed, fit_at, fit_some
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
@@ -434,7 +435,7 @@ class _Identification:
         """Return the base with unknowns x (n,) as plain data."""
         base = self.spec.run_spec
         assert base._document is not None
-        data: dict[str, Any] = copied(base._document.data)
+        data: dict[str, Any] = deepcopy(base._document.data)
         for place, name in enumerate(self.names):
             path = variable_path(name)
             if name in base.parameters or path[0] != "parameters":
@@ -454,7 +455,7 @@ class _Identification:
 
     def _plain_spec(self) -> Mapping[str, object]:
         assert self.spec._document is not None
-        return dict(copied(self.spec._document.data))
+        return dict(deepcopy(self.spec._document.data))
 
 
 def _finer(spec: RunSpec) -> RunSpec:

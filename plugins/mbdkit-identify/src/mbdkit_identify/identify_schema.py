@@ -1,4 +1,4 @@
-"""JSON schema of specs of identifications."""
+"""The JSON schema of the spec of an identification."""
 
 from __future__ import annotations
 

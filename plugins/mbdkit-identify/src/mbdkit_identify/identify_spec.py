@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, Private
 from mbdkit.plugin import FormatVersion, Number, Positive, RunSpec, SpecError, path_text, read_quantity, value_text
 from mbdkit.plugin.mechanisms import pair
 from mbdkit.plugin.specs import Count, Section, StrictSpec, check_name
-from mbdkit_studies import Overrides
+from mbdkit.plugin.studies import Overrides
 
 
 def _plain(given: object) -> object:

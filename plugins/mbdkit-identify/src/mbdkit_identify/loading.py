@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path as FilePath
+from copy import deepcopy
+from pathlib import Path
 
-from mbdkit.plugin import RunSpec, SpecError, copied, did_you_mean, listed, path_text
-from mbdkit.plugin.files import Path
+from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, path_text
 from mbdkit.plugin.seams import spec_loader
 from mbdkit.plugin.specs import (
     Document,
@@ -17,8 +17,8 @@ from mbdkit.plugin.specs import (
     read_source,
     variable_path,
 )
+from mbdkit.plugin.studies import base_document, document_of
 from mbdkit_identify.identify_spec import IdentifySpec
-from mbdkit_studies import base_document, document_of
 
 
 def load_identify_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> IdentifySpec:
@@ -46,13 +46,13 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
             return source
         source = source._document or source.model_dump(exclude_unset=True)
 
-    def packaged(name: str) -> tuple[Document, FilePath] | None:
+    def packaged(name: str) -> tuple[Document, Path] | None:
         return (document := read_source(name), document.folder) if name in example_names("identify") else None
 
     document, folder = document_of(
         source, ("identification", "identifications"), packaged, lambda: example_names("identify")
     )
-    document = Document(copied(document.data), document.file, folder=document.folder) if sections else document
+    document = Document(deepcopy(document.data), document.file, folder=document.folder) if sections else document
     document.data |= sections
     document.keywords = frozenset(sections)
     if "mbdkit_identify" not in document.data:
@@ -62,7 +62,7 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
                 raise document.place(SpecError(message, key=key))
     with SpecError.place_by(document.place):
         for assignment in assignments:
-            document.set(assignment)
+            document.assign(assignment)
         spec = IdentifySpec(**document.data)
         spec._document = document
         spec._base = _base(spec, folder)
@@ -73,11 +73,11 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
 spec_loader(load_identify_spec)
 
 
-def _base(spec: IdentifySpec, folder: FilePath) -> RunSpec:
+def _base(spec: IdentifySpec, folder: Path) -> RunSpec:
     """Return the validated base, with the parameters at their start values."""
     document = base_document(spec.base, folder, "base", "identification")
-    data = copied(document.data)
-    given: dict[str, tuple[Path, object]] = {
+    data = deepcopy(document.data)
+    given: dict[str, tuple[tuple[str | int, ...], object]] = {
         path_text(("overrides", key)): (parse_key(key), value) for key, value in spec.overrides.items()
     }
     for name, one in spec.parameters.items():

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError, copied, path_text
+from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.specs import parse_key, put
 from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import NextExperiment
@@ -87,7 +88,7 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     data = next((one for one in done.data if one.name == like), None)
     if data is None:
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
-    own = IdentifySpec(**copied(spec._document.data))  # type: ignore[union-attr]
+    own = IdentifySpec(**deepcopy(spec._document.data))  # type: ignore[union-attr]
     own._document, base = spec._document, spec.run_spec
     settings = done.base_data(done.fit.x)
     for key, value in candidate.overrides.items():

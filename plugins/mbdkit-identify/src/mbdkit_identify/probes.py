@@ -17,11 +17,10 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec, parse_path
-from mbdkit.plugin.files import Path
+from mbdkit.plugin import GROUND, Body, Joint, Mechanism, RunSpec
 from mbdkit.plugin.mechanisms import PointForce, SlidingJoint, SpringDamper, Torque, TorsionSpring, mechanism_size
-from mbdkit.plugin.specs import parameters_in_use, put
-from mbdkit_gradients import PreparedSensitivities
+from mbdkit.plugin.specs import parameters_in_use, parse_key, put
+from mbdkit.plugin.studies import PreparedSensitivities
 
 AT_ONCE = 12  #: Number of probes in one spec; the time to prepare a run grows with the number of its elements.
 SLIP = 0.01  #: Rate below which dry friction is smooth, as a share of the typical rate of the mechanism.
@@ -29,6 +28,7 @@ SLIP = 0.01  #: Rate below which dry friction is smooth, as a share of the typic
 SMOOTH = 1e-3  #: Rate below which quadratic drag is smooth, as such a share.
 
 Limits = tuple[float, float]
+Path = tuple[str | int, ...]  #: Key path: names, and indices of lists.
 Elements = dict[str, dict[str, Any]]
 ANY = (-math.inf, math.inf)
 POSITIVE = (0.0, math.inf)
@@ -187,7 +187,7 @@ def _written_out(mechanism: Mechanism) -> dict[str, Any]:
         for name, element in elements.items():
             if name in model.get(kind, {}):
                 for key, _, point in element.attachments():
-                    *path, last = parse_path(key)
+                    *path, last = parse_key(key)
                     holder = model[kind][name]
                     if isinstance(last, int):
                         for part in path[:-1]:
@@ -332,7 +332,7 @@ class _Probes:
                     place = (
                         f"position of the joint '{name}' on {'the ground' if body == GROUND else f'the body {body!r}'}"
                     )
-                    self._wrong(place, "m", [(("joints", name, *parse_path(key), axis), "1")])
+                    self._wrong(place, "m", [(("joints", name, *parse_key(key), axis), "1")])
 
     # ---- bodies ----------------------------------------------------------------------------------------------------
 
@@ -354,7 +354,7 @@ class _Probes:
         if any(path is not None and path.type == "coordinate" and path.bodies[0] == name for path in paths):
             return  # coordinates are measured from the centre of mass
         points = [
-            (kind, key, *parse_path(at)) for kind, key, one in elements for at, on, _ in one.attachments()
+            (kind, key, *parse_key(at)) for kind, key, one in elements for at, on, _ in one.attachments()
             if on == name and key in self.model.get(kind, {})
         ]  # fmt: skip
         c, s, spin = math.cos(body.angle), math.sin(body.angle), body.angular_velocity

@@ -12,10 +12,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 
 from mbdkit.plugin import counted, plus_minus
-from mbdkit.plugin.specs import write_yaml
-from mbdkit_identify.archive import load_identification, origin
-from mbdkit_identify.identification import Identification, Profile, Residuals
-from mbdkit_report import (
+from mbdkit.plugin.reports import (
     TONES,
     Axis,
     Band,
@@ -37,6 +34,9 @@ from mbdkit_report import (
     object_view,
     report_of_folder,
 )
+from mbdkit.plugin.specs import write_yaml
+from mbdkit_identify.archive import FILE, load_identification
+from mbdkit_identify.identification import Identification, Profile, Residuals
 
 POINTS = 1_000  #: Largest number of points of a curve.
 LAGS = 40  #: Largest lag of autocorrelations [samples].
@@ -96,7 +96,7 @@ def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
         beside_verdict=("doubts", "estimates", "signals"),
         sections=_sections(result),
         methods=replace(own, paragraphs=(_METHOD, *[_PROFILES] * bool(result.profiles), *own.paragraphs)),
-        environment=environment(origin(path), {}),
+        environment=environment(FILE.origin(path), {}),
         reproduce="Save the spec below as identify.yaml, in a folder with its base and the files of the measured data.",
         commands="mbdkit identify identify.yaml --report",
         spec=write_yaml(dict(result.spec)),

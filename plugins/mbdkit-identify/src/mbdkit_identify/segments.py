@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from mbdkit.plugin import RunSpec, SpecError, copied, path_text
-from mbdkit.plugin.equations import Starts
+from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.runs import GivenStart
-from mbdkit_gradients import PreparedSensitivities, is_smooth
+from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.loading import sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
@@ -166,7 +166,7 @@ def segments_of(
 
 
 def _parameter(spec: IdentifySpec, name: str) -> Unknown:
-    from mbdkit_report import key_unit
+    from mbdkit.plugin.reports import key_unit
 
     given, base = spec.parameters[name], spec.run_spec
     low, high = given.bounds or (-np.inf, np.inf)
@@ -227,7 +227,7 @@ def _segment(
     if choice is not None:
         label = data.name if number == 0 else f"{data.name}, window {number + 1}"
         with SpecError.rekey(where):
-            given = GivenStart(run.mechanism(), run, Starts())
+            given = GivenStart(run.mechanism(), run)
             numbers = {one.name: one.start for one in unknowns}
             values = _initial_values(given, choice, run, numbers, signals, time)
             if not isinstance(choice, str):
@@ -261,7 +261,7 @@ def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np
     motion is smooth.
     """
     assert base._document is not None
-    data = copied(base._document.data)
+    data = deepcopy(base._document.data)
     step, end = base.time.step, float(time[-1])
     section = {"stops": [stop for stop in base.time.stops if time[0] < stop < end]} if base.time.stops else {}
     places = (time - time[0]) / np.median(np.diff(time))

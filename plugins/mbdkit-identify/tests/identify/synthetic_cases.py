@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin.specs import load_spec
+from mbdkit import load_spec
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ import mbdkit
 import mbdkit_identify.identify
 from mbdkit.cli import app
 from mbdkit.spec import example_names
+from mbdkit_identify.identification import Identification
+from mbdkit_identify.identify_spec import IdentifySpec
 from tests.margins import assert_within
 
 RIG = """
@@ -66,8 +68,8 @@ def hand_made(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """Replace the computation by the result with these changes, which are empty at first."""
     changes: dict[str, Any] = {}
 
-    def identify(source: mbdkit.IdentifySpec, **options: Any) -> mbdkit.Identification:
-        assert isinstance(source, mbdkit.IdentifySpec)
+    def identify(source: IdentifySpec, **options: Any) -> Identification:
+        assert isinstance(source, IdentifySpec)
         options["notify"]("a stage")
         return result(**changes)
 

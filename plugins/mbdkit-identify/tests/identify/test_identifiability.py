@@ -10,7 +10,7 @@ import sympy as sp
 from tests.identify.models import IDENTIFIABLE, SIMULATED, UNIDENTIFIABLE, Case, T, swing
 
 import mbdkit
-from mbdkit.plugin import RunError
+from mbdkit import RunError
 from mbdkit_identify.identifiability import Identifiability, combinations
 from tests.margins import assert_within
 

@@ -10,10 +10,11 @@ import pytest
 from tests.identify.hand_made import NOISE, result
 
 import mbdkit
+from mbdkit.plugin.reports import ReportPage
 from mbdkit_identify.archive import write_identification
 from mbdkit_identify.identification import Identification, Profile
 from mbdkit_identify.report import autocorrelation, identification_report, smooth_profile
-from mbdkit_report import ReportPage, write_report
+from mbdkit_report import write_report
 
 
 def page_of(folder: Path, given: Identification) -> ReportPage:
@@ -132,4 +133,4 @@ def test_the_page_works_in_a_browser(tmp_path: Path) -> None:
 
 def test_loading_is_public(tmp_path: Path) -> None:
     path = write_identification(result(), tmp_path / "fit.h5")
-    assert isinstance(mbdkit.load_identification(path), mbdkit.Identification)
+    assert isinstance(mbdkit.load_identification(path), Identification)

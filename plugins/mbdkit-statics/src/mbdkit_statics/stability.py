@@ -59,7 +59,7 @@ class Stability:
     Attributes
     ----------
     verdict
-        ``stable``, ``neutral``, ``unstable``, ``corner``, ``unknown`` or ``fixed``; see `mbdkit.Equilibrium.stability`.
+        ``stable``, ``neutral``, ``unstable``, ``corner``, ``unknown`` or ``fixed``; see `Equilibrium.stability`.
     stiffness
         Lowest stiffness along the degrees of freedom, for unit mass [1/s^2]; nan without degrees of freedom.
     growth

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import mbdkit
+from mbdkit_statics.equilibrium import Equilibrium
 
 X = "(r.angle-pi/2)"
 
 
-def upright(*values: str) -> mbdkit.Equilibrium:
+def upright(*values: str) -> Equilibrium:
     """Return the equilibrium of a rod on its end, 1 kg and 1 m, under torques that are functions of its angle."""
     m = mbdkit.Mechanism(gravity=(0, -9.81))
     rod = m.body("r", mass=1.0, inertia=1 / 12, position=(0, 0.5), angle=math.pi / 2)

@@ -19,11 +19,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_studies.points.varied_values import start_warnings_of_study as start_warnings_of_study
     from mbdkit_studies.results.cost import at_equal_work as at_equal_work, work_for as work_for
     from mbdkit_studies.results.point_selection import (
-        IN_TOLERANCES as IN_TOLERANCES, METHOD as METHOD, MODEL as MODEL, OPERATIONS as OPERATIONS, Points as Points,
-        STEP as STEP, family as family, value as value,
+        family as family, IN_TOLERANCES as IN_TOLERANCES, METHOD as METHOD, MODEL as MODEL, OPERATIONS as OPERATIONS,
+        Points as Points, STEP as STEP, value as value,
     )
     from mbdkit_studies.spec.method_claims import claims_of as claims_of
-    from mbdkit_studies.spec.sample_section import frozen as frozen
     from mbdkit_studies.spec.study_loading import base_document as base_document, document_of as document_of
     from mbdkit_studies.spec.study_spec import Overrides as Overrides
     from mbdkit_studies.store.storage import storage_in as storage_in

@@ -13,7 +13,8 @@ from tests.analysis.ishigami import FIRST, TOTAL, ishigami
 
 import mbdkit
 from mbdkit import MbdkitError, RunSpec, SpecError
-from mbdkit.plugin.specs import read_file, write_yaml
+from mbdkit.spec.reading import read_file
+from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.points import sampled_values as module

@@ -6,14 +6,11 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit_testing.check_result import Report as Report, Result as Result
     from mbdkit_testing.kit import (
         check_element as check_element, check_force_law as check_force_law, check_integrator as check_integrator,
-        check_joint as check_joint, check_model as check_model, checks_of as checks_of, verify as verify,
+        check_joint as check_joint, check_model as check_model, verify as verify,
     )
-    from mbdkit_testing.pytest_suite import (
-        Case as Case, ConformanceWarning as ConformanceWarning, cases as cases, conformance as conformance,
-    )
+    from mbdkit_testing.pytest_suite import Case as Case, conformance as conformance
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

@@ -106,7 +106,7 @@ def plugins_verify(
     items = describe.find(name, further=["element-kind", "joint-kind"])
     options = Document({})
     for assignment in assignments or ():
-        options.set(assignment)
+        options.assign(assignment)
     from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page
 

@@ -31,7 +31,7 @@ from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.example_checks import SAME, TINY, balance, checkpoint, tangents, without_plugin
 from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed
 
-#: Columns that the equations also contain, by their index in `mbdkit.plugin.Observed.forces`.
+#: Columns that the equations also contain, by their index in `mbdkit.kernels.Observed.forces`.
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
 
 

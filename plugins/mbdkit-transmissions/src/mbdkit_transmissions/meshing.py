@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.plugin import GROUND, Finding, Table
-from mbdkit.plugin.equations import fill
 from mbdkit.plugin.seams import rows_criterion
 from mbdkit_transmissions.cams import Slot
 from mbdkit_transmissions.gears import PITCH, Belt, Gear, Rack
 
 if TYPE_CHECKING:
     from mbdkit.plugin import FunctionJoint, RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.plugin.seams import EnergyRecord
 
 ROUNDING = 1e-9  #: A pin may pass the end of a table by this share of the length of the table.
 
@@ -113,7 +112,7 @@ class Meshing:
     def restore(self, state: dict[str, object]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         for name, values in state.items():
-            fill(getattr(self, f"_{name}"), values)
+            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

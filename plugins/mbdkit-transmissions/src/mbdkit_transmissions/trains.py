@@ -9,14 +9,13 @@ import numpy as np
 
 from mbdkit import EquationsOfMotion, StepError
 from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
-from mbdkit.plugin.equations import fill
 from mbdkit.plugin.seams import ElementsByName, element_check, rows_criterion
 from mbdkit_transmissions.gears import Belt, Gear
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.plugin.seams import EnergyRecord
 
 #: Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
 #: and radians.
@@ -137,7 +136,7 @@ class StillJoints:
     def restore(self, state: dict[str, object]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         for name, values in state.items():
-            fill(getattr(self, f"_{name}"), values)
+            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

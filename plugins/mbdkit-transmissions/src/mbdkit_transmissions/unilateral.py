@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from mbdkit.plugin import GROUND, Finding
-from mbdkit.plugin.equations import fill
 from mbdkit.plugin.seams import rows_criterion
 from mbdkit_transmissions.gears import Rolling
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.plugin.seams import EnergyRecord
 
 #: Forces up to this share of the largest reaction at the bodies of a joint are rounding errors.
 ROUND_OFF = 1e-9
@@ -85,7 +84,7 @@ class Reactions:
     def restore(self, state: dict[str, object]) -> None:
         """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
         for name, values in state.items():
-            fill(getattr(self, f"_{name}"), values)
+            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

@@ -13,7 +13,7 @@ import pytest
 
 import mbdkit
 from mbdkit import EquationsOfMotion, Mechanism, SpecError
-from mbdkit.plugin.equations import Starts
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec import load_spec
 from tests.margins import assert_within

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
-from mbdkit.plugin import GROUND, ExpressionLaw, Segment, SpecError, quoted
+from mbdkit import ExpressionLaw
+from mbdkit.plugin import GROUND, Segment, SpecError, quoted
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.seams import element_forces, element_lines, expression_lowering, lowering, start_values
 from mbdkit_wearable.cuff import DIRECTIONS, Cuff

@@ -14,8 +14,8 @@ from mbdkit_wearable.quantities import cuffs_in, displacements
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Run, RunSpec, States
-    from mbdkit.plugin.doubts import EnergyRecord
     from mbdkit.plugin.equations import CompiledMechanism
+    from mbdkit.plugin.seams import EnergyRecord
     from mbdkit_wearable.acting_cuffs import ActingCuff
 
 SHOWN = 4  #: Largest number of cuffs in a summary.

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import BaseModel, model_validator
 
+from mbdkit import load_spec
 from mbdkit.plugin import (
     GROUND,
     Body,
@@ -34,7 +35,7 @@ from mbdkit.plugin import (
 )
 from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, workspace_at_start
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
-from mbdkit.plugin.specs import Choice, load_spec, parse_key, put, read_source
+from mbdkit.plugin.specs import Choice, parse_key, put, read_source
 from mbdkit_wearable.cuff import Tissue
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from mbdkit import StudyPlugin
 from mbdkit.plugin import (
     Accessor,
     CriterionItem,
@@ -16,7 +17,6 @@ from mbdkit.plugin import (
     ModelKey,
     ModelPlugin,
     QuantityKind,
-    StudyPlugin,
     SummaryLine,
     Target,
     hookimpl,

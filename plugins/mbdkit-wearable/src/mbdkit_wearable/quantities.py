@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.plugin import Chart, Recorded, name_array, quantity_group
-from mbdkit.plugin.archives import TIME, computed
+from mbdkit.plugin import Array, Chart, Recorded, name_array, quantity_group
 from mbdkit_wearable.cuff import DIRECTIONS
 
 if TYPE_CHECKING:
@@ -36,22 +35,22 @@ def displacements(states: States) -> np.ndarray:
     return np.asarray(length - np.array([cuff.zeros for cuff in cuffs]))
 
 
-def _of_cuffs(name: str, units: str, what: str, **more: object) -> Recorded:
-    return computed(name, ("time", "cuff"), units, what, lambda s: s.of(cuffs_in)[name], **more)
+def _of_cuffs(name: str, units: str, what: str, **more: Any) -> Recorded:
+    return Recorded(name, ("time", "cuff"), units, what, take=lambda s: s.of(cuffs_in)[name], **more)
 
 
 # fmt: off
 CUFFS = quantity_group(
     "cuffs",
-    TIME,
+    Array("time", ("time",), "s", "time of the recorded row"),
     name_array("cuff", "cuff", "name of the cuff", lambda names: names.names_of("cuffs")),
     name_array("limb", "cuff", "body of the limb", lambda names: names.bodies_of("cuffs", 0), label="bodies"),
     name_array("device", "cuff", "body of the device", lambda names: names.bodies_of("cuffs", 1), label="bodies"),
     name_array("coordinate", "coordinate", "x: along the axis of the cuff, y: tangential, theta: rotation",
         lambda names: ("x", "y", "theta")),
     name_array("row_units", "coordinate", "units of displacement, row by row", lambda names: ("m", "m", "rad")),
-    computed("displacement", ("time", "cuff", "coordinate"), "mixed",
-        "displacement of the device's point in the frame of the limb", displacements,
+    Recorded("displacement", ("time", "cuff", "coordinate"), "mixed",
+        "displacement of the device's point in the frame of the limb", take=displacements,
         row_units="row_units", components=DIRECTIONS, vector="displacement",
         no_derivative="the derivatives of displacements of cuffs are not known; those of their forces are",
         about=("displacement of the device's point in the frame of the limb", "rotation of the device in the limb")),

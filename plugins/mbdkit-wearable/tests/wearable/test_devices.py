@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.plugin.specs import load_spec
+from mbdkit import load_spec
 from tests.margins import assert_within
 
 H = 1.75

@@ -11,7 +11,7 @@ from tests.wearable.misfit_coverage import coverage
 
 import mbdkit
 from mbdkit.guide.pages import pages
-from mbdkit_report import Answer
+from mbdkit.plugin.reports import Answer
 from mbdkit_wearable.misfit.study import MOTIONS, SPRING, base, squat, study
 from mbdkit_wearable.misfit.verdict import verdict
 

@@ -92,7 +92,7 @@ def _override(document: Document, assignment: str) -> None:
     """
     path, value = read_assignment(assignment)
     if path[0] == "sample":  # not a key of runs
-        document.set(assignment)
+        document.assign(assignment)
         return
     key = path_text(path)
     holders: dict[Path, dict[str, object]] = {(): document.data}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit.plugin import StudyPlugin
+from mbdkit import StudyPlugin
 
 
 def _spec(quick: bool) -> dict[str, object]:

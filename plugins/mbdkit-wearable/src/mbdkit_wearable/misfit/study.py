@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 import mbdkit
+from mbdkit import load_spec
 from mbdkit.plugin import Mechanism
-from mbdkit.plugin.specs import load_spec, read_source
+from mbdkit.plugin.specs import read_source
 from mbdkit_wearable.device import turned
 
 #: Models of devices by the name in families of the study.

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.plugin import MbdkitError
-from mbdkit_report import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict
+from mbdkit.plugin.reports import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict
 from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
 
 if TYPE_CHECKING:
-    from mbdkit_studies import Study
+    from mbdkit import Study
 
 WORDS = {
     "parameters.forward": "forward",

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit import RunError
 from mbdkit.kernels import Frames, evaluate_frames
-from mbdkit.plugin import RunError
 from mbdkit.plugin.runs import AssembledMechanism
 
 if TYPE_CHECKING:

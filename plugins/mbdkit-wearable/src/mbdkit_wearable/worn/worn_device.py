@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit import RunError
 from mbdkit.kernels import Observed
-from mbdkit.plugin import GROUND, Mechanism, RunError, SpecError, quoted
+from mbdkit.plugin import GROUND, Mechanism, SpecError, quoted
 from mbdkit.plugin.equations import GivenForces, StateObserver, elementary
 from mbdkit.plugin.runs import AddedForces, Follower
 from mbdkit.plugin.seams import follower
