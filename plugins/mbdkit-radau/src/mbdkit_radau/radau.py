@@ -138,7 +138,7 @@ class Radau(mbdkit.StepMethod):
     def solve(
         self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float, past: Past
     ) -> Stages:
-        """Solve the equations of the stages by simplified Newton, from the polynomial through those of the last step."""
+        """Solve the equations of the stages by simplified Newton, from the polynomial of the last step."""
         s = past.stages
         k, values = coefficients(s), (past.a, past.lam, past.rates)
         count = len(past.a)
