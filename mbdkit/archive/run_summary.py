@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
+from mbdkit.archive.history import Impacts
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of
@@ -30,10 +32,6 @@ from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS, rounding
-
-if TYPE_CHECKING:
-    from mbdkit.archive.history import Impacts
-    from mbdkit.archive.run import Run
 
 #: Largest number of events listed.
 EVENTS_NAMED = 4

@@ -10,7 +10,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import Any, cast, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -23,10 +23,8 @@ from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.manager import registry
+from mbdkit.spec import RunSpec
 from mbdkit.spec.choices import RegistryLookup
-
-if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
 
 _NAMED = 5  # elements that are named in a sentence
 _MOST_UNKNOWN = 100
