@@ -19,6 +19,7 @@ from mbdkit.archive.headlines import (
     largest_torques,
     plus_minus,
 )
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import counted, shown
 from mbdkit.mechanism.beams import beam_of

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 
 from mbdkit.base import elementary
@@ -23,9 +24,6 @@ from mbdkit.mechanism.joint_base import Constraint, FunctionJoint, JointBase, Ma
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFriction
 from mbdkit.mechanism.joint_kinds import OfJointKinds
 from mbdkit.mechanism.values import Motion, Number, Point, Points, Positive
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 class PointJoint(JointBase, BetweenPoints):

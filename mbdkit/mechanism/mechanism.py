@@ -271,13 +271,12 @@ class Mechanism(ElementMethods, HtmlView):
     def expressions(self) -> list[tuple[str, str]]:
         """Return (key path, text) of every expression of the state."""
         of_elements = self._of_elements(lambda one: one.expressions())
-        of_states = [(f"model.states.{quoted(name)}.rate", one.rate) for name, one in self.states.items()]
-        sampled = [
-            (f"model.controllers.{quoted(name)}.{key}", text)
-            for name, one in self.controllers.items()
-            for key, text in one.expressions()
+        return of_elements + [
+            (f"model.{kind}.{quoted(name)}.{key}", text)
+            for kind in ("states", "controllers")
+            for name, value in getattr(self, kind).items()
+            for key, text in value.expressions()
         ]
-        return of_elements + of_states + sampled
 
     def motions(self) -> list[tuple[str, Motion]]:
         """Return (key path, motion) of every driver, load and excitation that is a function of time."""

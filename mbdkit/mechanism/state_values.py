@@ -84,6 +84,10 @@ class FirstOrderState(StrictModel):
     unit: str = "1"
     """Unit of the state."""
 
+    def expressions(self) -> list[tuple[str, str]]:
+        """Return (key, text) of its expression."""
+        return [("rate", self.rate)]
+
 
 ELECTRICAL = ("A", "V")  #: SI units of inputs that are not units of mechanics.
 

@@ -6,7 +6,7 @@ import ast
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -15,11 +15,9 @@ from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, value_of
+from mbdkit.expressions.recorded import Recorded
 from mbdkit.expressions.recorded_derivatives import derivative
 from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
-
-if TYPE_CHECKING:
-    from mbdkit.expressions.recorded import Recorded
 
 _VARIABLE = "variable:"  #: Prefix of the instructions that push a variable.
 

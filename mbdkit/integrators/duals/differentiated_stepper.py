@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -27,11 +27,9 @@ from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_st
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.run_state import PROJECTIONS
+from mbdkit.integrators.run.step_control import Control
+from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.integrators.stages.explicit import CompiledExplicit
-
-if TYPE_CHECKING:
-    from mbdkit.integrators.run.step_control import Control
-    from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 #: Reasons why the derivatives of a step are unknown, by status of the kernel.
 _CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_FINITE: "a number overflows"}

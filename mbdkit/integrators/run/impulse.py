@@ -7,16 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Impact
-
-if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
 
 
 @dataclass(frozen=True)

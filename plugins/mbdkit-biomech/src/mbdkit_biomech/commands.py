@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from mbdkit.archive.run import Run
 from mbdkit.base.terminal import say, show, show_json
 from mbdkit.base.text import counted
 from mbdkit.cli.common_options import Archive, AsJson, Debug, SpecCommand
 from mbdkit.cli.outcome import tell
 from mbdkit.runs.run_seams import repeated_run
+from mbdkit.spec.reading import Document
 from mbdkit.spec.spec_kinds import spec_check
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.spec.reading import Document
 
 
 @SpecCommand.of("a packaged example such as walking", key="motion.smooth.cutoff=6")

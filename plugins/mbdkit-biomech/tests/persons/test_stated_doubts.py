@@ -22,6 +22,8 @@ from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, com
 from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile_of_many
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.plate_contacts import plate_numbers
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
@@ -191,3 +193,9 @@ def test_a_joint_whose_centre_the_markers_do_not_determine_is_named_with_the_lan
     data = {name: own[20:32] for name, own in recorded().items() if name[:4] != "RANM"}
     with pytest.raises(SpecError, match="centre of the joint 'ankle': they lack the medial side of it, and the motion"):
         loaded(data)
+
+
+def test_columns_that_only_begin_like_those_of_plates_are_no_plates() -> None:
+    headings = ["plate2.force.x", "plateA.force.x", "plate.force.x", "plate3.point.x"]
+    file = MarkerFile(SimpleNamespace(headings=headings), np.zeros(1))  # type: ignore[arg-type]
+    assert plate_numbers(file) == [2]

@@ -9,20 +9,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.compile_forces import lowering
+from mbdkit.engine.compile_forces import Lowering, lowering
 from mbdkit.engine.compile_mechanism import recorded_members
-from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.compiled_mechanism import ActingForce, with_ground
 from mbdkit.engine.consistent_start import start_values
 from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, native_law
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.target import Target
-from mbdkit_contact.contact import ContactPair
+from mbdkit_contact.contact import Contact, ContactPair
 from mbdkit_contact.kernels.contact_laws import (
     FORCE_LAWS,
     FORCES,
@@ -38,12 +39,6 @@ from mbdkit_contact.kernels.contact_laws import (
 from mbdkit_contact.kernels.uneven_ground import EDGE, OWN, SEGMENT
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 from mbdkit_contact.polylines import reaching_segments
-
-if TYPE_CHECKING:
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.engine.compiled_mechanism import ActingForce
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit_contact.contact import Contact
 
 #: Largest contact force at the start, relative to the weight of all bodies, that is accepted. Larger forces mean that
 #: shapes overlap too much.

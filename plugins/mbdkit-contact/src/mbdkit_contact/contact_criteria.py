@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.plain_data import quoted
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.quantities.states import States
 from mbdkit.runs.run_seams import rows_criterion, spec_criterion
 from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding
 from mbdkit_contact.quantities import contacts_in
-
-if TYPE_CHECKING:
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec.run_spec import RunSpec
 
 _SLIP = re.compile(r"contacts(\.\w+|\[[^\]]+\])\.slip")
 

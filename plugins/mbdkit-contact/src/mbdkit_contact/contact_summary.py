@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, Headline, largest_of, run_headlines
 from mbdkit.archive.peak_errors import errors_of_largest
 from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few, ranked, summarize_impacts
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit_contact.modes import SLIP, STICK
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 @run_headlines

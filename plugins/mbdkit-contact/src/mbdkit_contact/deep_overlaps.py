@@ -5,23 +5,20 @@ bodies that overlap.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.peak_errors import expression_of_largest
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.stored_arrays import fill
+from mbdkit.quantities.states import States
 from mbdkit.runs.run_seams import rows_criterion
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.contact_kinematics import arms_of, shapes_of
 from mbdkit_contact.kernels.uneven_ground import EDGE
 from mbdkit_contact.quantities import contacts_in
-
-if TYPE_CHECKING:
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec.run_spec import RunSpec
-    from mbdkit.trust.energy_record import EnergyRecord
-    from mbdkit_contact.contact import ContactPair
 
 #: Overlaps up to this share of the radius of a circle cause no warning.
 #:

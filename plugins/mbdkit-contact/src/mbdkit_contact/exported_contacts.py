@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit_contact.acting_contacts import ActingContact, contact_law, pairs_of_shapes
 from mbdkit_contact.kernels import contact_laws, uneven_ground
-
-if TYPE_CHECKING:
-    from mbdkit.engine.kernels.engine_bundles import Topology
 
 
 class SymbolicContacts:

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,10 +15,12 @@ from mbdkit.base.terminal import say
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
+from mbdkit_design.design import Design
 from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
+from mbdkit_design.point import DesignPoint
 from mbdkit_design.robustness import robustness
 from mbdkit_design.sensitivity_bars import sensitivity_section
 from mbdkit_design.solve_design import WORKER, evaluating
@@ -42,10 +43,6 @@ from mbdkit_report import (
 )
 from mbdkit_report.seams import report_of_folder
 from mbdkit_studies import Engine
-
-if TYPE_CHECKING:
-    from mbdkit_design.design import Design
-    from mbdkit_design.point import DesignPoint
 
 _NUMBERS = 60_000  #: Approximate number of pose values in each animation.
 COSTS = 2  #: Largest number of loads in the headline. Only loads that the design increases are shown.

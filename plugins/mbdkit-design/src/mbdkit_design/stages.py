@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_design.design_spec import DesignSpec
+from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.point import Notify
-
-if TYPE_CHECKING:
-    from mbdkit_design.evaluation import Evaluator
 
 #: Function called with the number of runs so far, the number of failed runs, and a text that names the stage and its
 #: best goal so far.

@@ -15,10 +15,11 @@ from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbdkit.archive.part_file import remove_checkpoint
 from mbdkit.archive.reader import load
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
@@ -34,9 +35,6 @@ from mbdkit_design.known_points import NOT_READ, read_versioned
 from mbdkit_design.point import DesignPoint
 from mbdkit_design.trust import check_of
 from mbdkit_studies import OwnedFolder
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 VERSION = "mbdkit_result"  #: Name of the format version in the result.
 HASH = "sha256"  #: Name of the hash of the spec and of everything else in the result.

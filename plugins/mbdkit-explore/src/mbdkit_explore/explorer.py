@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
 from mbdkit.archive.headlines import headline_texts
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
@@ -16,14 +17,11 @@ from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import sliders
 from mbdkit_report import TONES, film_of
 from mbdkit_report.pages.run_report import yaml_text
 from mbdkit_studies import PreparedRun
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 NUMBERS = 20_000  #: Approximate number of pose values of a motion.
 ROWS = 300  #: Largest number of points of a curve.

@@ -85,13 +85,22 @@ class Stages(NamedTuple):
     rate: float
 
 
+class Past(NamedTuple):
+    """What a step knows of the last one: the number of stages of the next step; and, unless it begins anew, steps
+    before the order may increase, size of the last step, and a, lam and rates of its stages.
+    """
+
+    stages: int
+    wait: int = 0
+    h: float = 0.0
+    a: Any = None
+    lam: Any = None
+    rates: Any = None
+
+
 @integrator_method
 class Radau(mbdkit.StepMethod):
-    """The method.
-
-    Its memory is (stages of the next step, steps before the order may increase, size of the last step, a, lam and rates
-    of its stages); only the first of them where a step begins anew.
-    """
+    """The method; its memory is the tuple of `Past`."""
 
     carries_multipliers = True
 
@@ -111,30 +120,29 @@ class Radau(mbdkit.StepMethod):
 
     def step(self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float) -> mbdkit.Step:
         """Take one step, and choose the order of the next one."""
-        s, *past = (self.fewest,) if state.memory is None else state.memory
-        wait, last = (past[0], past[1]) if past else (0, h)
-        if not past or state.multipliers is None:
+        past = Past(self.fewest) if state.memory is None else Past(*state.memory)
+        s = past.stages
+        if past.a is None or state.multipliers is None:
             a, lam, rates = equations.derivatives(t, state.q, state.v, state.z)
             state = replace(state, multipliers=lam)
-            past = past or [0, h, a[None], lam[None], rates[None]]
-        found = self.solve(equations, t, state, h, s, past[1:])
-        later, wait = s, max(wait - 1, 0)
+            past = Past(s, 0, h, a[None], lam[None], rates[None]) if past.a is None else past
+        found = self.solve(equations, t, state, h, past)
+        later, wait = s, max(past.wait - 1, 0)
         if found.rate >= LOWERED and s > self.fewest:
             later, wait = s - 2, WAIT
-        elif found.rate <= RAISED and s < self.most and not wait and STEADY[0] < h / last < STEADY[1]:
+        elif found.rate <= RAISED and s < self.most and not wait and STEADY[0] < h / past.h < STEADY[1]:
             later = s + 2
-        memory = later, wait, h, found.a, found.lam, found.rates
+        memory = tuple(Past(later, wait, h, found.a, found.lam, found.rates))
         return self.completed(equations, t, state, h, found, memory)
 
     def solve(
-        self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float, s: int, past: list[Any]
+        self, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float, past: Past
     ) -> Stages:
-        """Solve the equations of `s` stages by simplified Newton, from the polynomial through the stages of `past`, the
-        size of the last step and its accelerations, multipliers and rates.
-        """
-        k, (last, *values) = coefficients(s), past
-        count = len(values[0])
-        weights = lagrange(coefficients(count).c, 1 + k.c * h / last) if count > 1 else np.ones((s, 1))
+        """Solve the equations of the stages by simplified Newton, from the polynomial of the last step."""
+        s = past.stages
+        k, values = coefficients(s), (past.a, past.lam, past.rates)
+        count = len(past.a)
+        weights = lagrange(coefficients(count).c, 1 + k.c * h / past.h) if count > 1 else np.ones((s, 1))
         a, lam, rates = (weights @ x for x in values)
         formulation, times = equations.formulation, t + k.c * h
         mu, w = np.zeros_like(lam), np.zeros_like(a)

@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -14,11 +14,9 @@ from typer.core import TyperCommand
 from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import STOPPED_EARLY, say, show, show_json, silence
 from mbdkit.cli.common_options import PLAIN, Call, Printing, grouped, output_to, stem
+from mbdkit.spec.reading import Document
 from mbdkit.spec.spec_kinds import spec_check
 from mbdkit_studies.command_options import BaseSet, Cluster, StudyName, Workers
-
-if TYPE_CHECKING:
-    from mbdkit.spec.reading import Document
 
 
 class StudyCommand(TyperCommand):

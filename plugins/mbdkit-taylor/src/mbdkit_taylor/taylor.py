@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from pydantic import Field
 
 from mbdkit.base import elementary
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.methods.kinds import LocalError, Method, Tolerances, Traits, integrator_method
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.registry.items import Claims, integrator_claims
 from mbdkit.registry.target import Target
 from mbdkit_taylor.known_series import require_series
-
-if TYPE_CHECKING:
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 JORBA_ZOU = """@article{jorba2005,
   author = {Jorba, {\\`A}ngel and Zou, Maorong},

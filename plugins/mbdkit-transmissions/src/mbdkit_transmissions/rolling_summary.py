@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mbdkit.plugin import Run
 from mbdkit.plugin.seams import summary_lines
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Run
 
 
 @summary_lines

@@ -29,9 +29,9 @@ class _Touching(NamedTuple):
     name: str
     row: int
     around: list[int]
-    sign: float
-    friction: float | None
-    rolls: bool
+    sign: float = 1.0
+    friction: float | None = None
+    rolls: bool = False
 
 
 class Reactions:
@@ -100,9 +100,10 @@ def watch_reactions(spec: RunSpec, compiled: CompiledMechanism, _size: float) ->
             if bodies & {*others}
         ]
         around = [i for i, row in enumerate(compiled.rows) if any(row.pair in pairs for pairs in beside)]
-        if joint.type == "cam":
-            joints.append(_Touching(name, labels.index(f"{name}.normal"), around, 1.0, None, False))
-        elif isinstance(joint, Rolling):
-            sign = joint.push(mechanism.relative_pose(joint))
-            joints.append(_Touching(name, labels.index(f"{name}.normal"), around, sign, joint.available_friction, True))
+        if joint.type == "cam" or isinstance(joint, Rolling):
+            touching = _Touching(name, labels.index(f"{name}.normal"), around)
+            if isinstance(joint, Rolling):
+                sign = joint.push(mechanism.relative_pose(joint))
+                touching = touching._replace(sign=sign, friction=joint.available_friction, rolls=True)
+            joints.append(touching)
     return Reactions(joints) if joints else None

@@ -17,16 +17,13 @@ reversed, on the limb, and the sums of forces and of moments are zero to roundin
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, model_validator
 
-from mbdkit.plugin import GROUND, Element, NotNegative, Number, Point, Positive, SpecError, StrictModel
+from mbdkit.plugin import GROUND, Body, Element, NotNegative, Number, Point, Positive, SpecError, StrictModel
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import Attachment, BodyPair
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Body
 
 #: Components of displacements and forces, in the order of archives.
 DIRECTIONS = ("normal", "tangential", "rotation")

@@ -11,11 +11,11 @@ then closed by the least change in the metric of its masses.
 
 from __future__ import annotations
 
+import ast
 import itertools
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, model_validator
@@ -37,9 +37,6 @@ from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, 
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
 from mbdkit.plugin.specs import Choice, parse_key, put, read_source
 from mbdkit_wearable.cuff import Tissue
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Element
 
 #: Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
 REACH = 1.5
@@ -296,9 +293,7 @@ class _Worn:
                 person.add(kind, self.prefixed(name), **renamed.keys(element))
         for kind in ("states", "inputs", "controllers", "coordinates"):
             for name, value in getattr(own, kind).items():
-                person.add(
-                    kind, self.prefixed(name), **renamed.texts(value.model_dump(mode="json", exclude_defaults=True))
-                )
+                person.add(kind, self.prefixed(name), **renamed.keys(value))
         for link, one in self.device.attach.items():
             at, angle = self.rests[link]
             tissue = one.cuff.model_dump(mode="json", exclude_defaults=True)
@@ -329,39 +324,35 @@ class _Renaming:
 
     def __init__(self, own: Mechanism, prefixed: Callable[[str], str]):
         self.own, self.prefixed = own, prefixed
-        kinds = ("bodies", "states", "inputs", "controllers", *own.elements)
-        self.kinds = {name: kind for kind in kinds for name in getattr(own, kind)}
-        names = "|".join(re.escape(name) for name in sorted(self.kinds, key=len, reverse=True))
-        kind = "|".join(kinds)
-        self.pattern = re.compile(
-            rf"""(?<![\w.\]"'])(?:({kind})(?:\.|(?=\[)))?(?:\["({names})"\]|({names}))(?=\.|\s*$|\W)"""
-        )
+        self.names = {kind: getattr(own, kind) for kind in ("bodies", "states", "inputs", "controllers", *own.elements)}
 
     def text(self, text: str) -> str:
         """Return an expression of the state with the names of elements in the mechanism of the person."""
+        source, bare = " ".join(text.splitlines()).strip().encode(), self.own.bodies | self.own.joints
+        changes: list[tuple[ast.expr, str, str]] = []
+        for node in ast.walk(ast.parse(source, mode="eval")):
+            match node:
+                case ast.Attribute(ast.Name(id=kind), attr=name) | ast.Subscript(
+                    ast.Name(id=kind), ast.Constant(value=str() as name)
+                ) if name in self.names.get(kind, ()):
+                    changes.append((node, kind, name))
+                case ast.Attribute(ast.Name(id=name)) if name in bare and name not in self.names:
+                    changes.append((node.value, "bodies" if name in self.own.bodies else "joints", name))
+        for node, kind, name in sorted(changes, key=lambda change: -change[0].col_offset):
+            renamed = f'{kind}["{self.prefixed(name)}"]'.encode()
+            source = source[: node.col_offset] + renamed + source[node.end_col_offset :]
+        return source.decode()
 
-        def replaced(match: re.Match[str]) -> str:
-            name = match[2] or match[3]
-            return f'{match[1] or self.kinds[name]}["{self.prefixed(name)}"]'
-
-        return self.pattern.sub(replaced, text)
-
-    def texts(self, value: Any) -> Any:
-        """Return plain data in which texts that name elements of the device name those with the prefix."""
-        if isinstance(value, str):
-            return self.text(value)
-        if isinstance(value, Mapping):
-            return {key: self.texts(one) for key, one in value.items()}
-        return [self.texts(one) for one in value] if isinstance(value, list) else value
-
-    def keys(self, element: Element) -> dict[str, Any]:
-        """Return the keys of an element, as `Mechanism.add` takes them."""
-        data = element.model_dump(mode="json", exclude_defaults=True)
-        data |= {"type": element.type} if hasattr(element, "type") else {}
-        for key, body in element.places():
+    def keys(self, value: Any) -> dict[str, Any]:
+        """Return the keys of an element, state, input, controller or coordinate, as `Mechanism.add` takes them."""
+        data: dict[str, Any] = value.model_dump(mode="json", exclude_defaults=True)
+        data |= {"type": value.type} if hasattr(value, "type") else {}
+        for key, body in getattr(value, "places", tuple)():
             put(data, parse_key(key), self.prefixed(body))
-        for key, text in element.expressions():
+        for key, text in getattr(value, "expressions", tuple)():
             put(data, parse_key(key), self.text(text))
         if isinstance(pathway := data.get("pathway"), dict) and "angles" in pathway:
             pathway["angles"] = {self.prefixed(joint): radius for joint, radius in pathway["angles"].items()}
-        return {"from_" if key == "from" else key: value for key, value in data.items()}
+        if hasattr(value, "relative_to"):
+            data |= {key: self.prefixed(data[key]) for key in ("of", "relative_to") if key in data}
+        return {"from_" if key == "from" else key: data[key] for key in data}

@@ -179,6 +179,22 @@ model:
     assert mbdkit.run(loaded.sections()).data_sha256 == run.data_sha256  # the file is not needed again
 
 
+def test_a_link_may_be_named_like_the_time_and_a_state_like_a_unit() -> None:
+    links = {name: {"mass": 0.5, "inertia": 2e-3, "position": [0, y]} for name, y in (("s", 0.1575), ("t", -0.1575))}
+    joints = {"hinge": {"type": "revolute", "bodies": ["s", "t"], "at": [0, 0]}}
+    own: dict[str, Any] = {"name": "mechanism", "bodies": links, "joints": joints}
+    own["states"] = {"m": {"rate": "t + t.angle + 0*s.vx", "unit": "m"}}
+    own["coordinates"] = {"bend": "hinge.angle", "c": {"of": "t.angle", "relative_to": "s"}}
+    own["forces"] = {"push": {"type": "torque", "body": "t", "value": "sin(10*t)*states.m"}}
+    attach = {"s": device({})["attach"]["upper"], "t": device({})["attach"]["lower"]}
+    worn = load_spec(spec({"d": device(own) | {"attach": attach}})).mechanism()
+    assert worn.states["d.m"].rate == 't + bodies["d.t"].angle + 0*bodies["d.s"].vx'
+    assert worn.states["d.m"].unit == "m"
+    assert worn.forces["d.push"].value == 'sin(10*t)*states["d.m"]'
+    assert worn.coordinates["d.bend"].of == "d.hinge.angle"
+    assert worn.coordinates["d.c"].relative_to == "d.s"
+
+
 def test_a_mechanism_in_python_wears_the_same_device() -> None:
     given = spec({"d": device(centred(), offset=[0.01, 0.0, 0.05])})
     other = load_spec(given).mechanism()

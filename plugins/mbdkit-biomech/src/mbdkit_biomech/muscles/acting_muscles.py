@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import ClassVar, cast
 
 import numpy as np
 
 from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.engine.compile_forces import expression_lowering, lowering
+from mbdkit.engine.compile_forces import Lowering, expression_lowering, lowering
+from mbdkit.engine.compiled_mechanism import ActingForce
 from mbdkit.engine.consistent_start import start_values
 from mbdkit.engine.kernels.observe import tangents_at
 from mbdkit.engine.kernels.table_rows import SPRING
+from mbdkit.engine.workspace import Workspace
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program
 from mbdkit.integrators.loop.failed_steps import obstacle_clause, stiffness_clause
@@ -29,6 +31,7 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.mechanism.values import Table, curve_of
 from mbdkit.runs.run_seams import spec_criterion
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.muscles.force_curves import CURVES
 from mbdkit_biomech.muscles.hill_laws import (
@@ -42,12 +45,6 @@ from mbdkit_biomech.muscles.hill_laws import (
 )
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.muscle_path import MusclePath
-
-if TYPE_CHECKING:
-    from mbdkit.engine.compile_forces import Lowering
-    from mbdkit.engine.compiled_mechanism import ActingForce
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.spec.run_spec import RunSpec
 
 #: Shortest fibres allowed for an equilibrium at the start, in optimal lengths; the passive force is zero there.
 SHORTEST = 0.2

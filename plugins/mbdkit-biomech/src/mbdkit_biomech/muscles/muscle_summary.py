@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
 from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few, ranked
 from mbdkit.base.errors import MbdkitError
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
 PULLING = (0.4, 1.6)

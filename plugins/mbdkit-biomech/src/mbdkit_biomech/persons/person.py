@@ -195,18 +195,19 @@ class Skeleton:
 
     def person(self, plates: PlateResult) -> Person:
         """Return the person with its plates."""
-        of, lengths = self.subject, self.lengths
-        own = BodySegments(of.mass, of.height, f"de-leva-{of.sex}", lengths["thigh"].value, lengths["shank"].value)
+        subject, thigh, shank = self.subject, self.lengths["thigh"].value, self.lengths["shank"].value
+        own = BodySegments(subject.mass, subject.height, f"de-leva-{subject.sex}", thigh, shank)
         masses = {name: getattr(own, name).mass for name in ("trunk", "thigh", "shank", "foot")}
         hips = np.mean([self.points[f"hip{leg}"] for leg in self.segments.legs], axis=0)
         points = {"hip": hips} | {name: own for name, own in self.points.items() if not name.startswith("hip")}
         columns = {f"markers.{name}.{axis}": own[:, k] for name, own in points.items() for k, axis in enumerate("xy")}
         columns |= {f"bodies.{body}.angle": angle for body, angle in self.angles.items()}
         knees, remarks = self._knees(plates)
-        findings = (*self.findings, *plates.findings, *remarks)
         return Person(
-            of, self.plane, self.centers, lengths, masses, self.segments.motion.artefacts, self.zeros, plates, findings,
-            self.segments.motion.file.time, columns, self.segments.reference, self._shifts(list(columns)), knees,
+            subject=subject, plane=self.plane, centers=self.centers, lengths=self.lengths, masses=masses,
+            artefacts=self.segments.motion.artefacts, zeros=self.zeros, plates=plates, knees=knees, columns=columns,
+            findings=(*self.findings, *plates.findings, *remarks), time=self.segments.motion.file.time,
+            reference=self.segments.reference, shifts=self._shifts(list(columns)),
         )  # fmt: skip
 
     def _knees(self, plates: PlateResult) -> tuple[dict[str, KneeLoad], list[Finding]]:

@@ -5,21 +5,18 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.person import Person, Skeleton
 from mbdkit_biomech.persons.person_sections import OF_PERSONS
 from mbdkit_biomech.persons.plate_contacts import PlateResult, plate_numbers, plates_under_feet
 from mbdkit_biomech.persons.scaled_model import leg_options, scaled_model
-
-if TYPE_CHECKING:
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 #: Names of the loads of feet if a spec has no loads, but the file has force plates.
 LOADS = {"foot": "ground", "foot_left": "ground_left"}

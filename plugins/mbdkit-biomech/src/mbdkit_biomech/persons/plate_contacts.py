@@ -6,6 +6,7 @@ point of application, on average over the contact with the force as weight.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -121,6 +122,20 @@ class PlateResult(NamedTuple):
     findings: Sequence[Finding] = ()
 
 
+class _Sums(NamedTuple):
+    """Sums over plates, each (T,): force [N]; free torque and moment about the axis to the right, and moment about the
+    forward axis [N m]; height of the point of application times the force upward [N m].
+    """
+
+    forward: np.ndarray
+    up: np.ndarray
+    right: np.ndarray
+    torque: np.ndarray
+    moment: np.ndarray
+    tilt: np.ndarray
+    height: np.ndarray
+
+
 class _Plate:
     """Force, point of application and torque of a plate, each (T, 3), as (forward, up, right)."""
 
@@ -177,8 +192,8 @@ class _Plate:
 
 def plate_numbers(file: MarkerFile) -> list[int]:
     """Return the numbers of the plates of a file."""
-    headings = file.table.headings
-    return [int(heading[5:-8]) for heading in headings if heading.startswith("plate") and heading.endswith(".force.x")]
+    found = (re.fullmatch(r"plate(\d+)\.force\.x", heading) for heading in file.table.headings)
+    return [int(match[1]) for match in found if match]
 
 
 def plates_under_feet(
@@ -306,25 +321,25 @@ def _load(
     Bisseling and A. L. Hof, J. Biomech. 39 (2006) 2438-2444; E. Kristianslund, T. Krosshaug and A. J. van den Bogert,
     J. Biomech. 45 (2012) 666-671).
     """
-    columns = np.zeros((len(time), 7))  # force forward and up, free torque, moment, and height times force; `across`
+    sums = _Sums(*np.zeros((len(_Sums._fields), len(time))))
     for plate, contact in zip(plates, contacts, strict=True):
         own = np.s_[contact.first : contact.end]
-        f, p = plate.force[own], np.nan_to_num(plate.point[own])
-        columns[own, :2] += f[:, :2]
-        columns[own, 2] += plate.torque[own, 2]
-        columns[own, 3] += p[:, 0] * f[:, 1] - p[:, 1] * f[:, 0]
-        columns[own, 4] += f[:, 1] * p[:, 1]
-        columns[own, 5] += f[:, 2]
-        columns[own, 6] += p[:, 1] * f[:, 2] - p[:, 2] * f[:, 1] + plate.torque[own, 0]
-    columns = low_passed(time, later(time, columns, late), smooth)
-    columns[columns[:, 1] <= UNLOADED] = 0.0
-    force, (torque, moment, height) = columns[:, :2], columns[:, 2:5].T
-    acts = force[:, 1] > 0
+        (forward, up, right), (x, y, across) = plate.force[own].T, np.nan_to_num(plate.point[own]).T
+        sums.forward[own] += forward
+        sums.up[own] += up
+        sums.right[own] += right
+        sums.torque[own] += plate.torque[own, 2]
+        sums.moment[own] += x * up - y * forward
+        sums.height[own] += up * y
+        sums.tilt[own] += y * right - across * up + plate.torque[own, 0]
+    filtered = low_passed(time, later(time, np.stack(sums, axis=1), late), smooth).T
+    sums = _Sums(*np.where(_Sums(*filtered).up <= UNLOADED, 0.0, filtered))
     with np.errstate(divide="ignore", invalid="ignore"):
-        y = height / force[:, 1]
-        x = (moment + y * force[:, 0]) / force[:, 1]
-    point = np.where(acts[:, None], np.stack([x, y], axis=1), np.nan)
-    return PlateLoad(force, point, torque, contacts[0].body, columns[:, 5:])
+        y = sums.height / sums.up
+        x = (sums.moment + y * sums.forward) / sums.up
+    point = np.where(sums.up[:, None] > 0, np.stack([x, y], axis=1), np.nan)
+    force, across = np.stack([sums.forward, sums.up], axis=1), np.stack([sums.right, sums.tilt], axis=1)
+    return PlateLoad(force, point, sums.torque, contacts[0].body, across)
 
 
 def _offset(time: np.ndarray, contacts: Sequence[tuple[_Plate, PlateContact, FootMotion]]) -> Offset | None:

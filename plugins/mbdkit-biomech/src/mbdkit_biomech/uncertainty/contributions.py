@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MethodType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import excluded_words, plus_minus
 from mbdkit.archive.result_seams import run_attribute, summary_lines
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.text import listed, table
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 SHOWN = 0.005  #: Smallest share of a source in the printed table.
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.uncertainty.contributions import (
     NAMED,
@@ -16,9 +15,6 @@ from mbdkit_biomech.uncertainty.contributions import (
 )
 from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
 from mbdkit_report.seams import report_charts, report_sections
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 DRAWN = 6  #: Number of sources of a chart; those that are left out have smaller shares.
 

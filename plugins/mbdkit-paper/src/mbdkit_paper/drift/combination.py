@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_report import Cell, Trend, observed_order
-from mbdkit_studies import STEP, Points, family
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study, StudyPoint
+from mbdkit_studies import STEP, Points, Study, StudyPoint, family
 
 COMBINATION = "method"  #: Axis of the combinations.
 #: Suffix of the family of long runs, after the name of the family of short runs of the same mechanism.

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_paper.drift.combination import COMBINATION, LONG, Combination
 from mbdkit_paper.wording import Words
 from mbdkit_report import Figure, Line
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study
+from mbdkit_studies import Study
 
 DRAWN = ("RK4", "Gauss 2", "Radau IIA 3", "Generalized-alpha", "RATTLE")
 #: Methods whose errors are drawn, with all formulations and stabilizations; more lines would not be legible.

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import Combination, Undetermined, combinations
 from mbdkit_paper.drift.drift_figures import energies, errors
 from mbdkit_paper.wording import Words, reported
 from mbdkit_report import Answer, Claim, Range, Verdict, exceeds, together
+from mbdkit_studies import Study
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study
 
 #: Observed and expected order agree if they differ by at most `NEAR`, and disagree if they differ by `APART` or more.
 NEAR, APART = 0.2, 0.3

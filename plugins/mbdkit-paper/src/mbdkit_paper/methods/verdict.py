@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,11 +14,8 @@ from mbdkit_paper.methods.problems import Problem, problems
 from mbdkit_paper.methods.study import OTHERS, column, family_of
 from mbdkit_paper.wording import Words, reported
 from mbdkit_report import Answer, Cell, Claim, Figure, Line, Table, Verdict
-from mbdkit_studies import IN_TOLERANCES, OPERATIONS, value, work_for
+from mbdkit_studies import IN_TOLERANCES, OPERATIONS, Study, StudyPoint, value, work_for
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study, StudyPoint
 
 TARGET = 1e-6  #: Relative error at which costs are compared, unless the references are less accurate.
 DRAWN = 6  #: Largest number of integrators in a figure, besides added ones; there are no more colours.

@@ -5,16 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import Words, reported
 from mbdkit_report import Answer, Claim, Verdict, exceeds
-from mbdkit_studies import value
+from mbdkit_studies import Study, StudyPoint, value
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study, StudyPoint
 
 #: Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism.
 HELD = 1e-12

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.stats import theilslopes
@@ -12,10 +11,7 @@ from mbdkit_paper.paper.published_results import GILL, METHODS, methods_of
 from mbdkit_paper.paper.substitution_timing import measured
 from mbdkit_paper.wording import Words, two_digits
 from mbdkit_report import Answer, Claim, Column, Figure, Line, Table, exceeds
-from mbdkit_studies import METHOD, OPERATIONS, family, value
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study
+from mbdkit_studies import METHOD, OPERATIONS, Study, family, value
 
 #: Claimed ratio of the time of an evaluation by substitution to that of a compiled evaluation, for two bodies.
 SPEED_UP = 10_000.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +21,7 @@ from mbdkit_report import (
     together,
     worst_history,
 )
-from mbdkit_studies import METHOD, MODEL, STEP, Points, at_equal_work, family, value, work_for
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study
+from mbdkit_studies import METHOD, MODEL, STEP, Points, Study, at_equal_work, family, value, work_for
 
 ORDERS = {GILL: 4, GAUSS2: 4, GAUSS3: 6}
 TOLERANCE = 0.2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from mbdkit_paper.paper.computation_time import substitution, times
 from mbdkit_paper.paper.method_comparison import growth, orders, work
@@ -12,11 +11,8 @@ from mbdkit_paper.paper.published_results import METHODS, magnitudes, ranking, t
 from mbdkit_paper.paper.source_paper import TITLE
 from mbdkit_paper.wording import UNDECIDED, Words, least_most, reported
 from mbdkit_report import Answer, Cell, Claim, Table, Verdict
-from mbdkit_studies import METHOD, MODEL, STEP, family, value
+from mbdkit_studies import METHOD, MODEL, STEP, Study, family, value
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit_studies import Study
 
 
 @study_verdict

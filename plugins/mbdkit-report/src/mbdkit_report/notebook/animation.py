@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from markupsafe import Markup
 
 from mbdkit.archive.result_seams import run_attribute
+from mbdkit.archive.run import Run
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.pages.animate import animate, page
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 _NUMBERS = 150_000  #: Approximate number of pose values in the output of a cell; they take about one megabyte.
 #: Style with which the page in the frame follows the light or dark theme of the notebook.

@@ -7,12 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import derivative_texts
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
 from mbdkit_report.figures.curves import Array, bands, take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
@@ -20,10 +21,6 @@ from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section
 from mbdkit_report.plot.beams_plot import beam_peak
 from mbdkit_report.plot.element_quantity import ElementQuantity, reaction_force, reaction_torque
 from mbdkit_report.seams import report_sections
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
 
 #: Largest number of rows in a table. Of more joints or force elements, those with the largest values are listed; of
 #: more beams, the first ones.

@@ -6,11 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.archive.run import Run
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.quantities.array import Recorded
 from mbdkit.quantities.registered_kinds import kind_of_group
@@ -20,9 +21,6 @@ from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
 from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 MARKS = 60  #: No events are marked if a run has more event crossings than this.
 #: Charts that show how well the constraints and the energy hold.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from mbdkit.archive.headlines import headline_texts
+from mbdkit.archive.run import Run
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.drawing_geometry import mechanism_of
@@ -18,9 +18,6 @@ from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
 from mbdkit_report.pages.section_items import added_sections, with_additions
 from mbdkit_report.plot.caption import caption
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Name of the colour of the first headline (`ReportPage.tone`) for each verdict.
 TONES = {"good": "good", "doubtful": "warn", "bad": "alarm"}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
 from mbdkit.trust.energy_record import gravity_level
 from mbdkit_report.analysis.growth import Growth, growth_law
@@ -17,9 +17,6 @@ from mbdkit_report.figures.quantity_text import count, duration, length, proport
 from mbdkit_report.pages.run_charts import run_charts
 from mbdkit_report.pages.run_tables import run_tables
 from mbdkit_report.plot.element_quantity import ElementQuantity, misalignment
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 _LAWS = {
     "bounded": "it does not grow",

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
+from mbdkit.archive.run import Run
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import ReportSection
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
 from mbdkit_report.figures.page_model import Figure, Section
 from mbdkit_report.seams import film_data, report_charts, report_sections
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit.mechanism.mechanism import Mechanism
 
 
 def _items() -> Iterator[tuple[Registered, ReportSection]]:

@@ -6,26 +6,24 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from mbdkit.archive.result_seams import run_attribute
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path as SpecPath
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report.figures.curves import require_rows
+from mbdkit_report.figures.page_model import Figure, Line
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.spec_words import key_unit, key_words
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_report.figures.page_model import Figure, Line
 
 #: Largest number of lines in a comparison if no elements are named; each run has at least one line even if this number
 #: is exceeded.

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_suffix
 from mbdkit_report.figures.curves import require_rows
@@ -24,9 +25,6 @@ from mbdkit_report.plot.charts import Panel, chart_panel, draw_on, settle_layout
 from mbdkit_report.plot.comparison import comparison
 from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.plot.style import FORMATS, new_figure, save
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 _WIDTH = 7.2  # inches
 _HEADING_AND_LABELS = 2.1  # inches

@@ -17,8 +17,9 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
 
+from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
 from mbdkit.base.command_words import executing
 from mbdkit.base.distributions import own_version
@@ -27,9 +28,6 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import shown
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.tasks import Message
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Function that carries out the task described by a message, and returns the answer.
 #:

@@ -6,16 +6,18 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_of_verdict
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.take import SpecMeasure
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.quantities.registered_kinds import kind_of_group
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
 from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN
@@ -28,11 +30,6 @@ from mbdkit_studies.spec.reference_errors import (
     offsets,
 )
 from mbdkit_studies.texts import ERROR
-
-if TYPE_CHECKING:
-    from mbdkit.archive.finished_run import FinishedRun
-    from mbdkit.archive.run import Run
-    from mbdkit.spec.run_spec import RunSpec
 
 
 class RunGroup:

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import MethodType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import SpecError, UnknownNameError, listed, plus_minus
+from mbdkit.plugin import Run, SpecError, UnknownNameError, listed, plus_minus
 from mbdkit.plugin.seams import run_attribute, summary_lines
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Run
 
 WITHOUT = "followers/reaction_force_without"
 

@@ -18,16 +18,13 @@ E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, Springer 19
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit import RunError
 from mbdkit.kernels import Frames, evaluate_frames
+from mbdkit.plugin import Mechanism, SpecError
 from mbdkit.plugin.runs import AssembledMechanism
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import Mechanism, SpecError
 
 NODES = np.array([1 / 3, 1.0])
 INVERSE = np.array([[1.5, 0.5], [-4.5, 2.5]])  #: Nodes of the method, and the inverse of its matrix.

@@ -8,20 +8,18 @@ plates measure a part of what weight and acceleration need, as for one leg of tw
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.model_keys import model_keys
 from mbdkit.runs.followers import AddedForces, Follower, follower
 from mbdkit_biomech.inverse_dynamics.loads.loads import Loads, loads_on
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
-
-if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 #: `mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one.
 InverseProblem: TypeAlias = Any

@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.signals.cycles import crossings
 from mbdkit_report import Canvas, Drawing, Illustration, NamedPose, draw_sketch, mechanism_of
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.seams import film_data
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 Array = NDArray[np.float64]
 FRAMES, FRAMES_NARROW = 6, 3  #: Number of frames side by side on a wide page and on a narrow one.

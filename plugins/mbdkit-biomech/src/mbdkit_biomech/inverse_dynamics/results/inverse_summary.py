@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
 from mbdkit.archive.result_seams import summary_lines
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few, ranked
 from mbdkit.base.text import counted
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used.
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}

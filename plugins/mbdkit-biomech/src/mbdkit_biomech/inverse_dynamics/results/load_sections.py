@@ -5,12 +5,12 @@ data.
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from markupsafe import Markup
 
 from mbdkit.archive.headlines import EXACT
+from mbdkit.archive.run import Run
 from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
@@ -31,9 +31,6 @@ from mbdkit_report import (
     svg_of,
 )
 from mbdkit_report.seams import report_charts, report_sections
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
 #: out first.

@@ -5,19 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF, plus_minus
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.text import table
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import exact_loads
 from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts, normalized
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Kinds of elements, in the order in which tables show them.
 KINDS = ("joint", "actuator", "reserve", "residual")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
@@ -14,8 +14,10 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.joints import force_of_reaction
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.element_items import ModelKey
 from mbdkit.registry.target import Target
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.model_spec import ModelSpec
@@ -35,10 +37,6 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of, reserves_of
 from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
-
-if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.registry.element_items import ModelKey
 
 S = TypeVar("S", bound=Section)
 
