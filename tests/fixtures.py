@@ -172,7 +172,6 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def no_garbage_collection() -> Iterator[None]:
     """Keep collections, which visit all that earlier tests left in the process, out of times that a test measures."""
-    gc.collect()
     gc.disable()
     yield
     gc.enable()
