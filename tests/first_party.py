@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = {
@@ -34,5 +35,16 @@ def modules() -> dict[str, Path]:
 @cache
 def import_statements(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
     """Return all imports of a file, also those inside of functions."""
-    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-    return tuple(node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom))
+    found: list[ast.Import | ast.ImportFrom] = []
+    _collect_imports(ast.parse(path.read_text(encoding="utf-8")).body, found)
+    return tuple(found)
+
+
+def _collect_imports(statements: list[Any], found: list[ast.Import | ast.ImportFrom]) -> None:
+    """Add the imports among statements and inside of them; `ast.walk` visits all expressions as well."""
+    for node in statements:
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            found.append(node)
+        for field in ("body", "orelse", "handlers", "finalbody", "cases"):
+            if isinstance(inner := getattr(node, field, None), list):
+                _collect_imports(inner, found)

@@ -122,7 +122,7 @@ QUICK = _listed("quick.txt")
 """Files and folders of quick tests, by paths from the root, and ids of single ones."""
 
 SLOW = {name: int(kept or 0) for name, _, kept in (line.partition(" ") for line in _listed("slow.txt"))}
-"""Numbers of cases that are not marked as slow, spread over all, by ids of tests without their cases."""
+"""Numbers of cases that run always, spread over those not marked as slow, by ids of tests without their cases."""
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -139,7 +139,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     cases: dict[str, list[pytest.Item]] = {name: [] for name in SLOW}
     for item in items:
         cases.get(item.nodeid.partition("[")[0], []).append(item)
-    for name, own in cases.items():
+    for name, every in cases.items():
+        own = [case for case in every if not case.get_closest_marker("slow")]
         kept = {len(own) * k // SLOW[name] for k in range(SLOW[name])}
         for index, item in enumerate(own):
             if index not in kept:
@@ -171,7 +172,6 @@ def in_tmp_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.fixture
 def no_garbage_collection() -> Iterator[None]:
     """Keep collections, which visit all that earlier tests left in the process, out of times that a test measures."""
-    gc.collect()
     gc.disable()
     yield
     gc.enable()

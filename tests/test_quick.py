@@ -1,11 +1,11 @@
-"""The list of quick tests has some of every room of the core and of every part."""
+"""The list of quick tests has some of every room of the core and of every part; slow tests of the list exist."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from tests.first_party import PARTS, ROOT
-from tests.fixtures import QUICK
+from tests.fixtures import QUICK, SLOW
 from tests.imports import imported_names
 
 
@@ -16,6 +16,11 @@ def files(listed: str) -> list[Path]:
 
 def test_what_is_listed_exists() -> None:
     assert not [listed for listed in QUICK if not files(listed)]
+
+
+def test_slow_tests_exist() -> None:
+    places = [name.split("::") for name in SLOW]
+    assert not [where for where in places if f"def {where[1]}(" not in (ROOT / where[0]).read_text("utf-8")]
 
 
 def test_every_room_is_imported_and_every_part_has_tests() -> None:

@@ -24,12 +24,18 @@ MOST_IN_ROW = 12
 """A folder or a pattern of file names in a map leads to a file only if it stands for at most this many files."""
 
 
+@cache
+def python_files(folder: Path) -> tuple[str, ...]:
+    """Return the paths of all modules below a folder, which count from it."""
+    return tuple(path.relative_to(folder).as_posix() for path in folder.rglob("*.py"))
+
+
 def of_map(text: str, folder: Path) -> set[Path]:
     """Return the files that the tables of a map name, by paths that count from a folder."""
     named = set()
     cells = [cell for line in text.splitlines() if line.startswith("| ") for cell in line.split("|")[2:]]
     for name in (name for cell in cells for name in re.findall(r"`([\w/*.-]+(?:\.py|/))`", cell)):
-        found = [path for path in folder.rglob("*.py") if fnmatch(path.relative_to(folder).as_posix(), _pattern(name))]
+        found = [folder / path for path in python_files(folder) if fnmatch(path, _pattern(name))]
         if len(found) <= MOST_IN_ROW:
             named |= set(found)
     return named

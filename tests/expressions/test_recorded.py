@@ -187,7 +187,7 @@ def test_equal_terms_occur_once_and_programs_are_small() -> None:
 def test_deep_functions_need_no_recursion() -> None:
     recorder = Recorder()
     s = x = recorder.input("x")
-    for _ in range(5000):
+    for _ in range(1500):
         s = np.sin(s) + x
     program = block([x, recorder.input("t")], derivatives(s, [x], 2))
     assert np.isfinite(run_block(program, [0.3])).all()

@@ -88,6 +88,6 @@ def test_a_mechanism_is_read_with_parameters_and_written_with_numbers() -> None:
 
 
 def test_parameters_depend_on_each_other_in_any_order() -> None:
-    links = {f"p{i}": f"p{i + 1} + 1" for i in range(3000)}
-    assert parameter_values({**links, "p3000": 1})["p0"] == 3001
+    links = {f"p{i}": f"p{i + 1} + 1" for i in range(1500)}
+    assert parameter_values({**links, "p1500": 1})["p0"] == 1501
     assert parameter_values({"a": "max(b, 2)*c", "c": "-b", "b": "sqrt(16)"}) == {"a": -16, "c": -4, "b": 4}

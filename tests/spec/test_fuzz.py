@@ -64,7 +64,7 @@ def attempt(function, argument):
         return None, str(error)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(changed_specs())
 def test_a_changed_spec_is_taken_or_refused_in_a_sentence(data):
     spec, refusal = attempt(load_spec, data)
@@ -83,7 +83,7 @@ def test_odd_yaml_is_data_or_a_sentence(text):
     assert "\n" not in attempt(read_yaml, text)[1]
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.text(alphabet="ab:-[]{},&*!|>'\"%@`#?\n\t 01.", max_size=30))
 def test_any_text_is_yaml_or_a_sentence(text):
     assert "\n" not in attempt(read_yaml, text)[1]

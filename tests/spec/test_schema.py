@@ -53,10 +53,10 @@ def test_the_schema_names_every_section_and_describes_it():
 
 
 def test_a_choice_is_made_by_name():
-    choices = run_schema()["properties"]["integrator"]["oneOf"]
+    schema = run_schema()
     names = set()
-    for choice in choices:
-        definition = run_schema()["$defs"][choice["$ref"].rpartition("/")[2]]
+    for choice in schema["properties"]["integrator"]["oneOf"]:
+        definition = schema["$defs"][choice["$ref"].rpartition("/")[2]]
         assert "name" in definition["required"]
         names |= set(definition["properties"]["name"]["enum"])
     assert {"gauss", "mbdkit:gauss", "rk4"} <= names

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mbdkit.base.errors import SpecError
@@ -113,6 +113,7 @@ PLAIN = st.recursive(
 )
 
 
+@settings(max_examples=30, deadline=None)
 @given(st.dictionaries(st.text(LETTERS, min_size=1), PLAIN, max_size=4))
 def test_what_is_written_is_read_back_to_the_same_data(data):
     back, _ = read_yaml(write_yaml(data))

@@ -127,7 +127,7 @@ def test_runs_that_ended_badly_can_be_animated(make_run, tmp_path, suffix):
     def spoil(data):
         data["trajectory/position"][-2:] = [[np.nan], [np.inf]]
 
-    run = make_run(rows=40, change=spoil, status="failed", reason="not-finite: the state is not finite")
+    run = make_run(rows=6, change=spoil, status="failed", reason="not-finite: the state is not finite")
     animate(run, tmp_path / f"a.{suffix}")
     animate(make_run(rows=1, status="failed", reason="singular: at the start"), tmp_path / f"b.{suffix}")
     with pytest.raises(SpecError, match="no rows"):

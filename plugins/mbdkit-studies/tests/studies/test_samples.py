@@ -174,7 +174,7 @@ def of_ishigami(tmp_path_factory: pytest.TempPathFactory) -> mbdkit.Study:
     angles = {f"model.bodies.{name}.angle": {"uniform": [-np.pi, np.pi]} for name in "abc"}
     spec = {
         "mbdkit_study": 1, "base": base(0.1, **dict.fromkeys("abc", BODY)),
-        "sample": {"n": 256, "seed": 1, "design": "saltelli", "variables": angles}, "store": "histories",
+        "sample": {"n": 128, "seed": 1, "design": "saltelli", "variables": angles}, "store": "histories",
         "measures": {"y": {"value": value, "unit": "1"}},
     }  # fmt: skip
     return mbdkit.study(spec, out=tmp_path_factory.mktemp("samples") / "ishigami")
@@ -207,10 +207,10 @@ def test_a_run_is_opened_by_the_number_that_answers_give(of_ishigami: mbdkit.Stu
         with run:
             assert run["a"].angle[0] == frame["model.bodies.a.angle"][number - 1]
             assert run.measures["y"] == frame["y"].max()  # a measure that the study defines, not the run
-    with pytest.raises(MbdkitError, match="the study has no run number 0; its runs have the numbers 1 to 1280"):
+    with pytest.raises(MbdkitError, match="the study has no run number 0; its runs have the numbers 1 to 640"):
         of_ishigami.run(number=0)
-    with pytest.raises(MbdkitError, match=r"no run with index 1280; .*study\.run\(number=1280\) is the last run"):
-        of_ishigami.run(1280)
+    with pytest.raises(MbdkitError, match=r"no run with index 640; .*study\.run\(number=640\) is the last run"):
+        of_ishigami.run(640)
     with pytest.raises(MbdkitError, match="give a run by its index from 0"):
         of_ishigami.run(1, number=2)
     with pytest.raises(SpecError, match=r"there is no column 'angle'; write model\.bodies\.a\.angle, model\.bodies\.b"):
@@ -223,9 +223,9 @@ def test_the_report_shows_the_sample(of_ishigami: mbdkit.Study) -> None:
 
     verdict = study_report(of_ishigami).verdict
     counts = verdict.figure("histogram-y").lines[0].y
-    assert counts[1:-1:2].sum() == 1280
+    assert counts[1:-1:2].sum() == 640
     total = verdict.figure("sobol-total-y")
-    assert [line.x[-1] for line in total.lines] == [256] * 3
+    assert [line.x[-1] for line in total.lines] == [128] * 3
     assert sorted(line.y[-1] for line in total.lines) == sorted(of_ishigami.sensitivity("y").total)
     scatter = verdict.figure("over-model-bodies-a-angle-y").lines[0]
     assert scatter.y == pytest.approx(of_ishigami.to_frame()["y"].to_numpy())
@@ -361,7 +361,7 @@ def test_wrong_questions_are_refused(
 def test_questions_about_indices_are_checked(of_ishigami: mbdkit.Study) -> None:
     with pytest.raises(MbdkitError, match="the study has no measure 'z'"):
         of_ishigami.sensitivity("z")
-    with pytest.raises(MbdkitError, match="choose from 2 to 256 of them, not 500"):
+    with pytest.raises(MbdkitError, match="choose from 2 to 128 of them, not 500"):
         of_ishigami.sensitivity("y", members=500)
     with pytest.raises(MbdkitError, match="a probability between 0 and 1"):
         of_ishigami.sensitivity("y", confidence=95)

@@ -319,7 +319,7 @@ def _ours() -> tuple[importlib.metadata.EntryPoint, ...]:
     return tuple(one for one in found if one.dist and one.dist.name == "mbdkit")
 
 
-def _with(**hooks: Any) -> Registry:
+def _with(**hooks: Any) -> Any:
     def answering(name: str, item: Any) -> Any:
         def hook() -> Any:
             return [item]
@@ -330,7 +330,21 @@ def _with(**hooks: Any) -> Registry:
     module = SimpleNamespace(**{name: answering(name, item) for name, item in hooks.items()})
     dist = SimpleNamespace(name="acme", version="1.0")
     mine: Any = SimpleNamespace(name="mine", value="acme", dist=dist, load=lambda: module)
-    return load_registry([*_ours(), mine])
+    return _OnDemand([*_ours(), mine])
+
+
+class _OnDemand:
+    """A registry that is loaded when it is used: the corpus has more than a hundred, most of them in slow tests."""
+
+    def __init__(self, entry_points: list[Any]):
+        self._entry_points = entry_points
+
+    @functools.cached_property
+    def _registry(self) -> Registry:
+        return load_registry(self._entry_points)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._registry, name)
 
 
 # --- what is wrong away from the defaults ----------------------------------------------------------------------------
