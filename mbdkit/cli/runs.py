@@ -211,17 +211,17 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
     from mbdkit.engine.spanning_tree import cut_joints
     from mbdkit.mechanism.mechanism import gravity_text
     from mbdkit.runs.corners import check_jumps
-    from mbdkit.runs.findings import findings
-    from mbdkit.runs.preparation import build, caution, make_method, require_support
+    from mbdkit.runs.preparation import RunSetup, make_method
 
     mechanism = checked.mechanism()
     check_jumps(checked)
     if checked.gradients:
         higher_layers.check_gradients(checked, make_method(checked))
-    problem, start = build(checked)
+    setup = RunSetup.of(checked)
+    problem, start = setup.workspace, setup.start
     with SpecError.place_by(checked.placed):
-        require_support(checked, make_method(checked), problem.mechanism)
-    for warning in (*caution(checked), *findings("start", checked, start)):
+        setup.require_support()
+    for warning in setup.findings():
         say(f"warning: {warning}")
     show(f"{spec}: this spec is valid")
     show(f"model        {checked.model_item.id}: {mechanism.description()}")

@@ -85,13 +85,37 @@ class EndedRun:
 def conclude(runs: Sequence[EndedRun], extremes: Extremes) -> list[Ending]:
     """Return how each of R runs has ended: its status, its verdict with the reasons, its warnings and its work."""
     gaps, angles = (_largest(values) for values in (extremes.misalignment, extremes.angle_misalignment))
-    return [
-        _ending(run, *known)
-        for run, *known in zip(
-            runs, extremes.end.tolist(), extremes.misalignment, gaps, angles, extremes.energies, extremes.steps,
-            strict=True,
+    endings = []
+    for run, end, misalignment, gap, angle, energies, steps in zip(
+        runs, extremes.end.tolist(), extremes.misalignment, gaps, angles, extremes.energies, extremes.steps,
+        strict=True,
+    ):  # fmt: skip
+        topology, joints, is_locked = run.mechanism.topology, (*run.mechanism.joints, ""), run.mechanism.is_locked
+        level = gravity_level(topology.mass[:-1, 0], topology.mass[:-1, 2], topology.gravity)
+        evidence = Evidence(
+            status=run.status,
+            status_reason=run.reason,
+            end=end,
+            size=run.size,
+            misalignment=gap[0],
+            joint=joints[gap[1]],
+            angle_misalignment=angle[0],
+            angle_joint=joints[angle[1]],
+            kinetic=max(energies.kinetic, steps.kinetic),
+            energy=float(np.maximum(energies.energy, level)),  # nan if the energies are not known
+            balance=0.0 if is_locked else energies.balance,
+            energy_jump=0.0 if is_locked else steps.energy_jump,
+            energy_jump_time=steps.energy_jump_time,
+            branch=steps.branch,
+            warnings=run.doubts.open,
+            accepted=run.doubts.accepted,
+            faults=run.doubts.faults,
+            finer=run.finer,
         )
-    ]  # fmt: skip
+        stats = {**vars(run.counters), **run.timings}
+        stats["factorizations"] += run.pivotings
+        endings.append(Ending(run.status, run.reason, stats, misalignment, judge(evidence, run.errors), run.warnings))
+    return endings
 
 
 def log_end(spec: RunSpec, ending: Ending) -> None:
@@ -101,42 +125,6 @@ def log_end(spec: RunSpec, ending: Ending) -> None:
     if _LOG.isEnabledFor(level):
         _LOG.log(level, "run %s ends: %s, verdict %s", spec.run_id(), message, ending.judgement.level)
     _LOG.debug("counters and timings: %s", ending.stats)
-
-
-def _ending(
-    run: EndedRun,
-    end: float,
-    misalignment: np.ndarray,
-    gap: tuple[float, int],
-    angle: tuple[float, int],
-    energies: EnergyRecord,
-    steps: StepEvidence,
-) -> Ending:
-    topology, joints, is_locked = run.mechanism.topology, (*run.mechanism.joints, ""), run.mechanism.is_locked
-    level = gravity_level(topology.mass[:-1, 0], topology.mass[:-1, 2], topology.gravity)
-    evidence = Evidence(
-        status=run.status,
-        status_reason=run.reason,
-        end=end,
-        size=run.size,
-        misalignment=gap[0],
-        joint=joints[gap[1]],
-        angle_misalignment=angle[0],
-        angle_joint=joints[angle[1]],
-        kinetic=max(energies.kinetic, steps.kinetic),
-        energy=float(np.maximum(energies.energy, level)),  # nan if the energies are not known
-        balance=0.0 if is_locked else energies.balance,
-        energy_jump=0.0 if is_locked else steps.energy_jump,
-        energy_jump_time=steps.energy_jump_time,
-        branch=steps.branch,
-        warnings=run.doubts.open,
-        accepted=run.doubts.accepted,
-        faults=run.doubts.faults,
-        finer=run.finer,
-    )
-    stats = {**vars(run.counters), **run.timings}
-    stats["factorizations"] += run.pivotings
-    return Ending(run.status, run.reason, stats, misalignment, judge(evidence, run.errors), run.warnings)
 
 
 def _largest(values: np.ndarray) -> list[tuple[float, int]]:

@@ -42,7 +42,7 @@ from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
-from mbdkit.runs.preparation import caution, make_method, recorded_arrays, timetable
+from mbdkit.runs.preparation import make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec.run_spec import RunSpec
@@ -193,7 +193,7 @@ class LaneRuns:
         if method is None:
             return None
         check_jumps(spec)
-        cautions = caution(spec, method, self._measures)
+        cautions = findings("spec", spec, self._measures)
         return _Compiled(spec, method, cautions, self.starts.compiled(spec.mechanism(), spec.time.start))
 
     def _method(self, spec: RunSpec) -> Method | None:

@@ -41,14 +41,13 @@ from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 
 
-def caution(spec: RunSpec, method: Method | None = None, measures: Sequence[str] = ()) -> list[Finding]:
+def caution(spec: RunSpec, measures: Sequence[str] = ()) -> list[Finding]:
     """Return what is doubtful or worth a note in a spec before its run.
 
-    `method`: method of the spec; created, and thereby checked, if omitted. `measures`: expressions that are evaluated
-    for the run, in addition to the measures of the spec. Raises PluginError if the plugin fails to create the method.
+    `measures`: expressions that are evaluated for the run, in addition to the measures of the spec. Raises PluginError
+    if the plugin fails to create the method.
     """
-    if method is None:
-        make_method(spec)
+    make_method(spec)
     return findings("spec", spec, measures)
 
 
@@ -174,33 +173,6 @@ def make_method(spec: RunSpec) -> Method:
     return method
 
 
-def require_support(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> None:
-    """Check before a run that its method supports the formulation and the mechanism.
-
-    Raises SpecError if the method takes its steps in Python and its claims do not include the first-order states of the
-    mechanism. Raises UnsupportedMechanismError if the method itself refuses the mechanism. Raises PluginError if the
-    method cannot be used with a formulation that it claims.
-    """
-    try:
-        method.require_formulation(FORMULATIONS[spec.formulated.name])
-    except TableauError as error:
-        raise PluginError(f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}") from error
-    method.require_mechanism(mechanism)
-    changing = mechanism.topology.states[:, STATE_ROW.rate] >= 0
-    own = [
-        state.name
-        for state, changes in zip(mechanism.states, changing, strict=True)
-        if not state.by_method and (changes or not method.traits.holds_states)
-    ]
-    integrates = method.traits.integrates_states
-    if own and not (spec.claims.states if integrates is None else integrates):
-        message = (
-            f"the integrator {spec.integrator_item.name} does not integrate first-order states ({listed(own, 'and')})"
-            f"{', because it does not claim `states`' if integrates is None else ''}; gauss and dop853 do"
-        )
-        raise spec.placed(SpecError(message, key="integrator"))
-
-
 def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism) -> tuple[Array, ...]:
     """Return the arrays of the layout that a run records."""
     names = archive_names(mechanism)
@@ -298,6 +270,40 @@ class RunSetup:
     def stepper(self, table: Timetable | None = None) -> Stepper:
         """Return a stepper at the start, with another timetable if one is given; for errors, see `start_method`."""
         return start_method(self.method, self.workspace, table or self.timetable())
+
+    def findings(self) -> list[Finding]:
+        """Return what is doubtful or worth a note in the spec and at the start."""
+        return [*findings("spec", self.spec, ()), *findings("start", self.spec, self.start)]
+
+    def require_support(self) -> None:
+        """Check before a run that its method supports the formulation and the mechanism.
+
+        Raises SpecError if the method takes its steps in Python and its claims do not include the first-order states of
+        the mechanism. Raises UnsupportedMechanismError if the method itself refuses the mechanism. Raises PluginError
+        if the method cannot be used with a formulation that it claims.
+        """
+        spec, method, mechanism = self.spec, self.method, self.workspace.mechanism
+        try:
+            method.require_formulation(FORMULATIONS[spec.formulated.name])
+        except TableauError as error:
+            raise PluginError(
+                f"integrator {spec.integrator_item.id} claims {spec.formulated.name}, but {error}"
+            ) from error
+        method.require_mechanism(mechanism)
+        changing = mechanism.topology.states[:, STATE_ROW.rate] >= 0
+        own = [
+            state.name
+            for state, changes in zip(mechanism.states, changing, strict=True)
+            if not state.by_method and (changes or not method.traits.holds_states)
+        ]
+        integrates = method.traits.integrates_states
+        if own and not (spec.claims.states if integrates is None else integrates):
+            unclaimed = ", because it does not claim `states`" if integrates is None else ""
+            message = (
+                f"the integrator {spec.integrator_item.name} does not integrate first-order states "
+                f"({listed(own, 'and')}){unclaimed}; gauss and dop853 do"
+            )
+            raise spec.placed(SpecError(message, key="integrator"))
 
 
 def rows_are_ends(table: Timetable) -> bool:

@@ -34,11 +34,9 @@ from mbdkit.runs.findings import findings
 from mbdkit.runs.preparation import (
     RunSetup,
     build,
-    caution,
     check_calls,
     check_disk_space,
     make_method,
-    require_support,
 )
 from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
@@ -190,11 +188,11 @@ def start_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> 
     check_jumps(spec)
     if spec.gradients:
         higher_layers.check_gradients(spec, method)
-    cautions = caution(spec, method, request.measures)
+    cautions = findings("spec", spec, request.measures)
     _log(cautions)
     setup = RunSetup.of(spec, request.starts, method=method)
     mechanism = setup.workspace.mechanism
-    require_support(spec, method, mechanism)
+    setup.require_support()
     moves = findings("start", spec, setup.start)
     _log(moves)
     if _LOG.isEnabledFor(logging.DEBUG):

@@ -22,9 +22,8 @@ import numpy as np
 
 import mbdkit
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.integrators.interface import Guards
 from mbdkit.integrators.start import start_method
-from mbdkit.runs import recorded_states, simulated_run, step_interpolation
+from mbdkit.runs import preparation, recorded_states, step_interpolation
 from mbdkit.runs.accuracy import companion, pilot_run
 from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
@@ -97,7 +96,7 @@ def counted() -> Iterator[dict[str, float]]:
 
         return mock.patch.object(module, "start_method", start)
 
-    with patch(simulated_run), patch(companion), patch(pilot_run), observed(work):
+    with patch(preparation), patch(companion), patch(pilot_run), observed(work):
         yield work
     for name, method, stepper in started:
         work[name] += work_of(method, stepper.counters.rhs_evaluations)
@@ -136,7 +135,7 @@ def grid(known: Known) -> list[Tuned]:
         error = float(np.max(PositionMeasure.of(spec, workspace).share(pilot.position - true)))
         work = pilot.work
         if "adaptive" in method:  # without the evaluations of dense output
-            table = replace(timetable(spec, Guards()), every=2**53)
+            table = replace(timetable(spec, None), every=2**53)
             stepper = start_method(make_method(spec), build(spec)[0], table)
             while not (stepper.finished or stepper.failure):
                 stepper.advance()
@@ -159,7 +158,7 @@ def line(known: Known, asked: float, runs: list[Tuned]) -> tuple[str, bool, Rati
     measure = PositionMeasure.of(spec, build(spec)[0])
     true = float(np.max(measure.share(run.array("trajectory/position") - known.solve(run.time)[0])))
     best = min((one for one in runs if one.error <= asked), key=lambda one: one.work)
-    steps = work["pilot_run"] + work["simulated_run"]
+    steps = work["pilot_run"] + work["preparation"]
     total = steps + work["companion"]
     wall = fastest(given) / fastest(best.spec)
     ratios = steps / best.work, total / best.work, (total + work["states"]) / best.work, wall

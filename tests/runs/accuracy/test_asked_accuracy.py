@@ -79,12 +79,12 @@ def test_the_accuracy_is_reached_on_ten_problems(name, asked):
 def test_the_last_pilot_is_the_run_and_the_others_check_it(name, monkeypatch):
     # expected: no companion, and as many evaluations as three runs of this tolerance take at most
     known = PROBLEMS[name]
-    monkeypatch.setattr("mbdkit.runs.simulated_run.check_run", None)
+    monkeypatch.setattr("mbdkit.runs.accuracy.run_estimates.check_run", None)
     with counted() as work:
         made = run(1e-6, model=known.model, time={"end": known.end})
     # the accuracy that is asked for is that of positions: rows at long steps may miss the largest force
     assert all("Between rows, the force" in reason for reason in made.verdict_reasons)
-    assert (work["simulated_run"], work["companion"]) == (0, 0)
+    assert (work["preparation"], work["companion"]) == (0, 0)
     assert work["pilot_run"] < 3 * made.stats["rhs_evaluations"]
     assert made.accuracy is not None
     assert "coarser run" in made.accuracy.method

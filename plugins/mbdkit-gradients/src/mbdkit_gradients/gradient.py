@@ -21,9 +21,8 @@ from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.findings import findings
 from mbdkit.runs.notes import zero_reactions_in
-from mbdkit.runs.preparation import RunSetup, caution
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.run_spec import RunSpec
@@ -210,7 +209,7 @@ def gradient(
         problem, chosen = _RunProblem.asked(load_spec, source, measures, names, parameters, sections)
         found = problem.gradient(chosen, check=check)
     spec = problem.spec
-    of_spec = [*caution(spec), *findings("start", spec, RunSetup.of(spec).start)]
+    of_spec = RunSetup.of(spec).findings()
     of_run = open_doubts(of_spec, spec.accept)
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}

@@ -25,7 +25,7 @@ from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.parameters import names_in
-from mbdkit.runs.preparation import build, make_method, timetable
+from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -444,10 +444,10 @@ def is_smooth(spec: RunSpec) -> bool:
     """Return whether motion is smooth between the ends of steps, so that states can be interpolated: without stops,
     first-order states, and force laws that fixed steps may cross at a discontinuity.
     """
-    mechanism = spec.mechanism()
-    if timetable(spec, None).stops or mechanism.state_names() or mechanism.held_names():
+    mechanism, setup = spec.mechanism(), RunSetup.of(spec)
+    if setup.timetable().stops or mechanism.state_names() or mechanism.held_names():
         return False
-    return spec.claims.adaptive or with_sides(build(spec)[0].mechanism) is None
+    return spec.claims.adaptive or with_sides(setup.workspace.mechanism) is None
 
 
 def _is_kinematic(expression: RunExpression) -> bool:

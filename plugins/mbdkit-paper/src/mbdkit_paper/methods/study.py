@@ -14,7 +14,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Claims
 from mbdkit.registry.manager import registry
-from mbdkit.runs.preparation import build, make_method, require_support
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.formulation_choice import choice_of
 from mbdkit_paper.methods.problems import Problem, problems
 from mbdkit_studies import IN_TOLERANCES, claims_of
@@ -121,8 +121,7 @@ def _ways(method: Method, problem: Problem) -> Iterator[tuple[str, dict[str, Any
 def _supports(problem: Problem, keys: dict[str, Any]) -> bool:
     """Return whether the method in the keys of a run does not refuse a problem."""
     try:
-        spec = problem.spec(problem.step, **keys)
-        require_support(spec, make_method(spec), build(spec)[0].mechanism)
+        RunSetup.of(problem.spec(problem.step, **keys)).require_support()
     except MbdkitError:
         return False
     return True

@@ -19,7 +19,7 @@ from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import Claims
 from mbdkit.registry.manager import registry
-from mbdkit.runs.preparation import build, make_method, require_support
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.formulation_choice import choice_of, name_of
 from mbdkit.spec.reading import parse_key, put, read_value
 from mbdkit.spec.run_spec import RunSpec
@@ -338,8 +338,7 @@ class _Attempt:
                 if without is None and (label := same.get(_words(spec))) is not None:
                     self.same.append(str(label))
                     return
-                problem, integrator = build(spec)[0], make_method(spec)
-                require_support(spec, integrator, problem.mechanism)
+                RunSetup.of(spec).require_support()
             if place.grid.reference is not None:
                 _put(referred, place.grid.reference)
                 RunSpec(**referred)

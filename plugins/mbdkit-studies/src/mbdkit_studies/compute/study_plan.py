@@ -105,7 +105,7 @@ class StudyPlan:
         If several differ only in numbers, the first one is returned.
         """
         found: dict[str, str] = {}
-        for warning in (str(one) for _, spec in self.validated for one in caution(spec, measures=self.expressions)):
+        for warning in (str(one) for _, spec in self.validated for one in caution(spec, self.expressions)):
             found.setdefault(without_numbers(warning), warning)
         of_starts = start_warnings_of_study(spec for _, spec in self.valid_samples)
         of_sample = self.warnings_of_sample()

@@ -17,7 +17,7 @@ from mbdkit.base.text import counted, listed
 from mbdkit.base.units import read_quantity
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.parameters import names_in, parameter_values, parameters_in_use
-from mbdkit.runs.preparation import build
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.points.planned_points import Grid, grids
@@ -173,7 +173,7 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     starts, changes, kept = Starts(), [], []
     for spec, values in zip(free, given, strict=True):
         with suppress(SpecError):  # the run reports this error itself
-            _, start = build(spec, starts)
+            start = RunSetup.of(spec, starts).start
             now = np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)])
             changes.append(now - values)
             kept.append(values)

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -16,9 +15,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Stretch, Timetable
-from mbdkit.integrators.start import start_method
-from mbdkit.methods.kinds import Method
-from mbdkit.runs.preparation import build
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.run_spec import RunSpec
 
@@ -119,17 +116,18 @@ def reverse(spec: RunSpec) -> Reversal:
     MbdkitError
         If the spec is invalid or a plugin fails.
     """
-    workspace, _ = build(spec)
+    setup = RunSetup.of(spec)
+    workspace = setup.workspace
     table = _timetable(spec)
     if table is None:
         return Reversal(math.nan, math.nan, "too-short: the run has no full step.")
     try:
-        there = _states(spec, workspace, table)
+        there = _states(setup, table)
         if _has_direction(workspace, there, table):
             note = "not-reversible: the mechanism has dampers, drivers or time-dependent forces."
             return Reversal(math.nan, math.nan, note)
         turned = replace(workspace, q0=there.q[-1].copy(), v0=-there.v[-1])
-        back = _states(spec, turned, table)
+        back = _states(replace(setup, workspace=turned), table)
     except _StoppedError as stop:
         return Reversal(math.nan, math.nan, str(stop))
     mass = workspace.mechanism.topology.mass[:-1]
@@ -160,12 +158,12 @@ def _timetable(spec: RunSpec) -> Timetable | None:
     return Timetable(time.start, end, time.step, steps, every, max_steps=limits.max_steps) if steps else None
 
 
-def _states(spec: RunSpec, workspace: Workspace, table: Timetable) -> Stretch:
+def _states(setup: RunSetup, table: Timetable) -> Stretch:
     """Integrate from the start of a workspace, and return the recorded states with the last one; raise _StoppedError on
     failure.
     """
     try:
-        stepper = start_method(cast(Method, spec.integrator_plugin.create(spec.integrator)), workspace, table)
+        stepper = setup.stepper(table)
         parts = []
         while not (stepper.finished or stepper.failure):
             parts.append(stepper.advance())
