@@ -11,6 +11,8 @@ from mbdkit.archive.layout import (
 )
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.registered_kinds import groups
+from tests import history_columns, layout_document
+from tests.archive.making import DOCUMENT
 
 LAYOUT = every_array()
 BY_PATH = {array.path: array for array in LAYOUT}
@@ -68,3 +70,13 @@ def test_specs_choose_groups_of_the_table() -> None:
 
 def test_elapsed_time_is_the_only_timing() -> None:
     assert [array.path for array in LAYOUT if is_timing(array.path)] == ["trajectory/elapsed_s"]
+
+
+def test_declarations_of_columns_are_fresh() -> None:
+    text = history_columns.TARGET.read_text(encoding="utf-8")
+    assert history_columns.declarations() == text, "run: python -m tests.history_columns"
+
+
+def test_document_is_fresh() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert layout_document.renewed(text) == text, "run: python -m tests.layout_document schemas/archive.md"

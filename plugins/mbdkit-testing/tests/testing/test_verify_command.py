@@ -13,8 +13,7 @@ import mbdkit.plugin
 from mbdkit.base.errors import SpecError
 from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
-from mbdkit_testing import history_columns, item_places, layout_document, self_test, spec_page
-from tests.archive.making import DOCUMENT
+from mbdkit_testing import item_places, self_test, spec_page
 
 
 def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
@@ -98,16 +97,6 @@ def test_where_prints_the_line_that_defines_what_a_name_adds(name, field, file, 
 def test_where_suggests_a_name():
     with pytest.raises(SpecError, match="there is no item 'gaus' \\(did you mean 'gauss'"):
         item_places.whereabouts("gaus")
-
-
-def test_declarations_of_columns_are_fresh() -> None:
-    text = history_columns.TARGET.read_text(encoding="utf-8")
-    assert history_columns.declarations() == text, "run: python -m mbdkit_testing.history_columns"
-
-
-def test_document_is_fresh() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"
 
 
 def test_the_reference_of_specs_is_fresh() -> None:
