@@ -13,7 +13,9 @@ import mbdkit.plugin
 from mbdkit.base.errors import SpecError
 from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
-from mbdkit_testing import item_places, self_test, spec_page
+from mbdkit_testing import item_places, self_test
+
+from . import spec_page
 
 
 def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
@@ -101,7 +103,8 @@ def test_where_suggests_a_name():
 
 def test_the_reference_of_specs_is_fresh() -> None:
     fresh = spec_page.page(registry().only("mbdkit"))
-    assert find_page("spec").text == fresh, "stale: python -m mbdkit_testing.spec_page mbdkit/guide/spec.md"
+    command = "python plugins/mbdkit-testing/tests/testing/spec_page.py mbdkit/guide/spec.md"
+    assert find_page("spec").text == fresh, f"stale: {command}"
 
 
 def test_the_stored_hashes_belong_to_the_present_code():
