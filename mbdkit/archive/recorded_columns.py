@@ -1,6 +1,6 @@
 """Base classes of histories that declare columns and labels of a kind, for type checkers and completion.
 
-They are in ``recorded_columns.pyi``, which ``python -m mbdkit.archive.history_columns`` writes from the table of
+They are in ``recorded_columns.pyi``, which ``python -m tests.history_columns`` writes from the table of
 quantities. At run time, all of them are `View`, which creates the columns from the same table.
 """
 

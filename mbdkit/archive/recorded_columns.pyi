@@ -1,4 +1,4 @@
-"""Columns and labels of histories by group, written by ``python -m mbdkit.archive.history_columns``."""
+"""Columns and labels of histories by group, written by ``python -m tests.history_columns``."""
 
 import numpy as np
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import get_args
 
-from mbdkit.archive import history_columns
 from mbdkit.archive.layout import (
     QUANTITIES,
     every_array,
@@ -12,6 +11,8 @@ from mbdkit.archive.layout import (
 )
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.registered_kinds import groups
+from tests import history_columns, layout_document
+from tests.archive.making import DOCUMENT
 
 LAYOUT = every_array()
 BY_PATH = {array.path: array for array in LAYOUT}
@@ -73,4 +74,9 @@ def test_elapsed_time_is_the_only_timing() -> None:
 
 def test_declarations_of_columns_are_fresh() -> None:
     text = history_columns.TARGET.read_text(encoding="utf-8")
-    assert history_columns.declarations() == text, "run: python -m mbdkit.archive.history_columns"
+    assert history_columns.declarations() == text, "run: python -m tests.history_columns"
+
+
+def test_document_is_fresh() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert layout_document.renewed(text) == text, "run: python -m tests.layout_document schemas/archive.md"

@@ -11,13 +11,10 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.observed_states import StateObserver
-from mbdkit.engine.stabilization import Stabilization
 from mbdkit.events.event_expression import RunExpression
-from mbdkit.events.watch import Found, Watch, Watched
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
@@ -25,6 +22,7 @@ from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.watched_events import watch_events
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
@@ -193,7 +191,7 @@ def plain_run(spec: RunSpec) -> DifferentiatedRun:
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with this method cannot be differentiated."""
     try:
-        require_derivatives(method, spec.formulated, spec.stabilized)
+        require_derivatives(method, spec)
     except NoDerivativeError as error:
         message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
         raise SpecError(message, key="integrator") from None
@@ -211,15 +209,15 @@ def refuse(spec: RunSpec, method: Method) -> None:
         )
 
 
-def require_derivatives(method: Method, formulation: Formulation, stabilization: Stabilization) -> None:
-    """Raise NoDerivativeError unless the steps of a method with this formulation can be differentiated."""
+def require_derivatives(method: Method, spec: RunSpec) -> None:
+    """Raise NoDerivativeError unless the steps of the method of a spec can be differentiated."""
     if not method.traits.has_derivatives:
         raise NoDerivativeError(
             "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
         )
-    if formulation.coordinates == "joint" and not method.traits.is_explicit:
+    if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
         raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
-    if stabilization.symmetric:
+    if spec.stabilized.symmetric:
         raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
 
 
@@ -261,7 +259,7 @@ def differentiated_stepper(
     table = replace(table, **{"single": table.single or needs.ends, **changes})
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    require_derivatives(method, FORMULATIONS[workspace.formulation], workspace.stabilization)
+    require_derivatives(method, spec)
     compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
@@ -484,12 +482,8 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
     else:
         stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
         workspace = stepper.workspace
-    watched = [
-        Watched(name, expression, spec.events[name].direction, spec.events[name].action)
-        for name, expression in spec.watched().items()
-    ]
-    watch = Watch(stepper, workspace, watched)
-    crossings: list[Found] = []
+    watch = watch_events(spec, workspace, stepper)
+    crossings = []
     while not (watch.finished or watch.failure):
         watch.advance()
         crossings += watch.taken()

@@ -13,8 +13,9 @@ import mbdkit.plugin
 from mbdkit.base.errors import SpecError
 from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
-from mbdkit_testing import item_places, layout_document, self_test, spec_page
-from tests.archive.making import DOCUMENT
+from mbdkit_testing import item_places, self_test
+
+from . import spec_page
 
 
 def test_what_is_verified_leaves_with_0_and_says_so(mbdkit: Any) -> None:
@@ -100,14 +101,10 @@ def test_where_suggests_a_name():
         item_places.whereabouts("gaus")
 
 
-def test_document_is_fresh() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
-    assert layout_document.renewed(text) == text, "run: python -m mbdkit_testing.layout_document schemas/archive.md"
-
-
 def test_the_reference_of_specs_is_fresh() -> None:
     fresh = spec_page.page(registry().only("mbdkit"))
-    assert find_page("spec").text == fresh, "stale: python -m mbdkit_testing.spec_page mbdkit/guide/spec.md"
+    command = "python plugins/mbdkit-testing/tests/testing/spec_page.py mbdkit/guide/spec.md"
+    assert find_page("spec").text == fresh, f"stale: {command}"
 
 
 def test_the_stored_hashes_belong_to_the_present_code():

@@ -1,4 +1,4 @@
-"""Writes the layout table to the format document: ``python -m mbdkit_testing.layout_document schemas/archive.md``."""
+"""Writes the layout table to the format document: ``python -m tests.layout_document schemas/archive.md``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.registered_kinds import kinds
 
-BEGIN = "<!-- layout: begin (python -m mbdkit_testing.layout_document schemas/archive.md) -->"
+BEGIN = "<!-- layout: begin (python -m tests.layout_document schemas/archive.md) -->"
 END = "<!-- layout: end -->"
 
 

@@ -1,6 +1,6 @@
 """Declares the columns and labels of histories, for type checkers and completion.
 
-``python -m mbdkit.archive.history_columns`` writes them from the table of quantities.
+``python -m tests.history_columns`` writes them from the table of quantities.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from mbdkit.quantities.registered_kinds import added_kinds, kind_of_group
 
 TARGET = Path(history.__file__).with_name("recorded_columns.pyi")
 
-_HEADER = '''"""Columns and labels of histories by group, written by ``python -m mbdkit.archive.history_columns``."""
+_HEADER = '''"""Columns and labels of histories by group, written by ``python -m tests.history_columns``."""
 
 import numpy as np
 

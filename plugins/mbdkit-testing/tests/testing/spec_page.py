@@ -1,4 +1,7 @@
-"""``python -m mbdkit_testing.spec_page mbdkit/guide/spec.md``: writes the page on specs, from the models of specs."""
+"""Writes the page on specs from their models.
+
+``python plugins/mbdkit-testing/tests/testing/spec_page.py mbdkit/guide/spec.md`` writes it.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ BEGINNING = """\
 Every key of run specs, study specs, specs of inverse dynamics, design specs and specs of identifications. Each key is
 followed by its type and its default; a key without a default is optional unless it is marked as required.
 
-<!-- Written by `python -m mbdkit_testing.spec_page mbdkit/guide/spec.md`; do not edit. -->
+<!-- Written by `python plugins/mbdkit-testing/tests/testing/spec_page.py mbdkit/guide/spec.md`; do not edit. -->
 
 Specs are YAML, TOML or JSON files. Unknown keys are errors. A number without a unit is in the SI unit given in
 brackets, an angle in radians. Another unit of the same quantity can follow the number after a space, as in `30 deg`,
