@@ -13,9 +13,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, WithJsonSchema, mod
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, quoted, value_text
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.base.units import QUANTITY, Unit, read_quantity
+from mbdkit.base.units import Unit, read_quantity
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.sections import Section, whole
+from mbdkit_studies.spec.value_sets import NUMBER
 
 FORM = "{DISTRIBUTION: PARAMETERS}, such as {uniform: [-1, 1]} or {norm: {loc: 2, scale: 0.1}}"
 
@@ -187,8 +188,6 @@ def distribution_names() -> tuple[str, ...]:
     return (*sorted(fast), "normal")
 
 
-_NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}
-
 #: The distribution of a variable, as written in the spec.
 Distribution = Annotated[
     Any,
@@ -200,8 +199,8 @@ Distribution = Annotated[
             "maxProperties": 1,
             "additionalProperties": {
                 "anyOf": [
-                    {"type": "array", "items": _NUMBER},
-                    {"type": "object", "additionalProperties": _NUMBER},
+                    {"type": "array", "items": NUMBER},
+                    {"type": "object", "additionalProperties": NUMBER},
                 ]
             },
             "description": f"The distribution of the key: {FORM}. The names and parameters are those of continuous "

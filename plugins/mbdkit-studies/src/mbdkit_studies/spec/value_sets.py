@@ -270,10 +270,10 @@ def _hashable(value: object) -> Hashable:
     return hashable
 
 
-_NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}
+NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}  #: JSON schema of a number, which may have a unit.
 _LIMITS = {
     "type": "array",
-    "prefixItems": [_NUMBER, _NUMBER, {"type": "integer", "minimum": 1}],
+    "prefixItems": [NUMBER, NUMBER, {"type": "integer", "minimum": 1}],
     "minItems": 3,
     "maxItems": 3,
     "description": "First value, last value, number of values.",

@@ -38,11 +38,6 @@ def load_inverse_spec(
 spec_loader(load_inverse_spec)
 
 
-def is_inverse(data: Mapping[str, object]) -> bool:
-    """Return whether plain data are a spec of inverse dynamics; only such specs have a section `motion`."""
-    return "motion" in data
-
-
 def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, object]]) -> InverseSpec:
     """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
     data = json.loads(spec.canonical_json())
