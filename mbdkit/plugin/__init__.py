@@ -56,7 +56,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
     from mbdkit.mechanism.pathways import (
-        LawForce as LawForce, LineForce as LineForce, Pathway as Pathway, Segment as Segment,
+        LineForce as LineForce, Pathway as Pathway, Segment as Segment,
     )
     from mbdkit.mechanism.quantity_names import QuantityNames as QuantityNames
     from mbdkit.mechanism.state_values import Expression as Expression
@@ -98,6 +98,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         MeasurePlugin as MeasurePlugin, ModelPlugin as ModelPlugin, Orders as Orders, StepControl as StepControl,
         StudyPlugin as StudyPlugin,
     )
+    from mbdkit.registry.policy import API as API
     from mbdkit.registry.target import Target as Target
     from mbdkit.runs.simulation import simulate as simulate
     from mbdkit.spec.item_names import TreatmentName as TreatmentName

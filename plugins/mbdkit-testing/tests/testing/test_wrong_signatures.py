@@ -93,7 +93,7 @@ items: list[Item] = [
 WRONG = {
     "element: an argument that is not passed": (
         "element-kind:jet", "acting: tuple[ActingForce, ...])", "acting: tuple[ActingForce, ...], gain: float)",
-        "asks for `gain`; `@lowering` passes `elements`, `lowering` and `acting`",
+        "`@lowering` passes `elements`, `lowering` and `acting`",
     ),
     "element: an argument of another class": (
         "element-kind:jet", "def check(mechanism: Mechanism)", "def check(mechanism: RunSpec)",
