@@ -56,7 +56,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
     from mbdkit.mechanism.pathways import (
-        LineForce as LineForce, Pathway as Pathway, Segment as Segment,
+        LawForce as LawForce, LineForce as LineForce, Pathway as Pathway, Segment as Segment,
     )
     from mbdkit.mechanism.quantity_names import QuantityNames as QuantityNames
     from mbdkit.mechanism.state_values import Expression as Expression

@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.registry.items import integrator_claims as integrator_claims
     from mbdkit.runs.followers import follower as follower
     from mbdkit.runs.run_seams import (
-        StateWatcher as StateWatcher, computed_run as computed_run, end_criterion as end_criterion,
+        computed_run as computed_run, end_criterion as end_criterion,
         repeated_run as repeated_run, rows_criterion as rows_criterion, spec_criterion as spec_criterion,
         start_criterion as start_criterion, treatment_condition as treatment_condition,
         treatment_guards as treatment_guards, treatment_start as treatment_start,
