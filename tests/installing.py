@@ -11,21 +11,24 @@ from pathlib import Path
 from tests.zygote import run_mbdkit
 
 
-def announce(site: Path, name: str, entry_points: dict[str, str], version: str = "1.0") -> None:
+def announce(
+    site: Path, name: str, entry_points: dict[str, str], version: str = "1.0", requires: tuple[str, ...] = ()
+) -> None:
     """Write the metadata that an installation of a distribution would write."""
     info = site / f"{name.replace('-', '_')}-{version}.dist-info"
     info.mkdir(parents=True)
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    stated = "".join(f"Requires-Dist: {text}\n" for text in requires)
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n{stated}")
     lines = "\n".join(f"{key} = {value}" for key, value in entry_points.items())
     (info / "entry_points.txt").write_text(f"[mbdkit]\n{lines}\n")
 
 
-def install_module(site: Path, name: str, code: str, version: str = "1.0") -> None:
+def install_module(site: Path, name: str, code: str, version: str = "1.0", requires: tuple[str, ...] = ()) -> None:
     """Install a distribution of one module, whose entry point is `main`."""
     module = name.replace("-", "_")
     site.mkdir(exist_ok=True)
     (site / f"{module}.py").write_text(code, encoding="utf-8")
-    announce(site, name, {"main": module}, version)
+    announce(site, name, {"main": module}, version, requires)
 
 
 def install_project(site: Path, folder: Path) -> None:

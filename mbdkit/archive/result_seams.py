@@ -27,6 +27,6 @@ def file_problems(path: Path, /) -> list[str] | None:
 
 
 @Seam
-def exported_files(source: Path, folder: Path, to: str, /, *, overwrite: bool) -> list[Path]:
-    """Write the tables of a folder of results in a format such as ``csv``, and return the files written."""
+def exported_files(folder: Path, output: Path, to: str, /, *, overwrite: bool) -> list[Path]:
+    """Write the tables of a folder of results to `output`, in a format such as ``csv``; return the files written."""
     raise NotImplementedError

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import ast
 import importlib
+import sys
 from collections.abc import Callable, Mapping, MutableMapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 
 def import_part(module: str, wanted: str) -> ModuleType:
@@ -26,13 +27,29 @@ def import_part(module: str, wanted: str) -> ModuleType:
         raise MissingPartError(wanted, package.replace("_", "-")) from None
 
 
-def lazy(package: MutableMapping[str, object], homes: Mapping[str, str]) -> Callable[[str], object]:
+class Moved(NamedTuple):
+    """A name that a door had. `since`: version of mbdkit. `instead`: what replaces it, as a noun phrase."""
+
+    since: str
+    instead: str
+
+
+def lazy(
+    package: MutableMapping[str, object], homes: Mapping[str, str], moved: Mapping[str, Moved] | None = None
+) -> Callable[[str], object]:
     """Return the ``__getattr__`` of a package.
 
-    `package`: the ``globals()`` of the package. `homes`: module of each name.
+    `package`: the ``globals()`` of the package. `homes`: module of each name. `moved`: names that are gone.
     """
 
     def __getattr__(name: str) -> object:  # noqa: N807
+        if moved and name in moved:
+            gone = f"{package['__name__']}.{name} is gone since mbdkit {moved[name].since}: use {moved[name].instead}"
+            import dis
+
+            caller = sys._getframe(1)
+            is_import = dis.opname[caller.f_code.co_code[caller.f_lasti]] == "IMPORT_FROM"
+            raise ImportError(gone) if is_import else AttributeError(gone)  # an import drops words of AttributeError
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
         home, wanted = homes[name], f"{package['__name__']}.{name}"
@@ -56,14 +73,16 @@ def homes_of(file: str | Path) -> dict[str, str]:
     }
 
 
-def door(package: MutableMapping[str, Any]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+def door(
+    package: MutableMapping[str, Any], moved: Mapping[str, Moved] | None = None
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """Return the ``__getattr__`` and ``__dir__`` of a module whose names are those that it imports for type checkers,
     and set its ``__all__``.
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
-    `package`: the ``globals()`` of the module.
+    `package`: the ``globals()`` of the module. `moved`: names that the module had, for what is said of them.
     """
     homes = homes_of(package["__file__"])
     package["__all__"] = sorted(homes)
-    return lazy(package, homes), lambda: sorted(homes)
+    return lazy(package, homes, moved), lambda: sorted(homes)

@@ -203,7 +203,7 @@ def _validate(kind: SpecKind, source: Document | str, name: str, assignments: li
 
 
 @spec_check
-def validate_run(source: Document | str, spec: str, assignments: list[str]) -> None:
+def validate_run(source: Document | str, name: str, assignments: list[str]) -> None:
     """Check a run spec, build its mechanism, and print what it defines."""
     from mbdkit.spec import load_spec
 
@@ -223,7 +223,7 @@ def validate_run(source: Document | str, spec: str, assignments: list[str]) -> N
         setup.require_support()
     for warning in setup.findings():
         say(f"warning: {warning}")
-    show(f"{spec}: this spec is valid")
+    show(f"{name}: this spec is valid")
     show(f"model        {checked.model_item.id}: {mechanism.description()}")
     show(f"gravity      {gravity_text(mechanism.gravity)}")
     show(f"freedom      {problem.mechanism.freedoms()}")

@@ -386,7 +386,7 @@ class Lowering:
 
 
 @OwnSeam
-def lowering(elements: Never, lowering: Lowering, forces: tuple[ActingForce, ...], /) -> object:
+def lowering(elements: Never, lowering: Lowering, acting: tuple[ActingForce, ...], /) -> object:
     """Add forces and states of elements, given by name, whose force elements along pathways have been added.
 
     Returns the handle of the elements: what `CompiledMechanism.extensions` holds under their key.

@@ -95,8 +95,8 @@ def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0) -> MechanismAtStar
 
 
 @OwnSeam
-def start_values(handle: Never, mechanism: Mechanism, time: float, positions: np.ndarray, /) -> Mapping[int, float]:
-    """Return initial values of states by their index, from the time [s] and the positions (B, 3) after assembly."""
+def start_values(handle: Never, mechanism: Mechanism, t0: float, q: np.ndarray, /) -> Mapping[int, float]:
+    """Return initial values of states by their index, from the time t0 [s] and the assembled positions q (B, 3)."""
     raise NotImplementedError
 
 

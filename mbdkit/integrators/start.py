@@ -55,7 +55,7 @@ Steps = StepMethod | ExternalMethod | Callable[[CompiledMethod], CompiledMethod]
 
 
 @Seam
-def treatment_method(method: Method, section: Never, /) -> Steps:
+def treatment_method(method: Method, treatment: Never, /) -> Steps:
     """Return what takes the steps of a run in place of its method, with the section of the spec on the treatment.
 
     Its memory has the attributes of `mbdkit.integrators.run.impulse.ReactingMemory`.

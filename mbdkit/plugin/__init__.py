@@ -70,6 +70,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         Command as Command, ForceLawPlugin as ForceLawPlugin, IntegratorPlugin as IntegratorPlugin,
         MeasurePlugin as MeasurePlugin, ModelPlugin as ModelPlugin, Orders as Orders, StepControl as StepControl,
     )
+    from mbdkit.registry.policy import API as API
     from mbdkit.registry.target import Target as Target
     from mbdkit.runs.simulation import simulate as simulate
     from mbdkit.spec.item_names import TreatmentName as TreatmentName

@@ -10,7 +10,7 @@ different names::
 
     import mbdkit
 
-    mbdkit_api = 1  # the plugin API it is written for, see `mbdkit.registry.policy`
+    mbdkit_api = {"models": 1}  # the versions it is written for, see `mbdkit.plugin.API`
 
     @mbdkit.hookimpl
     def mbdkit_models():

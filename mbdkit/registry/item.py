@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -10,7 +9,7 @@ from types import EllipsisType
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
 
 from mbdkit.base.errors import PluginError
-from mbdkit.registry.seam import check_marked
+from mbdkit.registry.seam import Arguments, check_marked, fitted
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -45,8 +44,8 @@ class Item:
     """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
     seams: ClassVar[Mapping[str, str]] = {}
     """Decorator of `mbdkit.plugin.seams` for the function behind each field that has one."""
-    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """Names of the arguments of the function in each field that is checked for them."""
+    arguments: ClassVar[Mapping[str, Arguments]] = {}
+    """Arguments of the functions in fields that are `Given`, which need no decorator if they are not targets."""
 
     name: str
     summary: str
@@ -100,23 +99,10 @@ class Item:
 
     def _check_fields(self, names: Iterable[str]) -> None:
         for name in names:
-            if name in self.arguments:
-                self._check_callable(name, *self.arguments[name])
             if (check := getattr(self, f"_check_{name}", None)) is not None:
                 check()
-
-    def _check_callable(self, name: str, *arguments: str) -> None:
-        function = getattr(self, name)
-        if not callable(function):
-            raise PluginError(f"its `{name}` cannot be called")
-        try:
-            signature = inspect.signature(function)
-        except (TypeError, ValueError):  # functions in machine code
-            return
-        try:
-            signature.bind(*arguments)
-        except TypeError:
-            raise PluginError(f"its `{name}` takes {signature}, not ({', '.join(arguments)})") from None
+            elif name in self.arguments and not callable(getattr(self, name)):
+                raise PluginError(f"its `{name}` cannot be called")
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other) and vars(self) == vars(other)
@@ -146,7 +132,12 @@ class Given(Generic[T]):
                 raise AttributeError(self.name)
             return self.default
         value = vars(item)[self.name]
-        return cast(T, value() if isinstance(value, Target) else value)
+        thing = value() if isinstance(value, Target) else value
+        plugin = cast(Item, item)
+        if not callable(thing) or (arguments := plugin.arguments.get(self.name)) is None:
+            return cast(T, thing)
+        owner = value if isinstance(value, Target) else f"`{self.name}` of the {plugin.label()} '{plugin.name}'"
+        return cast(T, fitted(thing, arguments, owner))
 
     def __set__(self, item: object, value: T | Target) -> None:
         vars(item)[self.name] = value

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.registry.item import NAME, Given, Item, Plugin, described
-from mbdkit.registry.seam import OwnSeam
+from mbdkit.registry.seam import Arguments, OwnSeam
 from mbdkit.registry.target import Target
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class ModelPlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_models"
     key: ClassVar[str] = "model.name"
     seams: ClassVar[Mapping[str, str]] = {"build": "model_builder"}
-    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"build": ("options",)}
+    arguments: ClassVar[Mapping[str, Arguments]] = {"build": Arguments("model_builder", ("options",))}
 
     options: Given[type[BaseModel]] = Given()
     build: Given[Callable[..., object]] = Given()
@@ -214,7 +214,10 @@ class IntegratorPlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_integrators"
     key: ClassVar[str] = "integrator.name"
     seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
-    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",), "claims": ("options",)}
+    arguments: ClassVar[Mapping[str, Arguments]] = {
+        "create": Arguments("integrator_method", ("options",)),
+        "claims": integrator_claims.arguments,
+    }
 
     options: Given[type[BaseModel]] = Given()
     create: Given[Callable[..., object]] = Given()
@@ -266,7 +269,7 @@ class StepControl(Plugin):
     kind: ClassVar[str] = "step-control"
     key: ClassVar[str] = "integrator.step_control.name"
     seams: ClassVar[Mapping[str, str]] = {"create": "step_filter"}
-    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"create": ("options",)}
+    arguments: ClassVar[Mapping[str, Arguments]] = {"create": Arguments("step_filter", ("options",))}
 
     options: Given[type[BaseModel]] = Given()
     create: Given[Callable[..., object]] = Given()
@@ -351,8 +354,12 @@ class StudyPlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_studies"
     key: ClassVar[str] = "study"
     seams: ClassVar[Mapping[str, str]] = {"verdict": "study_verdict"}
+    arguments: ClassVar[Mapping[str, Arguments]] = {
+        "spec": Arguments("study_spec", ("quick",)),
+        "verdict": Arguments("study_verdict", ("study",)),
+    }
 
-    spec: Path | Callable[[bool], Mapping[str, object]]
+    spec: Given[Path | Callable[[bool], Mapping[str, object]]] = Given()
     verdict: Given[Callable[..., object] | None] = Given(None)
     references: Given[tuple[str, ...]] = Given(())
 
@@ -370,7 +377,6 @@ class StudyPlugin(Plugin):
 
     def _check_spec(self) -> None:
         if callable(self.spec):
-            self._check_callable("spec", "quick")
             return
         if not isinstance(self.spec, Path):
             raise PluginError(f"its spec is {described(self.spec)}, not a pathlib.Path or a function")
@@ -378,8 +384,8 @@ class StudyPlugin(Plugin):
             raise PluginError(f"its spec is not a file: {self.spec}")
 
     def _check_verdict(self) -> None:
-        if self.verdict is not None:
-            self._check_callable("verdict", "study")
+        if not (self.verdict is None or callable(self.verdict)):
+            raise PluginError("its `verdict` cannot be called")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -407,7 +413,7 @@ class MeasurePlugin(Plugin):
     hook: ClassVar[str] = "mbdkit_measures"
     key: ClassVar[str] = "name"
     seams: ClassVar[Mapping[str, str]] = {"take": "measure_function"}
-    arguments: ClassVar[Mapping[str, tuple[str, ...]]] = {"take": ("run", "options")}
+    arguments: ClassVar[Mapping[str, Arguments]] = {"take": Arguments("measure_function", ("run", "options"))}
 
     options: Given[type[BaseModel]] = Given()
     units: str  # type: ignore[misc]  # `options` has no default, although mypy assumes one

@@ -27,7 +27,7 @@ from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
 from mbdkit.registry.catalogue import KINDS, Kind, Origin, Registered, Registry, Report
 from mbdkit.registry.item import Item, Plugin, described
-from mbdkit.registry.policy import STRICT, Policy, check_api
+from mbdkit.registry.policy import STRICT, Policy, check_api, check_requirement
 
 GROUP = hookspecs.PROJECT
 
@@ -167,8 +167,11 @@ def load_registry(
         try:
             # stdout is reserved for the output of --json
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
-                for hook, thing in _offered(entry_point, origin, manager):
-                    _accept(hook, thing, origin, known, accepted, problems)
+                check_requirement(entry_point.dist)
+                module = entry_point.load()
+                check_api(module, origin.distribution)
+                for hook, thing in _offered(module, entry_point.name, manager):
+                    _accept(hook, thing, module, origin, known, accepted, problems)
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
             if is_interrupt(error):
                 raise
@@ -191,12 +194,10 @@ def load_registry(
     return Registry(items, reports)
 
 
-def _offered(entry_point: EntryPoint, origin: Origin, manager: pluggy.PluginManager) -> Iterator[tuple[str, object]]:
-    module = entry_point.load()
-    check_api(module, origin.distribution)
+def _offered(module: object, name: str, manager: pluggy.PluginManager) -> Iterator[tuple[str, object]]:
     if module is None:
         raise PluginError("it is None, which implements none of the hooks")
-    manager.register(module, entry_point.name)
+    manager.register(module, name)
     try:
         manager.check_pending()
         if not manager.get_hookcallers(module):
@@ -215,6 +216,7 @@ def _offered(entry_point: EntryPoint, origin: Origin, manager: pluggy.PluginMana
 def _accept(
     hook: str,
     thing: object,
+    module: object,
     origin: Origin,
     known: set[tuple[Kind, str]],
     accepted: list[Registered],
@@ -226,6 +228,7 @@ def _accept(
     try:
         if kind is None:
             raise PluginError(f"its hook `{hook}` returned {described(thing)}, not an item of class {_classes(hook)}")
+        check_api(module, origin.distribution, kind)
         cast(Item, thing).check()
         item = Registered(kind, cast(Plugin, thing), origin)
         if (kind, item.id) in known:

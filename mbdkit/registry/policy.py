@@ -1,24 +1,48 @@
-"""Version of the plugin API, and the policy for loading plugins that environment variables define."""
+"""Versions of the plugin API, and the policy for loading plugins that environment variables define."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mbdkit.base.distributions import normalized_name, own_version
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 
-#: Version of the plugin API: of the hooks, of their return values, and of the arguments of methods, laws and models.
-#:
-#: The version is increased when existing plugins would stop working, but not when features are added.
-API = 1
 
-OLDEST_API = 1  #: The oldest version of the plugin API that is still supported.
+class Family(NamedTuple):
+    """Kinds of items that belong together, with the newest and the oldest supported version of the plugin API.
 
-#: Name of the variable in which a plugin module declares the API version that it was written for.
+    The version is that of hooks and items, and of what mbdkit passes to their code. It is increased when existing
+    plugins would stop working, but not when features are added.
+    """
+
+    kinds: tuple[str, ...]
+    version: int = 1
+    oldest: int = 1
+
+
+#: The families; `kernels` is machine code of plugins, which has no items of its own.
+FAMILIES: Mapping[str, Family] = {
+    "methods": Family(("integrator", "step-control", "treatment")),
+    "laws": Family(("force-law",)),
+    "models": Family(("model", "model-key")),
+    "elements": Family(("element-kind", "quantity")),
+    "joints": Family(("joint-kind",)),
+    "specs": Family(("spec-kind", "study", "measure", "command", "example", "guide-page", "file-format")),
+    "reports": Family(("report-section", "plot-kind", "view", "headline", "summary-line", "table-format", "accessor")),
+    "criteria": Family(("criterion",)),
+    "kernels": Family(()),
+}
+
+#: Version of the plugin API by family.
+API: Mapping[str, int] = {name: family.version for name, family in FAMILIES.items()}
+
+#: Name of the variable in which a plugin module states the versions of the families for which it was written.
 API_NAME = "mbdkit_api"
 
 #: Distribution and name of the entry point that cannot be left out: without it, mbdkit has no models.
@@ -26,23 +50,45 @@ CORE = ("mbdkit", "builtin")
 
 ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STRICT_PLUGINS"
 
+_REQUIREMENT = re.compile(r"mbdkit\s*(\[.*\]\s*)?\(?[<>=!~]", re.IGNORECASE)  # one with a version
+
 _YES, _NO = {"1", "true", "yes", "on"}, {"", "0", "false", "no", "off"}
 
 
-def check_api(module: object, distribution: str) -> None:
-    """Raise PluginError if a plugin was written for an unsupported API version; the message says what to upgrade.
+def check_api(module: object, distribution: str, kind: str | None = None) -> None:
+    """Raise PluginError if a plugin was written for an unsupported version of a family; it says what to upgrade.
 
-    A module without a declared version counts as written for version 1.
+    The family is that of a kind of items, by default that of machine code. A family whose version the module does not
+    state counts as version 1.
     """
-    wanted = getattr(module, API_NAME, 1)
-    if isinstance(wanted, bool) or not isinstance(wanted, int):
-        raise PluginError(f"its `{API_NAME}` is {wanted!r}, not a whole number such as {API}")
-    if OLDEST_API <= wanted <= API:
+    stated: object = getattr(module, API_NAME, {})
+    if not isinstance(stated, Mapping) or any(type(version) is not int for version in stated.values()):
+        raise PluginError(f"its `{API_NAME}` is {stated!r}, not versions of families, such as {{'methods': 1}}")
+    if unknown := [str(family) for family in stated if family not in API]:
+        raise PluginError(f"its `{API_NAME}` names {listed(unknown, 'and')}; the families are {listed(API, 'and')}")
+    family = next((name for name, family in FAMILIES.items() if kind in family.kinds), "kernels")
+    wanted, (_, newest, oldest) = stated.get(family, 1), FAMILIES[family]
+    if oldest <= wanted <= newest:
         return
-    served = f"mbdkit {own_version()} supports {API if OLDEST_API == API else f'{OLDEST_API} to {API}'}"
-    if wanted > API:
-        raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade mbdkit")
-    raise PluginError(f"it was written for plugin API {wanted} and {served}: upgrade {distribution}")
+    served = f"mbdkit {own_version()} supports {newest if oldest == newest else f'{oldest} to {newest}'}"
+    upgraded = "mbdkit" if wanted > newest else distribution
+    raise PluginError(f"it was written for version {wanted} of {family}, and {served}: upgrade {upgraded}")
+
+
+def check_requirement(distribution: object) -> None:
+    """Raise PluginError if a distribution requires another version of mbdkit than the installed one."""
+    stated: list[str] = []
+    with suppress(Exception):  # metadata that cannot be read, which state nothing
+        stated += filter(_REQUIREMENT.match, getattr(distribution, "requires", None) or ())
+    if not stated:
+        return
+    from packaging.requirements import Requirement
+
+    for requirement in map(Requirement, stated):
+        applies = requirement.marker is None or requirement.marker.evaluate({"extra": ""})
+        if applies and not requirement.specifier.contains(own_version(), prereleases=True):
+            wanted = f"mbdkit{requirement.specifier}"
+            raise PluginError(f"it requires {wanted}, and mbdkit {own_version()} is installed: upgrade one of them")
 
 
 @dataclass(frozen=True)

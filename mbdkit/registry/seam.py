@@ -9,14 +9,20 @@ A seam is declared as a function without a body, in the module that calls such f
 
 and a plugin decorates its function with ``@summary_lines``. A type checker then compares the function with the
 declaration, and so do ``mbdkit plugins verify`` and ``doctor``.
+
+A function gets the arguments that it asks for, by their names; the first may have any name, and underscores around a
+name do not count. So a declaration can get further arguments, and lose those that ``@removed`` below its seam states.
 """
 
 from __future__ import annotations
 
 import inspect
+import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
 from types import UnionType
 from typing import (
     Any,
@@ -33,14 +39,115 @@ from typing import (
 )
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.target import Target
 
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
-_MARK = "__mbdkit_seam__"
-_NAMED = inspect.Parameter.KEYWORD_ONLY
+F = TypeVar("F", bound=Callable[..., object])
+
+_MARK, _REMOVED = "__mbdkit_seam__", "__mbdkit_removed__"
+_EMPTY, _NAMED = inspect.Parameter.empty, inspect.Parameter.KEYWORD_ONLY
+_VARIABLE = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+
+_log = logging.getLogger("mbdkit")
+
+
+@dataclass(frozen=True)
+class Removed:
+    """An argument that is passed no more.
+
+    `since`: version of mbdkit. `instead`: what replaces it, as a noun phrase. `value`: what functions that still ask
+    for the argument get; without it, functions with no default for the argument are refused.
+    """
+
+    since: str
+    instead: str
+    value: object = _EMPTY
+
+
+def removed(**arguments: Removed) -> Callable[[F], F]:
+    """Return a decorator of a declaration, which states the arguments that the declaration had."""
+
+    def stated(declared: F) -> F:
+        setattr(declared, _REMOVED, arguments)
+        return declared
+
+    return stated
+
+
+@dataclass(frozen=True, eq=False)
+class Arguments:
+    """What mbdkit passes to functions of a seam: names of arguments by position and by keyword, and those removed."""
+
+    seam: str
+    positional: tuple[str, ...]
+    named: tuple[str, ...] = ()
+    removed: Mapping[str, Removed] = field(default_factory=dict)
+
+    def taken(self, function: Callable[..., object]) -> dict[str, str]:
+        """Return the arguments for which a function asks, by its own names for them.
+
+        Raises PluginError if one is not passed, and ValueError or TypeError if the function has no signature.
+        """
+        parameters = inspect.signature(function).parameters
+        names, passed = [name.strip("_") for name in parameters], (*self.positional, *self.named)
+        taken: dict[str, str] = {}
+        for place, (name, parameter) in enumerate(parameters.items()):
+            source = names[place]
+            if parameter.kind in _VARIABLE:
+                continue
+            if source not in passed and (place == 0 or not source) and parameter.kind is not _NAMED:
+                free = self.positional[place : place + 1]
+                source = next((argument for argument in free if argument not in names), source)
+            if source in passed or (source in self.removed and self.removed[source].value is not _EMPTY):
+                taken[name] = source
+            elif parameter.default is _EMPTY and source in self.removed:
+                raise PluginError(self.sentence_on(source))
+            elif parameter.default is _EMPTY:
+                known = listed([f"`{argument}`" for argument in passed], "and")
+                raise PluginError(f"asks for `{name}`{did_you_mean(source, passed)}; `@{self.seam}` passes {known}")
+        return taken
+
+    def sentence_on(self, name: str) -> str:
+        """Return a clause on an argument that is removed."""
+        gone = self.removed[name]
+        return f"asks for `{name}`, which `@{self.seam}` does not pass since mbdkit {gone.since}: use {gone.instead}"
+
+
+@cache
+def fitted(function: Callable[..., R], arguments: Arguments, owner: object) -> Callable[..., R]:
+    """Return a function that takes the arguments of a seam and passes those for which another function asks.
+
+    That is the other function itself, if it asks for all of them. `owner`: what offers it, for messages.
+
+    Raises PluginError if the function asks for another argument.
+    """
+    try:
+        taken, parameters = arguments.taken(function), inspect.signature(function).parameters
+    except PluginError as error:
+        raise PluginError(f"{owner} {error}") from None
+    except (TypeError, ValueError):  # a function in machine code, or what cannot be called and is refused elsewhere
+        return function
+    for name in [name for name in parameters if name in arguments.removed]:
+        _log.warning("mbdkit: warning: %s %s", owner, arguments.sentence_on(name))
+    kinds = {name: parameter.kind for name, parameter in parameters.items()}
+    in_order = [source for name, source in taken.items() if kinds[name] is not _NAMED][: len(arguments.positional)]
+    takes_all = in_order == list(arguments.positional) or _VARIABLE[0] in kinds.values()
+    takes_named = _VARIABLE[1] in kinds.values() or {*arguments.named} <= {*taken.values()}
+    if takes_all and takes_named and arguments.removed.keys().isdisjoint(taken.values()):
+        return function
+    placed = [source for name, source in taken.items() if kinds[name] is inspect.Parameter.POSITIONAL_ONLY]
+    stated = {name: gone.value for name, gone in arguments.removed.items()}
+
+    def call(*given: object, **named: object) -> R:
+        known = stated | dict(zip(arguments.positional, given, strict=True)) | named
+        by_name = {name: known[source] for name, source in list(taken.items())[len(placed) :] if source in known}
+        return function(*[known[source] for source in placed], **by_name)
+
+    return call
 
 
 class _Declaration:
@@ -48,25 +155,23 @@ class _Declaration:
 
     def __init__(self, declared: Callable[..., object]):
         self.name, self.__doc__, self.declared = declared.__name__, declared.__doc__, declared
+        parameters = inspect.signature(declared).parameters
+        named = tuple(name for name, parameter in parameters.items() if parameter.kind is _NAMED)
+        gone = getattr(declared, _REMOVED, {})
+        self.arguments = Arguments(self.name, tuple(parameters)[: len(parameters) - len(named)], named, gone)
 
     def check(self, function: Callable[..., object]) -> None:
-        """Raise PluginError if a function does not take or return what is declared.
+        """Raise PluginError if a function asks for what is not passed, or returns something else than declared.
 
         Types are compared as far as both functions have annotations of classes that can be imported.
         """
-        wanted, given = inspect.signature(self.declared), inspect.signature(function)
-        positional = [name for name, parameter in wanted.parameters.items() if parameter.kind is not _NAMED]
-        named = {name: None for name, parameter in wanted.parameters.items() if parameter.kind is _NAMED}
-        try:
-            bound = given.bind(*positional, **named).arguments
-        except TypeError:
-            raise PluginError(f"takes {_arguments(given)}, not {_arguments(wanted)}") from None
+        taken = self.arguments.taken(function)
         if isinstance(function, type):
             return
         declared, own = _hints(self.declared), _hints(function)
-        for name, place in zip(bound, [*positional, *named], strict=False):
-            if not _fits(declared.get(place), own.get(name)):
-                raise PluginError(f"takes {_word(own[name])} as `{name}`, not {_word(declared[place])}")
+        for name, source in taken.items():
+            if not _fits(declared.get(source), own.get(name)):
+                raise PluginError(f"takes {_word(own[name])} as `{name}`, not {_word(declared[source])}")
         if not _fits(own.get("return"), declared.get("return")):
             raise PluginError(f"returns {_word(own['return'])}, not {_word(declared['return'])}")
 
@@ -89,8 +194,8 @@ class Seam(_Declaration, Generic[P, R]):
         return function
 
     def of(self, target: Target) -> Callable[P, R]:
-        """Return the function behind a target."""
-        return cast("Callable[P, R]", target())
+        """Return the function behind a target, which takes the arguments of the declaration."""
+        return fitted(cast("Callable[P, R]", target()), self.arguments, target)
 
 
 class OwnSeam(_Declaration, Generic[P, R]):
@@ -105,8 +210,8 @@ class OwnSeam(_Declaration, Generic[P, R]):
         return function
 
     def of(self, target: Target) -> Callable[Concatenate[object, P], R]:
-        """Return the function behind a target."""
-        return cast("Callable[Concatenate[object, P], R]", target())
+        """Return the function behind a target, which takes the arguments of the declaration."""
+        return fitted(cast("Callable[Concatenate[object, P], R]", target()), self.arguments, target)
 
 
 def check_marked(target: Target, seam: str, field: str) -> None:
@@ -151,11 +256,6 @@ def _fits(given: object, wanted: object) -> bool:
         return issubclass(first, second) or (first, second) == (int, float)
     except TypeError:  # a protocol that cannot be checked
         return True
-
-
-def _arguments(signature: inspect.Signature) -> str:
-    texts = [str(parameter.replace(annotation=parameter.empty)) for parameter in signature.parameters.values()]
-    return f"({', '.join(texts)})"
 
 
 def _word(hint: object) -> str:

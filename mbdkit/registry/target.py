@@ -69,5 +69,8 @@ class Target(Generic[T]):
     def __hash__(self) -> int:
         return hash(self.where)
 
+    def __str__(self) -> str:
+        return f"'{self.where}' of {self._distribution()}"
+
     def __repr__(self) -> str:
         return f"Target({self.where!r})"

@@ -41,8 +41,8 @@ class StateWatcher(Protocol):
 
 
 @Seam
-def spec_criterion(spec: RunSpec, expressions: Sequence[str], /) -> Iterable[str | Finding]:
-    """Return what is doubtful in a spec, and in the expressions that are evaluated beside its measures."""
+def spec_criterion(spec: RunSpec, measures: Sequence[str], /) -> Iterable[str | Finding]:
+    """Return what is doubtful in a spec, and in the expressions of further measures."""
     raise NotImplementedError
 
 
@@ -53,7 +53,7 @@ def start_criterion(spec: RunSpec, start: AssembledState, /) -> Iterable[str | F
 
 
 @Seam
-def rows_criterion(spec: RunSpec, mechanism: CompiledMechanism, size: float, /) -> StateWatcher | None:
+def rows_criterion(spec: RunSpec, compiled: CompiledMechanism, size: float, /) -> StateWatcher | None:
     """Return what watches the recorded rows of a run, None if it needs nothing; `size` of the mechanism is in m."""
     raise NotImplementedError
 

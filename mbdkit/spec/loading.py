@@ -68,7 +68,7 @@ VERSION = 1
 S = TypeVar("S", bound=ModelSpec)
 
 
-def load_spec(source: object, overrides: Iterable[str] = (), **sections: object) -> RunSpec:
+def load_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> RunSpec:
     """Load and validate a run spec, build its mechanism, and return the spec, which is immutable.
 
     Parameters
@@ -76,8 +76,8 @@ def load_spec(source: object, overrides: Iterable[str] = (), **sections: object)
     source
         A file (YAML, TOML, JSON), ``"-"`` for standard input, the name of a packaged example, a mapping, a `Mechanism`,
         or a `RunSpec`.
-    overrides
-        Assignments such as ``"time.step=0.005"``, with values in YAML.
+    assignments
+        Texts such as ``"time.step=0.005"``, with values in YAML.
     sections
         Top-level keys of the spec, such as ``time={"end": 5, "step": 0.01}``, which replace those in `source`.
 
@@ -86,7 +86,7 @@ def load_spec(source: object, overrides: Iterable[str] = (), **sections: object)
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    return loaded("run", RunSpec, source, overrides, sections)
+    return loaded("run", RunSpec, source, assignments, sections)
 
 
 spec_loader(load_spec)

@@ -55,7 +55,7 @@ def test_a_good_plugin_beside_a_broken_one(tmp_path):
 
 WRONG = {
     "a BaseException": ("class Boom(BaseException): ...\nraise Boom('loud')", "Boom: loud"),
-    "another API": (GOOD.replace("@mbdkit", "mbdkit_api = 99\n@mbdkit"), "plugin API 99"),
+    "another API": (GOOD.replace("@mbdkit", "mbdkit_api = {'kernels': 99}\n@mbdkit"), "version 99 of kernels"),
     "a hook that raises": (GOOD.replace("return [", "return [1 / 0, "), "ZeroDivisionError"),
 }
 
@@ -75,6 +75,40 @@ def test_whatever_a_plugin_does_the_commands_live_and_say_so_in_one_line(tmp_pat
     strict = mbdkit(tmp_path, "validate", "pendulum", MBDKIT_STRICT_PLUGINS="1")
     assert strict.returncode == 4
     assert strict.stderr.splitlines()[-1].startswith("error: plugin 'bad-kit")
+
+
+def test_what_doctor_refuses_is_said_by_list_too(tmp_path):
+    """Another version of mbdkit or of a family, and a function that asks for what is not passed."""
+    refused = {
+        "old-kit": (GOOD, "it requires mbdkit<0.2, and mbdkit "),
+        "next-kit": (GOOD.replace("@mbdkit", "mbdkit_api = {'models': 99}\n@mbdkit"), "version 99 of models"),
+        "wheel-kit": (
+            GOOD.replace("SwingOptions, build", "mbdkit.plugin.Target('wheel_kit:none'), build"),
+            "no attrib",
+        ),
+    }
+    for name, (code, _) in refused.items():
+        install_module(
+            tmp_path, name, code, requires=("mbdkit<0.2; python_version > '3'",) if name == "old-kit" else ()
+        )
+    install_module(tmp_path, "swing-kit", GOOD, requires=("mbdkit>=0.2", "mbdkit[numba] <99", "mbdkit-walker<0.1"))
+    for command in ("list", "doctor"):
+        done = mbdkit(tmp_path, "plugins", command, "--json")
+        plugins = {plugin["distribution"]: plugin for plugin in json.loads(done.stdout)["plugins"]}
+        assert plugins["swing-kit"]["error"] is None
+        for name, (_, words) in refused.items():
+            assert plugins[name]["status"] == "error"
+            assert words in plugins[name]["error"]
+
+
+def test_verify_tells_which_imports_are_on_no_door(tmp_path):
+    inner = "from mbdkit.mechanism.mechanism import Mechanism\nfrom mbdkit.plugin import hookimpl, seams\n"
+    install_module(tmp_path, "swing-kit", inner + GOOD)
+    done = mbdkit(tmp_path, "plugins", "verify", "swing", "--quick", "--json")
+    (report,) = json.loads(done.stdout)["reports"]
+    (check,) = (check for check in report["checks"] if check["name"] == "contract.imports")
+    assert check["outcome"] == "warn"
+    assert check["cause"].endswith("at any time: mbdkit.mechanism.mechanism.Mechanism (swing_kit.py)")
 
 
 def test_a_model_of_a_plugin_goes_into_specs_and_schema(tmp_path):

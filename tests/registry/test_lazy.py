@@ -243,3 +243,21 @@ def test_one_entry_point_of_a_distribution_is_left_out(entry_point, swing):
     assert policy.reason_against("mbdkit", "builtin") is None
     assert policy.unknown([("mbdkit", "builtin"), ("mbdkit", "part")]) is None
     assert "'mbdkit/part'" in policy.unknown([("mbdkit", "builtin")])
+
+
+def test_a_name_that_is_gone_from_a_door_says_since_when_and_what_replaces_it(tmp_path, monkeypatch):
+    file = tmp_path / "wear_door.py"
+    code = "from mbdkit.base.lazy_names import Moved, door\nTYPE_CHECKING = False\nif TYPE_CHECKING:\n    "
+    code += "from math import pi as pi\nelse:\n"
+    code += "    __getattr__, __dir__ = door(globals(), moved={'tau': Moved('0.3', '2*pi')})\n"
+    file.write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import wear_door
+
+    words = r"^wear_door\.tau is gone since mbdkit 0\.3: use 2\*pi$"
+    with pytest.raises(AttributeError, match=words):
+        _ = wear_door.tau
+    with pytest.raises(ImportError, match=words):
+        from wear_door import tau  # noqa: F401
+    assert not hasattr(wear_door, "tau")
+    assert dir(wear_door) == ["pi"]

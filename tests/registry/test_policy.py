@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 import mbdkit
-from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.errors import SpecError
+from mbdkit.registry.catalogue import KINDS
 from mbdkit.registry.manager import load_registry
-from mbdkit.registry.policy import API, Policy, check_api
+from mbdkit.registry.policy import API, FAMILIES, Policy
 
 
 def declaring(module, version):
@@ -20,8 +21,8 @@ def two(entry_point, offering, swing, euler):
     return [entry_point(lambda: offering([swing()]), "Acme.Kit"), entry_point(lambda: offering([], [euler()]), "bolt")]
 
 
-@pytest.mark.parametrize("version", [None, API])
-def test_a_plugin_of_this_api_loads_and_so_does_one_that_does_not_say(version, entry_point, offering, swing):
+@pytest.mark.parametrize("version", [None, API, {"elements": 99}])
+def test_a_plugin_of_these_versions_loads_and_so_does_one_that_does_not_say(version, entry_point, offering, swing):
     module = offering([swing()])
     loaded = load_registry([entry_point(lambda: module if version is None else declaring(module, version))])
     assert [item.name for item in loaded.items] == ["swing"]
@@ -30,20 +31,34 @@ def test_a_plugin_of_this_api_loads_and_so_does_one_that_does_not_say(version, e
 @pytest.mark.parametrize(
     ("version", "words"),
     [
-        (API + 1, rf"plugin API {API + 1} and mbdkit {mbdkit.__version__} supports {API}: upgrade mbdkit"),
-        (0, rf"plugin API 0 and mbdkit {mbdkit.__version__} supports {API}: upgrade acme"),
-        ("1", "its `mbdkit_api` is '1', not a whole number"),
-        (True, "its `mbdkit_api` is True, not a whole number"),
+        (
+            {"models": 99},
+            f"written for version 99 of models, and mbdkit {mbdkit.__version__} supports 1: upgrade mbdkit",
+        ),
+        ({"models": 0}, f"written for version 0 of models, and mbdkit {mbdkit.__version__} supports 1: upgrade acme"),
+        ({"kernels": 99}, "written for version 99 of kernels"),
+        (1, "its `mbdkit_api` is 1, not versions of families"),
+        ({"models": True}, "its `mbdkit_api` is {'models': True}, not versions of families"),
+        ({"wheels": 1}, "its `mbdkit_api` names wheels; the families are methods, laws, "),
     ],
 )
-def test_a_plugin_of_another_api_is_left_out_and_says_which_side_to_upgrade(
+def test_a_plugin_of_another_version_is_left_out_and_says_which_side_to_upgrade(
     version, words, entry_point, offering, swing
 ):
     loaded = load_registry([entry_point(lambda: declaring(offering([swing()]), version), "acme")])
     assert not loaded.items
     assert words in loaded.failures[0].error
-    with pytest.raises(PluginError):
-        check_api(declaring(offering(), version), "acme")
+
+
+def test_items_of_other_families_are_loaded(entry_point, offering, swing, euler):
+    module = declaring(offering([swing()], [euler()]), {"models": 99, "methods": 1})
+    loaded = load_registry([entry_point(lambda: module)])
+    assert [item.name for item in loaded.items] == ["euler"]
+    assert [report.id for report in loaded.failures] == ["acme:swing"]
+
+
+def test_every_kind_of_items_belongs_to_a_family():
+    assert sorted(kind for family in FAMILIES.values() for kind in family.kinds) == sorted(KINDS)
 
 
 @pytest.mark.parametrize(

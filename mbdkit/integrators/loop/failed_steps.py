@@ -33,10 +33,10 @@ APART, SWITCHED = -1, -2
 
 
 @OwnSeam
-def obstacle_clause(handle: Never, workspace: Workspace, time: float, q: np.ndarray, v: np.ndarray, /) -> str:
+def obstacle_clause(handle: Never, workspace: Workspace, t: float, q: np.ndarray, v: np.ndarray, /) -> str:
     """Return a clause that names an element that cannot have the positions q (n,) at which a step failed; or nothing.
 
-    The time is in s, v (n,) are the velocities.
+    The time t is in s, v (n,) are the velocities.
     """
     raise NotImplementedError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
-mbdkit_api = 1
+mbdkit_api = {"methods": 1}
 
 
 @hookimpl

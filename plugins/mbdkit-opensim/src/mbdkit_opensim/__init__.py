@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mbdkit.plugin import ModelPlugin, Target, hookimpl
 
-mbdkit_api = 1
+mbdkit_api = {"models": 1}
 
 
 @hookimpl

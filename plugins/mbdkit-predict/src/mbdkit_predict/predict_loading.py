@@ -30,7 +30,7 @@ KEYS = (*OF_BASE, *(key for key in PredictSpec.model_fields if key not in ("mbdk
 OF_GUESS = ("parameters", *KEYS[KEYS.index("controls") : KEYS.index("tolerance")])
 
 
-def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections: object) -> PredictSpec:
+def load_predict_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> PredictSpec:
     """Load and validate a spec of a prediction, build its mechanism, and return the spec.
 
     Arguments and errors are those of `load_spec`; the source may also be a `PredictSpec`.
@@ -40,7 +40,7 @@ def load_predict_spec(source: object, overrides: Iterable[str] = (), **sections:
         with SpecError.place_by(document.place):
             document.data = _with_base(document.data | sections, document)
         source, sections = document, {}
-    return loaded("predict", PredictSpec, source, overrides, sections)
+    return loaded("predict", PredictSpec, source, assignments, sections)
 
 
 spec_loader(load_predict_spec)

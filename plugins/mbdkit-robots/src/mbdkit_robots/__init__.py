@@ -9,7 +9,7 @@ from mbdkit.plugin import ForceLawPlugin, ModelPlugin, Target, hookimpl
 if TYPE_CHECKING:
     from mbdkit_robots.linkages import to_pylinkage as to_pylinkage
 
-mbdkit_api = 1
+mbdkit_api = {"models": 1, "laws": 1}
 
 
 @hookimpl

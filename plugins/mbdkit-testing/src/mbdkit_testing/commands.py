@@ -48,9 +48,9 @@ def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str]
 
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
     """List installed plugins, and those that could not be loaded."""
-    from mbdkit.registry.manager import load_installed
+    from mbdkit.registry.manager import checked, load_installed
 
-    installed = load_installed()
+    installed = checked(load_installed())
     if as_json:
         show_json(describe.listing(installed))
     else:

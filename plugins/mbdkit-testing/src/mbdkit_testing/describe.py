@@ -16,7 +16,7 @@ from mbdkit.registry.catalogue import KINDS, Kind, Registered, Registry, Report
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
-from mbdkit.registry.policy import API
+from mbdkit.registry.policy import FAMILIES
 
 Schema = dict[str, Any]
 WIDTH = 80
@@ -46,10 +46,10 @@ def find(name: str, installed: Registry | None = None, further: Iterable[Kind] =
     be loaded.
     """
     installed = installed or registry()
-    for report in installed.failures:
-        if report.id == name:
-            raise PluginError(f"plugin '{name}' could not be loaded: {report.error}")
     named = [item for item in installed.items if name in (item.id, item.name)]
+    for report in installed.failures:
+        if report.id == name or (not named and report.id.endswith(f":{name}")):
+            raise PluginError(f"plugin '{report.id}' could not be loaded: {report.error}")
     if not named:
         names = [item.name for item in installed.items]
         kinds = [kind for kind, item_class in KINDS.items() if issubclass(item_class, Plugin)]
@@ -105,7 +105,7 @@ def diagnosis(installed: Registry) -> dict[str, object]:
     """Return the listing with the entry point of each item and its loading time [s]."""
     reports = _shown(installed)
     return {
-        "plugin_api": API,
+        "plugin_api": {name: family.version for name, family in FAMILIES.items()},
         "plugins": [
             {**_entry(report), "entry_point": report.origin.entry_point, "load_s": round(report.seconds, 6)}
             for report in reports

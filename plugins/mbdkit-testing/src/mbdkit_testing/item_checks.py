@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import ast
+import importlib
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
 
+from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit_testing.check import check
-from mbdkit_testing.check_result import Result, passed
+from mbdkit_testing.check_result import Result, passed, warned
+
+#: Modules whose names plugins may import.
+_DOOR = re.compile(r"mbdkit(\.(plugin(\.\w+)?|kernels|testing))?|mbdkit_\w+(\.seams)?")
 
 
 @dataclass
@@ -39,6 +49,41 @@ def functions(under_test: ItemUnderTest) -> Result:
     """Every function that the item names exists, is decorated, and takes and returns what its decorator declares."""
     under_test.item.plugin.check_targets()
     return passed(functions=len(under_test.item.plugin.targets()))
+
+
+@check("contract.imports")
+def imports(under_test: ItemUnderTest) -> Result:
+    """The package of the plugin imports only names that are on doors, because all others may change at any time."""
+    spec = find_spec(_package(under_test.item))
+    folders = [] if spec is None else spec.submodule_search_locations or []
+    files = [file for folder in folders for file in Path(folder).rglob("*.py")] or [Path(str(spec and spec.origin))]
+    ours = {_package(item) for item in under_test.installed.items if item.origin.distribution == MBDKIT}
+    trees = {file.name: ast.parse(file.read_text(encoding="utf-8")) for file in files}
+    names = {name: file for file, tree in trees.items() for name in _inner_names(tree, ours)}
+    if not names:
+        return passed(files=len(files))
+    told = listed([f"{name} ({file})" for name, file in sorted(names.items())], "and")
+    return warned(f"it imports what is on no door and may change at any time: {told}", names=len(names))
+
+
+def _package(item: Registered) -> str:
+    return item.origin.entry_point.partition(" = ")[2].partition(":")[0].partition(".")[0]
+
+
+def _inner_names(tree: ast.Module, ours: set[str]) -> Iterator[str]:
+    """Yield the names that a module imports from packages of mbdkit, `ours`, and that are on no door."""
+    for node in ast.walk(tree):
+        names: list[tuple[str, str]] = []
+        if isinstance(node, ast.Import):
+            names = [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names = [(str(node.module), alias.name) for alias in node.names]
+        for module, name in names:
+            imported = f"{module}.{name}".strip(".")
+            if module.partition(".")[0] not in ours or _DOOR.fullmatch(imported):
+                continue
+            if not _DOOR.fullmatch(module) or name not in dir(importlib.import_module(module)):
+                yield imported
 
 
 CHECKS = (functions,)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import to_stderr
 from mbdkit.registry.catalogue import Kind, Registered, Registry
@@ -159,7 +160,8 @@ def verify(
         If there is no such plugin, or its options are invalid.
     """
     under_test = plugin_under_test(kind, name, options or {}, installed)
-    checks = list(checks_of(kind, quick=quick))
+    is_ours = under_test.item.origin.distribution == MBDKIT
+    checks = [*checks_of(kind, quick=quick), *([] if is_ours else [item_checks.imports])]
     results: list[Result] = []
     for number, check in enumerate(checks):
         if watch is not None:

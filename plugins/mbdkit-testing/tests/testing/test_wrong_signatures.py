@@ -46,7 +46,7 @@ class Euler(mbdkit.StepMethod):
         return state.moved(h * (state.v + h * a), h * a)
 
 @lowering
-def lower(jets: dict[str, Jet], into: Lowering, forces: tuple[ActingForce, ...]) -> tuple[str, ...]:
+def lower(jets: dict[str, Jet], lowering: Lowering, acting: tuple[ActingForce, ...]) -> tuple[str, ...]:
     return tuple(jets)
 
 @run_check
@@ -91,9 +91,9 @@ items: list[Item] = [
 """
 
 WRONG = {
-    "element: an argument is missing": (
-        "element-kind:jet", ", into: Lowering, forces: tuple", ", forces: tuple",
-        "takes (jets, forces), not (elements, ",
+    "element: an argument that is not passed": (
+        "element-kind:jet", "acting: tuple[ActingForce, ...])", "acting: tuple[ActingForce, ...], gain: float)",
+        "`@lowering` passes `elements`, `lowering` and `acting`",
     ),
     "element: an argument of another class": (
         "element-kind:jet", "def check(mechanism: Mechanism)", "def check(mechanism: RunSpec)",
@@ -105,7 +105,7 @@ WRONG = {
     ),
     "integrator: one argument too many": (
         "integrator:euler", "create(options: Options)", "create(options: Options, h: float)",
-        "takes (options, h), not (options)",
+        "asks for `h`; `@integrator_method` passes `options`",
     ),
     "integrator: claims that are no claims": (
         "integrator:euler", "-> mbdkit.Claims:", "-> dict[str, int]:", "returns dict",
@@ -114,9 +114,9 @@ WRONG = {
         "integrator:euler", "(options: Options) -> Euler:", "(options: Options) -> Options:",
         "returns Options, not Method",
     ),
-    "spec: assignments are missing": (
-        "spec-kind:jump", "(source: Source, assignments: Iterable[str]) ->", "(source: Source) ->",
-        "takes (source), not (",
+    "spec: assignments by another name": (
+        "spec-kind:jump", "(source: Source, assignments: Iterable[str]) ->", "(source: Source, *, assigned: str) ->",
+        "asks for `assigned`",
     ),
     "spec: assignments by number": (
         "spec-kind:jump", "name: str, assignments: list[str]", "name: str, assignments: int",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import keyword
 import re
 import shutil
@@ -19,7 +20,7 @@ import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import load_installed
-from mbdkit.registry.policy import API
+from mbdkit.registry.policy import FAMILIES
 
 NewKind = Literal[
     "integrator",
@@ -54,6 +55,7 @@ class _Flavour(BaseModel):
     example: str = ""
     command: str
     todo: list[str]
+    further: list[Kind] = []
     words: dict[str, object] = {}
 
 
@@ -128,6 +130,9 @@ def _files(name: str, package: str, item: str, template: str, flavour: _Flavour)
     environment = Environment(
         loader=PackageLoader("mbdkit_testing.scaffold"), undefined=StrictUndefined, keep_trailing_newline=True
     )
+    used = {
+        name: family.version for name, family in FAMILIES.items() if {flavour.kind, *flavour.further} & {*family.kinds}
+    }
     words: dict[str, object] = {
         "name": name,
         "package": package,
@@ -136,7 +141,7 @@ def _files(name: str, package: str, item: str, template: str, flavour: _Flavour)
         "what": flavour.what,
         **flavour.words,
         "formulation": "ggl" if template == "dae" else "index-1",
-        "api": API,
+        "api": json.dumps(used),
         "mbdkit_version": ".".join(mbdkit.__version__.split(".")[:2]),
         "dependencies": flavour.dependencies,
         "attribute": (attribute := item.replace("-", "_")),

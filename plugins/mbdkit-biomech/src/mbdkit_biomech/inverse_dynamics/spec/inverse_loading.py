@@ -18,13 +18,13 @@ InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
 
 
 def load_inverse_spec(
-    source: InverseSource | Document, overrides: Iterable[str] = (), **sections: object
+    source: InverseSource | Document, assignments: Iterable[str] = (), **sections: object
 ) -> InverseSpec:
     """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
 
     Parameters
     ----------
-    source, overrides, sections
+    source, assignments, sections
         See `load_spec`; the source may also be an `InverseSpec`.
 
     Raises
@@ -32,7 +32,7 @@ def load_inverse_spec(
     SpecError
         If the spec is not valid, with the file, line and key path if known.
     """
-    return loaded("inverse", InverseSpec, source, overrides, sections)
+    return loaded("inverse", InverseSpec, source, assignments, sections)
 
 
 spec_loader(load_inverse_spec)
