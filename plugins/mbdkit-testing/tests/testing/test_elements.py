@@ -12,8 +12,7 @@ import mbdkit
 import mbdkit.testing
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import forget
-from mbdkit_testing import checks_of
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.scaffold.new_plugin import new_project
 from tests.installing import install_project
 
