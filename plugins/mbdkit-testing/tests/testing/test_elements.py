@@ -18,7 +18,7 @@ from tests.installing import install_project
 
 STATES = 'rates={"pressure": (sympy.Integer(0), "Pa")}'
 NUMBERS = 'parameters=lambda cylinder: {"area"'
-LAW = f"""plugin.ExpressionLaw(
+LAW = f"""ExpressionLaw(
         -AREA * PRESSURE,  # a positive force pulls
         {STATES},"""
 TRACED = """plugin.TracedLaw(
