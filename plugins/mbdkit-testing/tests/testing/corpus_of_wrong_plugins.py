@@ -8,8 +8,8 @@ from typing import Any
 from tests.testing import corpus, subtle
 
 from mbdkit.registry.catalogue import Registry
-from mbdkit_testing import Result, checks_of
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.check_result import Result
+from mbdkit_testing.kit import checks_of, plugin_under_test
 
 RK4 = {"order": 4, "needs": ("accelerations",)}
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from tests.testing import corpus
 
-from mbdkit_testing import Result, checks_of
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.check_result import Result
+from mbdkit_testing.kit import checks_of, plugin_under_test
 
 
 def one(name: str, kind: str, installed: corpus.Registry) -> Result:

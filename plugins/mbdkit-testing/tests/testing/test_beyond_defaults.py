@@ -16,7 +16,8 @@ from mbdkit import ExpressionLaw, ForceLawPlugin
 from mbdkit.base.errors import with_place
 from mbdkit.registry.manager import registry
 from mbdkit.runs.simulation import simulate
-from mbdkit_testing import Report, Result, verify
+from mbdkit_testing import verify
+from mbdkit_testing.check_result import Report, Result
 from mbdkit_testing.drift_checks import CHECKS as DRIFT
 from mbdkit_testing.kit import plugin_under_test
 from mbdkit_testing.options_under_test import variants

@@ -10,8 +10,9 @@ import pytest
 from tests.testing.corpus_of_wrong_plugins import RIGHT, RK4, WRONG, outcome
 
 import mbdkit
-from mbdkit_testing import Result, verify
+from mbdkit_testing import verify
 from mbdkit_testing.check import Check
+from mbdkit_testing.check_result import Result
 
 from . import corpus, further_faults, overclaims, subtle, wrong_copies, wrong_steps
 

@@ -12,14 +12,13 @@ import mbdkit
 import mbdkit.testing
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import forget
-from mbdkit_testing import checks_of
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.scaffold.new_plugin import new_project
 from tests.installing import install_project
 
 STATES = 'rates={"pressure": (sympy.Integer(0), "Pa")}'
 NUMBERS = 'parameters=lambda cylinder: {"area"'
-LAW = f"""plugin.ExpressionLaw(
+LAW = f"""ExpressionLaw(
         -AREA * PRESSURE,  # a positive force pulls
         {STATES},"""
 TRACED = """plugin.TracedLaw(

@@ -13,11 +13,10 @@ import pytest
 import mbdkit.testing
 from mbdkit.registry.manager import forget
 from mbdkit.spec import load_spec
-from mbdkit_testing import checks_of
 from mbdkit_testing.check_result import Result
 from mbdkit_testing.example_under_test import completed
 from mbdkit_testing.joint_under_test import JointUnderTest
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.scaffold.new_plugin import new_project
 from tests.first_party import ROOT
 from tests.installing import install_module, install_project

@@ -14,8 +14,9 @@ import mbdkit.testing
 from mbdkit import ImplicitRungeKutta
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
-from mbdkit_testing import Report, Result, checks_of, conformance
-from mbdkit_testing.kit import plugin_under_test
+from mbdkit_testing import conformance
+from mbdkit_testing.check_result import Report, Result
+from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.order_checks import reference
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM
 from mbdkit_testing.verification_page import html, write_page
@@ -156,7 +157,7 @@ def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> 
 
 @pytest.mark.parametrize("kind", ["integrator", "model", "force-law", "element-kind"])
 def test_every_check_has_a_name_of_its_own_in_a_group_and_says_what_it_does(kind: Any) -> None:
-    checks = list(mbdkit.testing.checks_of(kind))
+    checks = list(checks_of(kind))
     assert len({check.name for check in checks}) == len(checks)
     assert all(check.what.endswith(".") and len(check.what) > 30 for check in checks)
     assert all(f"`{check.name.partition('.')[0]}`" in README.read_text(encoding="utf-8") for check in checks)
