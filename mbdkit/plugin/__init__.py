@@ -15,7 +15,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.archive.headlines import plus_minus as plus_minus
     from mbdkit.archive.run import Run as Run
     from mbdkit.base.errors import (
-        MbdkitError as MbdkitError, SpecError as SpecError, UnknownNameError as UnknownNameError,
+        MbdkitError as MbdkitError, RunError as RunError, SpecError as SpecError, UnknownNameError as UnknownNameError,
         UnsupportedMechanismError as UnsupportedMechanismError,
     )
     from mbdkit.base.files_read import read_data as read_data

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-import mbdkit
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path, value_text
@@ -26,6 +26,7 @@ from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.stepping.open_simulation import open as open_simulation
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -194,7 +195,7 @@ class PreparedSensitivities:
 
     @cached_property
     def _prepared(self) -> Any:  # a `PreparedRun`, of a part above
-        return mbdkit.prepare(self.spec)
+        return higher_layers.prepared_run(self.spec)
 
     def _initial(self, name: str) -> Parameter:
         quantity = name.removeprefix(f"{INITIAL}.")
@@ -414,7 +415,7 @@ class PreparedSensitivities:
         """Return the quantities (Q, T) at the sorted times, from a simulation that is advanced to each of them."""
         spec = self._prepared.spec_with(plain, start) if start else self._prepared.spec_with(plain)
         found = np.empty((len(self.quantities), len(self.sorted)))
-        with mbdkit.open(spec) as simulation:
+        with open_simulation(spec) as simulation:
             read = simulation.reader(list(self.quantities))
             for column, time in enumerate(self.sorted.tolist()):
                 if time > simulation.time and not simulation.ended:

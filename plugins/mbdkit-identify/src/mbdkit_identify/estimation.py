@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from mbdkit import RunError
+from mbdkit.plugin import RunError
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, estimated_noise
 from mbdkit_identify.problem import FAILED, Problem
 

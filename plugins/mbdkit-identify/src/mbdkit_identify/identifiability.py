@@ -13,8 +13,7 @@ from functools import partial
 import numpy as np
 import sympy as sp
 
-from mbdkit import RunError
-from mbdkit.plugin import MbdkitError, RunSpec, listed
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, listed
 from mbdkit_identify.base_parameters import base_parameters, symbol
 from mbdkit_identify.invariants import NullVectors, blocks, cost, invariants, reduced_basis
 

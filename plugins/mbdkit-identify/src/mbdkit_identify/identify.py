@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit import RunError, prepare
-from mbdkit.plugin import MbdkitError, RunSpec, SpecError, path_text
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
-from mbdkit.plugin.studies import PreparedSensitivities
+from mbdkit.plugin.studies import PreparedSensitivities, prepare
 from mbdkit_identify.estimation import best_fit, factors, failed, fit_at, fit_some
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
