@@ -20,7 +20,8 @@ import mbdkit
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = "mbdkit/models/examples"
 FILES = (
-    "README.md", "CITATION.cff", "LICENSE", "mbdkit/README.md", "mbdkit/guide/*.md", f"{EXAMPLES}/*.*", "schemas/*",
+    "README.md", "CITATION.cff", "LICENSE", "mbdkit/README.md", "mbdkit/*/README.md", "mbdkit/guide/*.md",
+    f"{EXAMPLES}/*.*", "schemas/*",
     "plugins/*/src/*/guide/*.md", "plugins/*/src/*/examples/*.*",
     "plugins/*/src/*/__init__.py", "plugins/mbdkit-paper/src/mbdkit_paper/*/*.md",
     "plugins/README.md", "plugins/*/README.md",

@@ -18,8 +18,13 @@ PARTS = {
 PACKAGES = {"mbdkit": ROOT / "mbdkit", **PARTS}
 """Source folder of each package by its name."""
 
-MAPS = {name: (folder if name == "mbdkit" else folder.parents[1]) / "README.md" for name, folder in PACKAGES.items()}
-"""Map of the code of each package by its name."""
+MAPS = {
+    name: (folder / "README.md", *sorted(folder.glob("*/README.md")))
+    if name == "mbdkit"
+    else (folder.parents[1] / "README.md",)
+    for name, folder in PACKAGES.items()
+}
+"""Maps of the code of each package by its name: of the core, one for each room."""
 
 
 def modules() -> dict[str, Path]:

@@ -47,7 +47,9 @@ def _pattern(name: str) -> str:
 
 @cache
 def of_maps() -> frozenset[Path]:
-    return frozenset().union(*(of_map(MAPS[name].read_text(encoding="utf-8"), PACKAGES[name]) for name in PACKAGES))
+    return frozenset().union(
+        *(of_map(path.read_text(encoding="utf-8"), PACKAGES[name]) for name in PACKAGES for path in MAPS[name])
+    )
 
 
 @cache
