@@ -323,15 +323,15 @@ def outputs_by_sample(
     times: Sequence[float], outputs: Sequence[str], values: Sequence[float]
 ) -> dict[str, list[list[float]]]:
     """Return recorded outputs, ``controller.output``, as one list for each sample by the name of the controller."""
-    found: dict[str, list[list[float]]] = {}
+    results: dict[str, list[list[float]]] = {}
     latest: dict[str, float] = {}
     for time, output, value in zip(times, outputs, values, strict=True):
         controller = output.rpartition(".")[0]
         if latest.get(controller) != time:
-            found.setdefault(controller, []).append([])
+            results.setdefault(controller, []).append([])
             latest[controller] = time
-        found[controller][-1].append(value)
-    return found
+        results[controller][-1].append(value)
+    return results
 
 
 def _histories_of(word: str) -> evaluated[Any]:

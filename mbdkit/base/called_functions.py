@@ -65,17 +65,17 @@ def function_at(target: str) -> Callable[..., Any]:
     module, colon, name = target.partition(":")
     try:
         if colon:
-            found = attrgetter(name)(importlib.import_module(module))
+            result = attrgetter(name)(importlib.import_module(module))
         else:
             points = {point.name: point for point in entry_points(GROUP)[0]}
             if target not in points:
                 hint = did_you_mean(target, points) or f"; there are {listed([*points]) or 'none'}"
                 raise SpecError(f"there is no entry point '{target}' in the group {GROUP}{hint}")
-            found = points[target].load()
+            result = points[target].load()
     except BaseException as error:
         if isinstance(error, SpecError) or is_interrupt(error):
             raise
         raise SpecError(f"the function '{target}' cannot be imported: {one_line(error)}") from error
-    if not callable(found):
-        raise SpecError(f"'{target}' is not a function but of the type {type(found).__name__}")
-    return found  # type: ignore[no-any-return]
+    if not callable(result):
+        raise SpecError(f"'{target}' is not a function but of the type {type(result).__name__}")
+    return result  # type: ignore[no-any-return]

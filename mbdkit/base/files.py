@@ -68,8 +68,8 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     target = Path(path)
     if target.suffix.lower() not in allowed:
         names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
-        given = f"ends in {target.suffix!r}" if target.suffix else "has no suffix"
-        raise SpecError(f"{what} cannot be written to {str(target)!r}, which {given}; its name must end in {names}")
+        text = f"ends in {target.suffix!r}" if target.suffix else "has no suffix"
+        raise SpecError(f"{what} cannot be written to {str(target)!r}, which {text}; its name must end in {names}")
     return target
 
 

@@ -177,7 +177,7 @@ def _written_fields(kind: type[BaseModel]) -> tuple[_WrittenField, ...]:
         _WrittenField(info.serialization_alias or info.alias or name, name, name in absent, info.default)
         for name, info in kind.model_fields.items()
     ]
-    return tuple(sorted(fields, key=lambda one: one.name))
+    return tuple(sorted(fields, key=lambda field: field.name))
 
 
 def canonical(value: Any) -> Any:

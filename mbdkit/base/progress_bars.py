@@ -154,8 +154,8 @@ class _Lines:
         if now - self._printed < LINES_EVERY:
             return
         self._printed, passed = now, now - self._begin
-        made = (share or 0.0) - self._first
-        left = f", about {passed * (1.0 - (share or 0.0)) / made:.0f} s left" if made > 0 else ""
+        result = (share or 0.0) - self._first
+        left = f", about {passed * (1.0 - (share or 0.0)) / result:.0f} s left" if result > 0 else ""
         with suppress(OSError):  # the reader of stderr has closed it
             print(f"{self._what}: {note} after {passed:.0f} s{left}", file=sys.stderr, flush=True)
 

@@ -54,7 +54,7 @@ class Unit:
         if self.is_frequency and wanted.counts[0]:
             return False
         return self.is_like(wanted) and all(
-            own in (0, other) for own, other in zip(self.counts, wanted.counts, strict=True)
+            count in (0, other) for count, other in zip(self.counts, wanted.counts, strict=True)
         )
 
     @property

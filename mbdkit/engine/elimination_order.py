@@ -299,10 +299,10 @@ def symbolic_lu(n: int, row: np.ndarray, column: np.ndarray, choice: PivotChoice
     l_start, l_column = _flat(lower)
     u_start, u_column = _flat(upper)
     weight = (row_scale[row] * column_scale[column])[sort]
-    found = Pattern(
+    result = Pattern(
         a_start, a_column, l_start, l_column, u_start, u_column, row_of, column_of, row_scale, column_scale, weight
     )
-    return found, position
+    return result, position
 
 
 def _flat(rows: list[list[int]]) -> tuple[np.ndarray, np.ndarray]:

@@ -85,9 +85,9 @@ class InterpretedTree:
                     left[second : second + 3] = left[second : second + 3] + rows[r, 1] * multiplier
                     yield int(k), r, multiplier
 
-    def _filled(self, own: Motion) -> Motion:
-        y = Motion(*(np.full(self._size, 0.0, dtype=object) for _ in own))
-        for whole, x in zip(y, own, strict=True):
+    def _filled(self, motion: Motion) -> Motion:
+        y = Motion(*(np.full(self._size, 0.0, dtype=object) for _ in motion))
+        for whole, x in zip(y, motion, strict=True):
             whole[self.places] = x
         return y
 

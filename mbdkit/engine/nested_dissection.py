@@ -124,12 +124,12 @@ def _halves(adjacent: Sequence[set[int]], part: set[int]) -> Iterator[tuple[set[
 
 def _distances(adjacent: Sequence[set[int]], part: set[int], root: int) -> dict[int, int]:
     """Return the number of edges from `root` to each node that can be reached within `part`."""
-    found, layer, distance = {root: 0}, {root}, 0
+    results, layer, distance = {root: 0}, {root}, 0
     while layer:
-        layer = {other for node in layer for other in adjacent[node] if other in part and other not in found}
+        layer = {other for node in layer for other in adjacent[node] if other in part and other not in results}
         distance += 1
-        found.update(dict.fromkeys(layer, distance))
-    return found
+        results.update(dict.fromkeys(layer, distance))
+    return results
 
 
 def _between(adjacent: Sequence[set[int]], first: set[int], second: set[int]) -> Division:

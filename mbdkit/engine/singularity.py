@@ -52,12 +52,12 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
     full[: min(len(q), len(full))] = q[: len(full)]
     near = new_vectors(mechanism)
     independent_jacobian(workspace.engine, float(t), full, np.zeros_like(full), near)
-    pair, place = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
+    pair, places = np.array([row.pair for row in rows]), np.array([row.place for row in rows])
     blocks = w.jac.reshape(-1, 2, 2, 3) * np.sqrt(top.weight[top.pairs[:, BODIES]])[:, None]
     with np.errstate(all="ignore"):
         first = blocks[:, 0] / near[:, L_XX, None, None]
         second = (blocks[:, 1] - near[:, L_YX, None, None] * first) / near[:, L_YY, None, None]
-    values = np.stack([first, second], axis=1)[pair, place].reshape(len(rows), 6)
+    values = np.stack([first, second], axis=1)[pair, places].reshape(len(rows), 6)
     finite = np.all(np.isfinite(values), axis=1)
     if not np.all(finite):
         return 0.0, _joint_of(mechanism, int(pair[np.argmin(finite)]))

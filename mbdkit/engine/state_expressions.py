@@ -116,9 +116,9 @@ class _Terms:
                 return self._of_point(marker.body, marker.held, attribute)
             case "joints":
                 return self._coordinate(name)
-            case further if (own := element_kinds().get(further)) is not None:
+            case further if (element_kind := element_kinds().get(further)) is not None:
                 codes = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "tension": TENSION_INPUT}
-                part, _, value = own.in_expressions[attribute].rpartition(".")
+                part, _, value = element_kind.in_expressions[attribute].rpartition(".")
                 spring = f"{further}.{name}.{part}" if part else f"{further}.{name}"
                 return self._input(codes[value], self.numbering.springs[spring])
             case "forces" if f"forces.{name}" in self.numbering.springs:

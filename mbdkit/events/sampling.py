@@ -85,10 +85,10 @@ def refined(
     """
     known = dict(points)
 
-    def at(place: float) -> Values:
-        if place not in known:
-            known[place] = values_at(place)
-        return known[place]
+    def at(value: float) -> Values:
+        if value not in known:
+            known[value] = values_at(value)
+        return known[value]
 
     for phase in phases:
         _divide(known, at, phase)

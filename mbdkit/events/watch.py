@@ -286,8 +286,8 @@ class Watch:
 
     def taken_nodes(self) -> Nodes:
         """Return the quadrature nodes of the steps since the last call; the part of a step after a stop is excluded."""
-        taken, self._nodes = self._nodes, []
-        return Nodes.joined([*taken, self.stepper.taken_nodes()])
+        nodes, self._nodes = self._nodes, []
+        return Nodes.joined([*nodes, self.stepper.taken_nodes()])
 
     def taken_steps(self) -> list[ConsecutiveSteps]:
         """Return the steps since the last call; if an event has stopped the run, the last step ends at this event."""

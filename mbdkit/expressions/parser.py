@@ -244,10 +244,10 @@ class Compiler:
     def call(self, node: ast.Call, nesting: int) -> Code:
         """Compile a function call."""
         name = node.func.id if isinstance(node.func, ast.Name) else self.segment(node.func)
-        own, count = self.own_functions.get(name), len(node.args)
-        if own is not None and (count == own or name not in FUNCTIONS):
-            if node.keywords or count != own:
-                self.refuse(f"'{name}' takes {own} argument{'s' * (own > 1)}", node)
+        function, count = self.own_functions.get(name), len(node.args)
+        if function is not None and (count == function or name not in FUNCTIONS):
+            if node.keywords or count != function:
+                self.refuse(f"'{name}' takes {function} argument{'s' * (function > 1)}", node)
             return self.of_function(name, [self.compile(argument, nesting + 1) for argument in node.args], node)
         if not isinstance(node.func, ast.Name) or name not in FUNCTIONS:
             hint = did_you_mean(name, [*FUNCTIONS, *self.own_functions])

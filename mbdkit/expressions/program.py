@@ -176,7 +176,7 @@ class _Term:
             if function.__name__ != "power":  # no other function of two operands is in rules that are differentiated
                 return NotImplemented
             return _Term.of(x).__pow__(others[0])
-        return x.then(next(one.name for one in OPERATIONS.values() if one.ufunc is function))
+        return x.then(next(operation.name for operation in OPERATIONS.values() if operation.ufunc is function))
 
 
 _ZERO: _Term = _Term.of(0.0)

@@ -102,9 +102,9 @@ def _varying(term: Term) -> tuple[int, ...]:
     return () if term.operation in _CONSTANT else term.operands
 
 
-def _slope(of: Recorded, by: Recorded, memo: Mapping[int, int], zero: int) -> Recorded:
+def _slope(recorded: Recorded, by: Recorded, memo: Mapping[int, int], zero: int) -> Recorded:
     """Return the derivative of a number, given those of its operands."""
-    recorder, term = of.recorder, of.term
+    recorder, term = recorded.recorder, recorded.term
     operands = [Recorded(recorder, operand) for operand in term.operands]
     own = [Recorded(recorder, memo[operand]) for operand in _varying(term)]
     is_bound = term.operation == "root" and term.operands[-1] == by.index  # by its own unknown
@@ -115,8 +115,8 @@ def _slope(of: Recorded, by: Recorded, memo: Mapping[int, int], zero: int) -> Re
             return recorder.apply("select", [operands[0], *own])
         case "root":
             _, condition, unknown = operands
-            steepness = recorder.replaced(derivative(condition, unknown), unknown, of)
-            return -recorder.replaced(own[0], unknown, of) / steepness  # type: ignore[no-any-return]
+            steepness = recorder.replaced(derivative(condition, unknown), unknown, recorded)
+            return -recorder.replaced(own[0], unknown, recorded) / steepness  # type: ignore[no-any-return]
         case name if name in _NOT_SMOOTH:
             raise PluginError(
                 f"'{name}' {_NOT_SMOOTH[name]}, so it cannot be part of a function that must be differentiated, such "
@@ -125,11 +125,11 @@ def _slope(of: Recorded, by: Recorded, memo: Mapping[int, int], zero: int) -> Re
     total: Any = 0.0
     for factor, slope in zip(_SLOPES[term.operation], own, strict=True):
         if slope.index != zero:
-            total = total + factor(of, *operands) * slope
+            total = total + factor(recorded, *operands) * slope
     return recorder.constant(total)
 
 
-def _slope_of_table(of: Recorded, at: Recorded) -> Recorded | float:
-    number, order = of.term.data
-    is_zero = order + 1 >= of.recorder.tables[number][1]  # above the degree
-    return 0.0 if is_zero else of.recorder.apply("table", [at], (number, order + 1))
+def _slope_of_table(recorded: Recorded, at: Recorded) -> Recorded | float:
+    number, order = recorded.term.data
+    is_zero = order + 1 >= recorded.recorder.tables[number][1]  # above the degree
+    return 0.0 if is_zero else recorded.recorder.apply("table", [at], (number, order + 1))

@@ -97,8 +97,8 @@ class Element(StrictModel):
     @property
     def friction_coefficients(self) -> tuple[float, ...]:
         """Coefficients of dry friction; empty without friction."""
-        own: tuple[float, ...] = getattr(getattr(self, "friction", None), "coefficients", ())
-        return own
+        values: tuple[float, ...] = getattr(getattr(self, "friction", None), "coefficients", ())
+        return values
 
     def extent_points(self) -> list[tuple[str, tuple[float, float]]]:
         """Return (body name, point in the body's frame [m]) of each point that the extent of the mechanism includes."""
@@ -233,22 +233,22 @@ class BetweenPoints(Between):
         points = self._global()
         if self.points is not None and all(point is None for point in points):
             return self
-        given = [key for key, point in zip(self.GLOBAL, points, strict=True) if point is not None]
+        keys = [key for key, point in zip(self.GLOBAL, points, strict=True) if point is not None]
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
-        if self.points is None and not given:
+        if self.points is None and not keys:
             raise SpecError(
                 f"is missing: one point in each body's own frame [m]; or give {names} in the global frame at the "
                 "initial positions",
                 key="points",
             )
-        if self.points is not None and given:
+        if self.points is not None and keys:
             raise SpecError(
                 f"give the position either as `points` (in the frames of the bodies) or as {names} (in the global "
                 "frame), not both",
-                key=given[0],
+                key=keys[0],
             )
-        if given and len(given) < len(self.GLOBAL):
-            lacking = next(key for key in self.GLOBAL if key not in given)
+        if keys and len(keys) < len(self.GLOBAL):
+            lacking = next(key for key in self.GLOBAL if key not in keys)
             raise SpecError(f"is missing: {names} go together", key=lacking)
         return self
 

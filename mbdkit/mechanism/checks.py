@@ -43,7 +43,7 @@ def check_mechanism(
     points = {name for name, body in bodies.items() if body.inertia is None}
     pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
     for key, element in (
-        (f"model.{kind}.{quoted(name)}", one) for kind, named in elements.items() for name, one in named.items()
+        (f"model.{kind}.{quoted(name)}", value) for kind, named in elements.items() for name, value in named.items()
     ):
         _check_element(key, element, bodies, points)
         if isinstance(element, Law) and isinstance(element.pathway, JointAngles):

@@ -118,13 +118,13 @@ def value_and_slopes(
         return none + function, {}
     program = program_of(function)
 
-    def along(own: str) -> tuple[np.ndarray, np.ndarray]:
+    def along(text: str) -> tuple[np.ndarray, np.ndarray]:
         def step(name: str, number: float, *operands: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             if name == "const":
                 return none + number, none
             if name.startswith(_COORDINATE):
                 used = name.removeprefix(_COORDINATE)
-                return coordinates[used], none + float(used == own)
+                return coordinates[used], none + float(used == text)
             return with_slope(name, number, operands, none)
 
         return execute(program, step)

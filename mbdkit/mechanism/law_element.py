@@ -116,5 +116,5 @@ class PluginLookup(Protocol):
 
 def _plugin_lookup(context: object) -> PluginLookup:
     """Return the lookup in a pydantic validation context, a mapping; by default, that of the installed plugins."""
-    given: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
-    return given or higher_layers.installed_plugins()
+    lookup: PluginLookup | None = context.get("plugins") if isinstance(context, Mapping) else None
+    return lookup or higher_layers.installed_plugins()

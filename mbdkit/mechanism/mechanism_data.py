@@ -97,14 +97,14 @@ def check_coordinates(
         )
 
 
-def _check_relative(one: NamedCoordinate, bodies: Container[str], key: str) -> None:
-    owner, _, quantity = one.of.rpartition(".")
-    if one.relative_to is None:
+def _check_relative(coordinate: NamedCoordinate, bodies: Container[str], key: str) -> None:
+    owner, _, quantity = coordinate.of.rpartition(".")
+    if coordinate.relative_to is None:
         return
     if quantity != "angle" or owner not in bodies or owner == GROUND:
-        raise SpecError(f"'{one.of}' is not the angle of a body; `relative_to` needs BODY.angle", key=key)
-    if one.relative_to not in bodies or one.relative_to == owner:
-        raise SpecError(f"'{one.relative_to}' is not another body", key=key)
+        raise SpecError(f"'{coordinate.of}' is not the angle of a body; `relative_to` needs BODY.angle", key=key)
+    if coordinate.relative_to not in bodies or coordinate.relative_to == owner:
+        raise SpecError(f"'{coordinate.relative_to}' is not another body", key=key)
 
 
 #: Kinds of elements of the core: keys of the model, and attributes of `Mechanism`. A canonical spec always has the

@@ -68,9 +68,9 @@ class WrittenText(str):
     @classmethod
     def of(cls, text: str, kind: Kind) -> WrittenText:
         """Return a text with the kind of its value."""
-        made = cls(text)
-        made.kind = kind
-        return made
+        result = cls(text)
+        result.kind = kind
+        return result
 
     def value(self, values: Values, path: Path) -> float | int | str:
         """Return the value for other values of the parameters; see `with_expressions`."""

@@ -54,20 +54,20 @@ def seeds_of(program: Program, start: float, end: float, looks: int) -> list[flo
     """
     close = 64.0 * EPS * max(abs(start), abs(end))
     has_switches = any(name in OPERATIONS and OPERATIONS[name].switch for name, _ in program)
-    found = np.array([time for time, _ in switching_times(program, start, end)] if has_switches else [])
+    result = np.array([time for time, _ in switching_times(program, start, end)] if has_switches else [])
     for operand in sharp_operands(program):
         for which in ("rate", "value"):  # between two zeros of the value, its rate has one
 
             def at(times: np.ndarray, operand: Program = operand, which: str = which) -> np.ndarray:
                 return np.asarray(getattr(jet_and_switches(operand, times)[0], which))
 
-            times = np.union1d(np.linspace(start, end, looks), found)
+            times = np.union1d(np.linspace(start, end, looks), result)
             signs = np.sign(at(times))
             crossed = np.flatnonzero(signs[:-1] * signs[1:] < 0.0)
             exact = times[signs == 0.0] if np.sum(signs == 0.0) < MANY_ZEROS else times[:0]
-            found = np.concatenate([found, exact, _bisected(at, times[crossed], times[crossed + 1])])
-    found = np.sort(found[(found > start + close) & (found < end - close)])
-    seeds: list[float] = found[np.diff(found, prepend=-np.inf) > close].tolist()
+            result = np.concatenate([result, exact, _bisected(at, times[crossed], times[crossed + 1])])
+    result = np.sort(result[(result > start + close) & (result < end - close)])
+    seeds: list[float] = result[np.diff(result, prepend=-np.inf) > close].tolist()
     return seeds
 
 
@@ -81,7 +81,7 @@ def switching_times(program: Program, start: float, end: float, samples: int = S
     span; fewer are taken of long programs.
     """
     times = np.linspace(start, end, max(1000, min(samples, MOST_OPERATIONS // len(program))) + 1)
-    found: dict[float, float] = {}
+    values: dict[float, float] = {}
     level = 0
     while True:
         level += 1
@@ -90,9 +90,9 @@ def switching_times(program: Program, start: float, end: float, samples: int = S
         for number, switch in enumerate(switches):
             if switch.level == level:
                 new.update(_changes(_argument_of(program, number), times, switch.argument))
-        found.update(new)
+        values.update(new)
         if level >= max((switch.level for switch in switches), default=0):
-            return sorted(found.items())
+            return sorted(values.items())
         times = np.unique(np.concatenate([times, list(new)]))
 
 
@@ -129,12 +129,12 @@ def _changes(argument: Callable[[np.ndarray], Jet], times: np.ndarray, sampled: 
     ends = np.maximum(np.abs(argument(low).value), np.abs(argument(high).value))
     with np.errstate(all="ignore"):
         noise = 2.0 * at.rounding / np.abs(at.rate)
-    found = {}
+    values = {}
     for k, root in enumerate(roots):
         if k < len(low) and not abs(at.value[k]) <= ends[k]:
             continue  # a pole, not a change of sign
-        found[float(root)] = float(noise[k]) if np.isfinite(noise[k]) else 0.0
-    return found
+        values[float(root)] = float(noise[k]) if np.isfinite(noise[k]) else 0.0
+    return values
 
 
 def _bisected(function: Callable[[np.ndarray], np.ndarray], low: np.ndarray, high: np.ndarray) -> np.ndarray:

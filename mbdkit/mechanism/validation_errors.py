@@ -222,18 +222,18 @@ def _purpose(owner: type[BaseModel] | None, key: str) -> str:
     return f": {text[:1].lower()}{text[1:]}" if text else ""
 
 
-def _hint(kind: str, given: object, path: Path) -> str:
-    if not isinstance(given, str) or len(given) > 60 or not kind.startswith(("float", "int")):
+def _hint(kind: str, value: object, path: Path) -> str:
+    if not isinstance(value, str) or len(value) > 60 or not kind.startswith(("float", "int")):
         return ""
-    if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", given):
+    if re.fullmatch(r"\s*[-+]?\d+,\d+\s*", value):
         return " (write the decimal comma as a point)"
-    if re.fullmatch(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*", given):
+    if re.fullmatch(r"\s*[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?\s*", value):
         return " (leave out the quotes)"
     only = "only the model of a spec and its motions can have expressions"
     try:
-        program = Expression.parse(given).program
+        program = Expression.parse(value).program
     except SpecError:
-        has_name = re.search(r"(^|[-+*/(])\s*[A-Za-z_]\w*\s*($|[-+*/)])", given) is not None
+        has_name = re.search(r"(^|[-+*/(])\s*[A-Za-z_]\w*\s*($|[-+*/)])", value) is not None
         return f" ({only})" if has_name and path[:1] in OUTSIDE_MODEL else ""
     if len(program) == 1 and program[0][0] == "const":
         return f" ({only}: write {program[0][1]!r})"

@@ -344,6 +344,6 @@ def quantities_of_events() -> str:
         owner = f"{kind.word}.NAME" if kind.one and not kind.is_bare else "NAME" if kind.one else kind.word
         by_element = [bool(kind.owner) and not kind.attributes[name].array.of_whole for name in names]
         written = [f".{name}{'[i]' if indexed else ''}" for name, indexed in zip(names, by_element, strict=True)]
-        of = f" of a {kind.one}{', [i] being its element i, from 0' if any(by_element) else ''}" if kind.one else ""
-        kinds.append(f"{owner}{listed(written, 'and')}{of}")
+        text = f" of a {kind.one}{', [i] being its element i, from 0' if any(by_element) else ''}" if kind.one else ""
+        kinds.append(f"{owner}{listed(written, 'and')}{text}")
     return f"{'; '.join(kinds[:-1])}; and {kinds[-1]}"

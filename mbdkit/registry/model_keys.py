@@ -19,9 +19,9 @@ def model_keys(item: Registered) -> dict[str, ModelKey]:
     """Return the keys that plugins add to the options of a model, in their order; empty for other items."""
     if not isinstance(item.plugin, ModelPlugin):
         return {}
-    own = named_options(item).model_fields
+    model_fields = named_options(item).model_fields
     keys = [cast(ModelKey, known.plugin) for known in registry().of_kind("model-key")]
-    return {key.name: key for key in sorted(keys, key=lambda key: key.order) if key.name not in own}
+    return {key.name: key for key in sorted(keys, key=lambda key: key.order) if key.name not in model_fields}
 
 
 @functools.cache

@@ -83,25 +83,25 @@ def _values(body: Body) -> Iterator[tuple[str, object]]:
             yield key, list(value) if isinstance(value, tuple) else value
 
 
-def _edited(text: str, given: Mapping[str, Body], moved: Mapping[str, Body]) -> str:
+def _edited(text: str, bodies: Mapping[str, Body], moved: Mapping[str, Body]) -> str:
     model = _entry(yaml.compose(text, Loader=yaml.SafeLoader), "model")
     edits: list[_Edit] = []
     for name, body in moved.items():
         node = _entry(_entry(model, "bodies"), name)
         if isinstance(node, yaml.MappingNode):
-            edits += _edits_of_body(text, node, given[name], body)
+            edits += _edits_of_body(text, node, bodies[name], body)
     for section in _mappings(model):
         for element in _mappings(section):
-            edits += _edits_of_points(text, element, given, moved)
+            edits += _edits_of_points(text, element, bodies, moved)
     for begin, end, new in sorted(edits, reverse=True):
         text = text[:begin] + new + text[end:]
     return text
 
 
-def _edits_of_body(text: str, node: yaml.MappingNode, given: Body, moved: Body) -> Iterator[_Edit]:
+def _edits_of_body(text: str, node: yaml.MappingNode, body: Body, moved: Body) -> Iterator[_Edit]:
     added = []
     for key in ("position", "angle", "velocity", "angular_velocity"):
-        before, after = getattr(given, key), getattr(moved, key)
+        before, after = getattr(body, key), getattr(moved, key)
         if before == after:
             continue
         if (value := _entry(node, key)) is not None:
@@ -164,15 +164,15 @@ def _mappings(node: yaml.Node | None) -> Iterator[yaml.MappingNode]:
             yield value
 
 
-def _is_same(one: object, other: object) -> bool:
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        keys = {key for key in one.keys() | other.keys() if one.get(key) or other.get(key)}
-        return all(_is_same(one.get(key, 0.0), other.get(key, 0.0)) for key in keys)
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple) and len(one) == len(other):
-        return all(map(_is_same, one, other))
-    if isinstance(one, int | float) and isinstance(other, int | float):
-        return math.isclose(one, other, rel_tol=SAME, abs_tol=SAME)
-    return bool(one == other)
+def _is_same(value: object, other: object) -> bool:
+    if isinstance(value, Mapping) and isinstance(other, Mapping):
+        keys = {key for key in value.keys() | other.keys() if value.get(key) or other.get(key)}
+        return all(_is_same(value.get(key, 0.0), other.get(key, 0.0)) for key in keys)
+    if isinstance(value, list | tuple) and isinstance(other, list | tuple) and len(value) == len(other):
+        return all(map(_is_same, value, other))
+    if isinstance(value, int | float) and isinstance(other, int | float):
+        return math.isclose(value, other, rel_tol=SAME, abs_tol=SAME)
+    return bool(value == other)
 
 
 def write_assembled(spec: RunSpec, start: AssembledState, text: str, path: Path) -> bool:

@@ -46,8 +46,8 @@ class StateWatchers:
         watched: list[Finding] = []
         for name, watcher in self._watchers.items():
             item, criterion = self._criteria[name]
-            found = use(item, lambda own=watcher: [*own.findings(energies, integrals)])  # type: ignore[misc]
-            watched += as_findings(criterion, found)
+            result = use(item, lambda own=watcher: [*own.findings(energies, integrals)])  # type: ignore[misc]
+            watched += as_findings(criterion, result)
         return [*watched, *findings("end", self._spec, energies)]
 
     def stored(self) -> StoredState:

@@ -89,20 +89,20 @@ def read_estimates(data: dict[str, Any], folder: Path) -> None:
     if not isinstance(data.get("parameters"), Mapping) or FROM not in data["parameters"]:
         return
     texts = plain(data)
-    given, key = texts["parameters"], f"parameters.{FROM}"
-    if not isinstance(file := given.pop(FROM), str):
+    parameters, key = texts["parameters"], f"parameters.{FROM}"
+    if not isinstance(file := parameters.pop(FROM), str):
         raise SpecError(f"should be the file of an identification, not {value_text(file)}", key=key)
     names, values, covariance, reasons = higher_layers.identified_parameters(folder / file)
     used = names_in(texts)
-    rows = [row for row, name in enumerate(names) if name in used and name not in given]
-    if not rows and not given.keys() & set(names):
+    rows = [row for row, name in enumerate(names) if name in used and name not in parameters]
+    if not rows and not parameters.keys() & set(names):
         message = f"has no effect: no expression contains a parameter of {file}, which has {listed(names, 'and')}"
         raise SpecError(message, key=key)
     if unknown := [f"'{names[row]}' ({reasons[row]})" for row in rows if reasons[row]]:
         message = f"{file} has no estimate with a covariance of {listed(unknown, 'and')}; give a number beside `from`"
         raise SpecError(message, key=key)
     taken = {names[row]: float(values[row]) for row in rows}
-    data["parameters"] = taken | given
+    data["parameters"] = taken | parameters
     data.pop("estimates", None)
     if taken:
         data["estimates"] = {"values": taken, "covariance": covariance[np.ix_(rows, rows)].tolist()}

@@ -173,8 +173,8 @@ class ModelSpec(StrictSpec):
     @property
     def estimated(self) -> Estimated | None:
         """The parameters that are estimates, with their covariance; None if there are none."""
-        found = None if self.estimates is None else self.estimates.within(self.parameters)
-        return found if found and found.names else None
+        result = None if self.estimates is None else self.estimates.within(self.parameters)
+        return result if result and result.names else None
 
     @property
     def recorded(self) -> frozenset[str]:

@@ -60,9 +60,9 @@ class DifferentiatedLaws:
         given = np.zeros((2, self._values.shape[-1])) if arguments is None else arguments
         numbers = np.concatenate([given, self._values[first : first + count]])
         value, *slopes = evaluated(*numbers[:, 0].tolist(), t)
-        found = np.array(slopes, dtype=float) @ numbers
-        found[0] = value
-        return np.asarray(found)
+        result = np.array(slopes, dtype=float) @ numbers
+        result[0] = value
+        return np.asarray(result)
 
     def state_rates(self, t: float, forces: np.ndarray) -> np.ndarray:
         """Return the rates of all first-order states with their derivatives with respect to parameters, (Z, 1 + K).
@@ -73,12 +73,12 @@ class DifferentiatedLaws:
             (F, 5, 1 + K) values of the force elements, of which the first two are length and rate.
         """
         top = self._mechanism.topology
-        found = np.zeros((len(top.states), self._values.shape[-1]))
+        values = np.zeros((len(top.states), self._values.shape[-1]))
         for state, (segment, _, row) in enumerate(top.states.tolist()):
             if row >= 0:
                 own = None if segment < 0 else forces[top.force_place[segment], :2]
-                found[state] = self.value(row, t, own)
-        return found
+                values[state] = self.value(row, t, own)
+        return values
 
 
 def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[float]], int]:

@@ -117,8 +117,8 @@ class HostNodes:
 
     def taken(self) -> Nodes:
         """Return the nodes of the steps since the last call."""
-        taken, self._steps = self._steps, []
-        return Nodes.joined([Nodes.none(self._size), *taken])
+        steps, self._steps = self._steps, []
+        return Nodes.joined([Nodes.none(self._size), *steps])
 
     def keep_step(
         self,

@@ -219,23 +219,23 @@ class StepAttempts:
                 given = called(f"{name}.advance", method.advance)
             else:
                 given = called(f"{name}.step", method.step, self.equations, t, state, h)
-            made, new = self.results.step(given, what)
+            result, new = self.results.step(given, what)
         except StepError as error:
             raise self._unsolved(h, error) from None
         self._judged = math.inf, 0.0
         if self.control is not None:
-            self._judged = self.control.judge(made, new, h, self._begin, retrying=self._retrying)
-        elif not made.accepted and self._is_external:
+            self._judged = self.control.judge(result, new, h, self._begin, retrying=self._retrying)
+        elif not result.accepted and self._is_external:
             raise ValueError(f"{name}.advance returned a step that is not accepted")
-        elif not made.accepted:
-            raise RejectedError(0.5 * h if made.next_step is None else made.next_step)
-        elif made.next_step is not None:
-            self._judged = made.next_step, 0.0
-        self._made = made
-        if made.event is not None:
-            ended = made.event.time
-        elif made.time is not None:
-            ended = float(made.time)
+        elif not result.accepted:
+            raise RejectedError(0.5 * h if result.next_step is None else result.next_step)
+        elif result.next_step is not None:
+            self._judged = result.next_step, 0.0
+        self._made = result
+        if result.event is not None:
+            ended = result.event.time
+        elif result.time is not None:
+            ended = float(result.time)
             if not t < ended <= end + 4.0 * margin_of_stops(self.timetable):
                 raise ValueError(
                     f"{name}.{what} returned time = {ended!r}, which is not later than the start of the step, {t!r}, "

@@ -314,9 +314,9 @@ class StepHost:
 
     def _watched(self, before: Reached, attempt: Attempt) -> Failure | None:
         there, taken = attempt.end, attempt.taken
-        made = None if taken.made is taken.reached else (taken.made.q, taken.made.v)
+        result = None if taken.made is taken.reached else (taken.made.q, taken.made.v)
         states = before.state.q, before.state.v, taken.reached.q, taken.reached.v
-        return self._watch.step((before.begin, there.time), *states, there.energy - before.energy, made)
+        return self._watch.step((before.begin, there.time), *states, there.energy - before.energy, result)
 
     # ---- the last step -------------------------------------------------------------------------------------------
 
@@ -390,7 +390,7 @@ class StepHost:
         assert last is not None
         before, step = last.before, last.ends
         t, close = step.time(theta), SAME_TIME * margin_of_stops(self.timetable)
-        taken: list[StepTaken] = [step]
+        takens: list[StepTaken] = [step]
         if step.t1 - t <= close:
             there = self.now
         else:
@@ -398,19 +398,19 @@ class StepHost:
             there = before if is_start else self._shortened(last, theta)
             self.finished, self.failure = False, None
             self._nodes.drop_last()
-            taken = []
+            takens = []
             if not is_start:
                 there = there._replace(whole=before.whole, passed=before.passed, restart=t, is_event=True, event=None)
                 self._keep_nodes(last, there, theta)
                 q, v = _with_ground(there.state)
-                taken = [replace(step, t1=t, q1=q, v1=v, z1=there.state.z)]
+                takens = [replace(step, t1=t, q1=q, v1=v, z1=there.state.z)]
         self.rows.next_row = last.next_row
         self._go_to(there)
         rows: list[RecordedRow] = []
-        if taken:
+        if takens:
             rows, self.now = self.rows.due(before, last, there, end=t, finished=self.finished)
-        self._last = last._replace(ends=taken[0]) if taken else None
-        return self.rows.stretch(rows), taken
+        self._last = last._replace(ends=takens[0]) if takens else None
+        return self.rows.stretch(rows), takens
 
     def change(self, values: Mapping[int, float]) -> None:
         """See `mbdkit.integrators.run.splitting.Splitting.change`."""

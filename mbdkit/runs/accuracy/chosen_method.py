@@ -351,11 +351,11 @@ class _Search:
         """Return the tolerance or step [s] of the first pilot run, and the divisor that gives that of the second."""
         spec = self.spec
         if candidate.adaptive:
-            given = candidate.integrator.get("rtol") if spec.choose == "step" else None
+            rtol = candidate.integrator.get("rtol") if spec.choose == "step" else None
             # Pilots have larger tolerances than the run, so that they cost less: the tolerance decreases by one decade
             # if the requested accuracy decreases by three.
             loose = LOOSEST * elementary.pow(self.asked / LOOSEST, 1 / 3)
-            return min(max(_rounded(float(given or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
+            return min(max(_rounded(float(rtol or loose)), TENTH * TIGHTEST), LOOSEST), TENTH
         span = spec.time.final - spec.time.start
         steps = span / spec.time.step if spec.time.step is not None else 2 * SAMPLES
         return span / _dividing(steps), 2.0

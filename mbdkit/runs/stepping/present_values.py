@@ -88,8 +88,8 @@ class PresentValues:
 
     def __init__(self, workspace: Workspace, stepper: CompiledStepper | StepHost, expressions: Sequence[RunExpression]):
         self._now = PresentState(stepper)
-        quantities = list(dict.fromkeys(quantity for one in expressions for quantity in one.quantities))
-        places = {quantity: place for place, quantity in enumerate(quantities, start=1)}
+        quantities = list(dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities))
+        places = {quantity: index for index, quantity in enumerate(quantities, start=1)}
         self._own = own = workspace.with_own_pivots()
         names = archive_names(workspace.mechanism)
         self._values: list[float] = [0.0] * (len(quantities) + 1)

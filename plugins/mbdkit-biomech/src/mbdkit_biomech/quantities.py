@@ -24,11 +24,11 @@ def _of_muscles(name: str, units: str, what: str, **more: Any) -> Recorded:
     return Recorded(name, _TU, units, what, take=lambda s: s.of(MuscleValues).array(name), **more)
 
 
-def _of_knees(column: int, name: str, place: str, unknown: str) -> Recorded:
+def _of_knees(column: int, name: str, text: str, unknown: str) -> Recorded:
     chart = Chart(
-        name.replace("_", "-"), f"Force {place}", "Positive where surfaces are pressed together.", "force", "N"
+        name.replace("_", "-"), f"Force {text}", "Positive where surfaces are pressed together.", "force", "N"
     )
-    what = f"force {place}; nan {unknown}"
+    what = f"force {text}; nan {unknown}"
     return Recorded(name, _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column], charts=(chart,))
 
 

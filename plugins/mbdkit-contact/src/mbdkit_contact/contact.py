@@ -123,9 +123,9 @@ class Shape(StrictModel):
 
     @model_validator(mode="after")
     def _one(self) -> Shape:
-        given = [name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None]
-        if len(given) != 1:
-            what = f"not {listed(given, 'and')}" if given else "for example {circle: {radius: 0.1}}"
+        names = [name for name in self.ABSENT_BY_DEFAULT if getattr(self, name) is not None]
+        if len(names) != 1:
+            what = f"not {listed(names, 'and')}" if names else "for example {circle: {radius: 0.1}}"
             raise SpecError(f"a shape is one of {listed(self.ABSENT_BY_DEFAULT, 'and')}, {what}")
         if self.polyline is not None:
             try:
@@ -364,7 +364,7 @@ class Contact(Element):
             names = [(f"bodies[{i}]", f"shapes[{i}]", name) for i, name in enumerate(self.bodies)]
         else:
             names = [(f"among[{i}]", f"shapes.{quoted(name)}", name) for i, name in enumerate(self.among or ())]
-        return [(*given, shape) for given, shape in zip(names, self._ordered(), strict=True)]
+        return [(*name, shape) for name, shape in zip(names, self._ordered(), strict=True)]
 
     def _ordered(self) -> list[Shape]:
         return [self.shapes[name] for name in self.among or ()] if isinstance(self.shapes, dict) else list(self.shapes)
@@ -486,9 +486,9 @@ def _rows(name: str, key: str, bodies: tuple[str, str], first: Shape, second: Sh
         bodies, first, second = (bodies[1], bodies[0]), second, first
 
     def row(number: int | None, kind: str, numbers: Sequence[float], radius: float) -> ContactPair:
-        own = name if number is None else f"{name}.{number}"
+        text = name if number is None else f"{name}.{number}"
         count = 0 if first.polygon is None else len(first.polygon)
-        return ContactPair(own, key, bodies, (kind, count), tuple(numbers), radius, swapped)
+        return ContactPair(text, key, bodies, (kind, count), tuple(numbers), radius, swapped)
 
     if first.polyline is not None:
         yield from _rows_on_polyline(name, key, bodies, first.polyline, second, swapped)

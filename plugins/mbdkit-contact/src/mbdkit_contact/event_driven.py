@@ -69,17 +69,17 @@ class EventDriven(StepMethod):
         except NotAcceptedError as rejected:
             return Step(state, accepted=False, next_step=rejected.size)
         end = reached(step, event, self.carries_multipliers)
-        made = step.now.made
+        result = step.now.made
         dense = None
-        if made is not None and made.dense is not None and step.begin is not None:
-            dense = _closing(made.dense, step.begin, step.now)
+        if result is not None and result.dense is not None and step.begin is not None:
+            dense = _closing(result.dense, step.begin, step.now)
         happens = None if event is None else ContactEvent(self.after_event, end.memory.time)
         error = step.error
         if error is not None:
             n = 2 * equations.n
             error = np.concatenate([error[:n], events.contacts.all_states(error[n:])])
         dense = _with_forces(events, begin, end, dense)
-        return Step(end, error, dense, next_step=None if made is None else made.next_step, event=happens)
+        return Step(end, error, dense, next_step=None if result is None else result.next_step, event=happens)
 
     def after_event(self, equations: EquationsOfMotion, t: float, state: StepState) -> StepState:
         """Return the state after the event at which a step has ended."""
@@ -104,8 +104,8 @@ def reached(step: EventStep, event: Event | None, carries_multipliers: bool) -> 
 def _closing(dense: Dense, begin: StepPoint, end: StepPoint) -> Dense:
     """Return dense output that ends in a state which differs by rounding errors or a projection."""
     assert end.made is not None
-    made = end.made.state
-    moves = end.q - made.q, end.v - made.v, end.z - made.z
+    state = end.made.state
+    moves = end.q - state.q, end.v - state.v, end.z - state.z
 
     def closed(theta: float) -> tuple[np.ndarray, ...]:
         if theta == 0.0:
@@ -208,12 +208,12 @@ class EventDrivenLibrary(ExternalMethod):
         step, begin = self._step, self._step.now
         while True:
             with step.events.acting():
-                made = step.acting(self._library.advance())
-            if made.dense is None or made.time is None:
+                result = step.acting(self._library.advance())
+            if result.dense is None or result.time is None:
                 raise StepError("not-finite", "the library gives no states within its steps")
-            end = made.state
-            step.dense = dense = made.dense
-            there = StepPoint(float(made.time), end.q, end.v, end.z, multipliers=end.multipliers, made=made)
+            end = result.state
+            step.dense = dense = result.dense
+            there = StepPoint(float(result.time), end.q, end.v, end.z, multipliers=end.multipliers, made=result)
             search = step.first_event(there)
             if search is None or not step.is_unclear:
                 break
@@ -228,7 +228,7 @@ class EventDrivenLibrary(ExternalMethod):
             there = step.closed(there)
             self._ended = True
         h = there.t - begin.t
-        inside = _closing(lambda theta: dense(theta * share), begin, replace(there, made=Step(_end(made, share))))
+        inside = _closing(lambda theta: dense(theta * share), begin, replace(there, made=Step(_end(result, share))))
         if event is None and end.work is not None and end.dissipated is not None:
             work, lost = end.work, end.dissipated
         elif h > 0.0:
@@ -270,11 +270,11 @@ class EventDrivenLibrary(ExternalMethod):
             self._library.restore(stored[8:])
 
 
-def _end(made: Step, share: float) -> StepState:
-    assert made.dense is not None
+def _end(step: Step, share: float) -> StepState:
+    assert step.dense is not None
     if share == 1.0:
-        return made.state
-    q, v, z = made.dense(share)[:3]
+        return step.state
+    q, v, z = step.dense(share)[:3]
     return StepState(q, v, z=z)
 
 

@@ -148,20 +148,20 @@ class EventStep:
                 begin = replace(begin, multipliers=None)
                 begin = replace(begin, memory=method.begin(equations, now.t, begin, "event"))
             new = method.step(equations, now.t, begin, h)
-        made = new if isinstance(new, Step) else Step(new)
-        if not made.accepted:
-            raise NotAcceptedError(0.5 * h if made.next_step is None else made.next_step)
-        if made.time is not None or made.event is not None:
+        result = new if isinstance(new, Step) else Step(new)
+        if not result.accepted:
+            raise NotAcceptedError(0.5 * h if result.next_step is None else result.next_step)
+        if result.time is not None or result.event is not None:
             raise TypeError("the treatment event-driven needs steps that end at the time for which they are asked")
-        made = self.acting(made)
-        end = self.closed(StepPoint(now.t + h, made.state.q, made.state.v, made.state.z))
+        result = self.acting(result)
+        end = self.closed(StepPoint(now.t + h, result.state.q, result.state.v, result.state.z))
         with self.events.acting():
-            memory = method.begin(equations, end.t, replace(made.state, q=end.q, v=end.v), "projection")
-            work, lost = made.state.work, made.state.dissipated
+            memory = method.begin(equations, end.t, replace(result.state, q=end.q, v=end.v), "projection")
+            work, lost = result.state.work, result.state.dissipated
             if work is None or lost is None:
-                work, lost = gains(equations, now, end, made)
+                work, lost = gains(equations, now, end, result)
         work, lost = now.work + work, now.dissipated + lost
-        return StepPoint(end.t, end.q, end.v, end.z, work, lost, memory, made.state.multipliers, made)
+        return StepPoint(end.t, end.q, end.v, end.z, work, lost, memory, result.state.multipliers, result)
 
     def acting(self, made: Step) -> Step:
         """Return a step whose dense output, which may evaluate the equations of motion, includes closed contacts."""
@@ -270,9 +270,9 @@ class EventStep:
         return max(SAMPLES, int(min(fastest * (there.t - self.now.t) / TURN, MOST_SAMPLES)))
 
     def _inside(self, there: StepPoint, share: float) -> StepPoint:
-        now, made = self.now, there.made
+        now, result = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
-        between = taken.between if made is None or made.dense is None else made.dense
+        between = taken.between if result is None or result.dense is None else result.dense
         q, v, z = between(share)[:3]
         return StepPoint(taken.time(share), q, v, z)
 

@@ -54,9 +54,9 @@ def _shapes(contacts: Mapping[str, object]) -> Iterator[tuple[str, dict[str, obj
         yield from ((place, shape) for place, shape in places if isinstance(shape, dict))
 
 
-def _points(given: Mapping[str, object], folder: Path) -> list[list[float]]:
+def _points(values: Mapping[str, object], folder: Path) -> list[list[float]]:
     try:
-        table = PolylineFile.model_validate(given)
+        table = PolylineFile.model_validate(values)
     except ValidationError as error:
         raise spec_error(error, PolylineFile) from None
     try:

@@ -153,15 +153,15 @@ def _colors(lefts: np.ndarray, rights: np.ndarray, reach: float) -> list[int]:
     return colors
 
 
-def _ahead(corners: np.ndarray, place: np.ndarray, along: np.ndarray) -> np.ndarray:
+def _ahead(corners: np.ndarray, values: np.ndarray, along: np.ndarray) -> np.ndarray:
     """Return the corners (x, y) in a frame at a place, with the axis x in the direction `along`."""
-    x, y = (corners - place).T
+    x, y = (corners - values).T
     return np.column_stack([x * along[0] + y * along[1], y * along[0] - x * along[1]])
 
 
-def _way_out(corners: np.ndarray, place: np.ndarray, along: np.ndarray, tiny: float) -> float:
+def _way_out(corners: np.ndarray, values: np.ndarray, along: np.ndarray, tiny: float) -> float:
     """Return how far a ray that begins at a corner goes through the material before it leaves it [m]."""
-    seen = _ahead(corners, place, along)
+    seen = _ahead(corners, values, along)
     (ax, ay), (bx, by) = seen[:-1].T, seen[1:].T
     with np.errstate(divide="ignore", invalid="ignore"):
         at = ax - ay * (bx - ax) / (by - ay)

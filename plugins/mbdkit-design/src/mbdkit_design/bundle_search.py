@@ -153,18 +153,18 @@ def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most:
     _, decrease = _model_step(at_end, [at_end], NEAR)
     if at_end.cost >= FAILED or decrease <= FLAT * NEAR * max(abs(at_end.cost), 0.1):
         return ended
-    found = bundle_search(problem, end, radius=NEAR, tolerance=tolerance, most=most)
-    if not any(_slopes_jump(at_end, linearization) for linearization in found.linearizations):
+    result = bundle_search(problem, end, radius=NEAR, tolerance=tolerance, most=most)
+    if not any(_slopes_jump(at_end, linearization) for linearization in result.linearizations):
         return ended  # no kink; the model may decrease for another reason, such as a limit without a slope
-    found.message = f"{str(ended.message).rstrip('.')} at a kink; from there, {found.message}"
-    return found
+    result.message = f"{str(ended.message).rstrip('.')} at a kink; from there, {result.message}"
+    return result
 
 
-def _slopes_jump(one: Linearization, other: Linearization) -> bool:
+def _slopes_jump(linearization: Linearization, other: Linearization) -> bool:
     """Return whether two neighbouring points have such different derivatives that there is a kink between them."""
-    if np.max(np.abs(one.point - other.point)) > 2 * NEAR:
+    if np.max(np.abs(linearization.point - other.point)) > 2 * NEAR:
         return False
-    here, there = (np.vstack([x.slope, x.margin_slopes]) for x in (one, other))
+    here, there = (np.vstack([x.slope, x.margin_slopes]) for x in (linearization, other))
     return bool(np.max(np.abs(here - there)) > JUMP * np.max(np.abs(here)))
 
 
@@ -181,11 +181,11 @@ def _model_step(center: Linearization, bundle: list[Linearization], radius: floa
     if not size:
         return np.zeros(n), 0.0
     rows, limits = [], []
-    for one in bundle:
-        cost, margins = one.at(center)
-        rows.append([*(radius / size * one.slope), -1.0, 0.0])  # change z of the cost: cost + slope d <= z
+    for linearization in bundle:
+        cost, margins = linearization.at(center)
+        rows.append([*(radius / size * linearization.slope), -1.0, 0.0])  # change z of the cost: cost + slope d <= z
         limits.append((center.cost - cost) / size)
-        for margin, slope in zip(margins, one.margin_slopes, strict=True):
+        for margin, slope in zip(margins, linearization.margin_slopes, strict=True):
             rows.append([*(-radius / size * slope), 0.0, -1.0])  # violation s: -(margin + slope d) <= s
             limits.append(margin / size)
     low, high = np.maximum(-1.0, -center.point / radius), np.minimum(1.0, (1.0 - center.point) / radius)

@@ -90,16 +90,16 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
             start = best
             if isinstance(optimizer, LocalOptimizer):
                 optimizer = optimizer.model_copy(update={"starts": 1})
-        found = searches(problem, optimizer, start)[0]
+        result = searches(problem, optimizer, start)[0]
     except RunError as error:
         stages.notify(f"{name}: {error}")
         return Comparison(name, None, None, False, f"There is no best point with {name}: {str(error).rstrip('.')}.")
-    end = found.end
+    end = result.end
     (unit,) = goal_units(evaluator.spec).values()
     stages.notify(f"{counted(evaluator.runs, 'run')}: with {name}, the least {evaluator.spec.totals[0]} seems to be "
                   f"{with_unit(other.totals(end)[0], unit)}")  # fmt: skip
     is_feasible = Problem(evaluator).is_feasible(end)
-    reason = "" if found.feasible else f"With {name}, the search found no point that satisfies all limits."
+    reason = "" if result.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)
     return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason, *own)
 

@@ -35,12 +35,12 @@ def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     if evaluator.why_differences or np.any(np.isnan(evaluator.values(x[None]))):
         return differences(evaluator, x)
     try:
-        found = np.array([gradient.jacobian for gradient in gradients(evaluator, x, check=False)])
+        jacobians = np.array([gradient.jacobian for gradient in gradients(evaluator, x, check=False)])
     except MbdkitError as error:
         evaluator.why_differences = str(error).rstrip(".")
         return differences(evaluator, x)
     evaluator.gradients += 1
-    return np.asarray(found * evaluator.widths)
+    return np.asarray(jacobians * evaluator.widths)
 
 
 def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
@@ -93,7 +93,7 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
     MbdkitError
         If a scenario has no gradients.
     """
-    settings, found = evaluator.settings(x), []
+    settings, results = evaluator.settings(x), []
     for scenario in evaluator.scenarios:
         spec = scenario.at(settings)
         parameters = resolved(spec, [path_text(path) for path, _ in settings])
@@ -101,8 +101,8 @@ def gradients(evaluator: Evaluator, x: np.ndarray, *, check: bool) -> list[Gradi
         with one_thread_of_linear_algebra():
             differentiate = spec.spec_kind.differentiate
             assert differentiate is not None
-            found.append(cast("Callable[..., Gradient]", differentiate())(spec, definitions, parameters, check=check))
-    return found
+            results.append(cast("Callable[..., Gradient]", differentiate())(spec, definitions, parameters, check=check))
+    return results
 
 
 def derivatives_sentence(evaluator: Evaluator) -> str:

@@ -112,7 +112,7 @@ class Design:
             goal_units(self.spec),
             measure_units(self.spec),
         )
-        told = {name: "unknown" if np.isnan(one) else f"{one:.1g}" for name, one in self.trust.errors.items()}
+        told = {name: "unknown" if np.isnan(error) else f"{error:.1g}" for name, error in self.trust.errors.items()}
         for name, value in self.best.variables.items():
             rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", "",
                          variable_unit(self.spec, name)))  # fmt: skip
@@ -190,16 +190,16 @@ class Design:
 
     def _uncertain_limits(self) -> list[str]:
         """Return sentences about limits that the best point may violate because of the errors of its runs."""
-        found, units = [], {name: unit for (_, name), unit in measure_units(self.spec).items()}
+        texts, units = [], {name: unit for (_, name), unit in measure_units(self.spec).items()}
         for name, limit in self.spec.subject_to.items():
             values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
             unit = units[name]
             for end in (one for one in (limit.max, limit.min) if one is not None):
                 is_near = min(abs(value - end) for value in values) < error
                 if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
-                    found.append(f"{name} may violate its limit of {with_unit(end, unit)}, because its error is "
+                    texts.append(f"{name} may violate its limit of {with_unit(end, unit)}, because its error is "
                                  f"{with_unit(error, unit, 2)}.")  # fmt: skip
-        return found
+        return texts
 
     @property
     def gains(self) -> list[Gain]:
@@ -224,19 +224,19 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         stages.notify(f"warning: {warning}")
     stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
-    found = searches(problem, spec.optimizer, first)
+    result = searches(problem, spec.optimizer, first)
     at = ", ".join(f"{name} {with_unit(value, variable_unit(spec, name))}"
-                   for name, value in evaluator.variables(found[0].end).items())  # fmt: skip
-    least, before = evaluator.totals(found[0].end)[0], evaluator.totals(first)[0]
+                   for name, value in evaluator.variables(result[0].end).items())  # fmt: skip
+    least, before = evaluator.totals(result[0].end)[0], evaluator.totals(first)[0]
     unit = goal_units(spec)[spec.totals[0]]
     stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {with_unit(least, unit)} at {at}; "
                   f"at the start it is {with_unit(before, unit)}")  # fmt: skip
-    front = [found[0]] if len(spec.totals) == 1 else pareto_front(evaluator, found[0], stages.notify)
+    front = [result[0]] if len(spec.totals) == 1 else pareto_front(evaluator, result[0], stages.notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)
     stages.begin("errors of the result")
     trust = certified(evaluator, first, best.end)
     near = sum(
-        one.feasible == found[0].feasible and one.cost <= found[0].cost + 1e-3 * abs(found[0].cost) for one in found
+        one.feasible == result[0].feasible and one.cost <= result[0].cost + 1e-3 * abs(result[0].cost) for one in result
     )
     alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()
     return Design(
@@ -248,7 +248,7 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         is_feasible=best.feasible,
         runs=evaluator.runs,
         failures=evaluator.failures,
-        searches=(near, len(found)),
+        searches=(near, len(result)),
         message=best.message,
         is_converged=best.is_converged,
         derivatives=derivatives_sentence(evaluator),

@@ -67,11 +67,11 @@ def _kind(quantity: Quantity, unit: str) -> str:
 
 def _quantities(design: Design, spec: RunSpec | InverseSpec) -> Sequence[Quantity]:
     """Return the quantities over time that the expressions of goals and limits contain."""
-    found: dict[Quantity, None] = {}
+    results: dict[Quantity, None] = {}
     for measure in design.spec.defined_measures():
         parsed = MeasureExpression.parse(measure.expression, spec, measure.unit)
-        found |= dict.fromkeys(quantity for quantity in parsed.quantities if quantity.is_over_time)
-    return list(found)
+        results |= dict.fromkeys(quantity for quantity in parsed.quantities if quantity.is_over_time)
+    return list(results)
 
 
 def _line(which: str, quantity: Quantity, run: Run) -> Line:
@@ -155,5 +155,5 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
 
 
 def _common(units: Mapping[str, str]) -> str:
-    found = set(units.values())
-    return found.pop() if len(found) == 1 else ""
+    result = set(units.values())
+    return result.pop() if len(result) == 1 else ""

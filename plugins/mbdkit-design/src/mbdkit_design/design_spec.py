@@ -52,12 +52,12 @@ class _WithUnit(Section):
         values, units = copied(data), []  # type: dict[str, Any], list[Unit]
         for key, value in values.items():
             numbers = value if isinstance(value, list) else [value]
-            for place, number in enumerate(numbers if key in cls.NUMBERS else ()):
+            for index, number in enumerate(numbers if key in cls.NUMBERS else ()):
                 with SpecError.locate(key):
                     quantity = read_quantity(number)
                 if quantity is None:
                     continue
-                numbers[place] = quantity[0]
+                numbers[index] = quantity[0]
                 units.append(quantity[1])
                 if not (quantity[1].fits(units[0]) or units[0].fits(quantity[1])):
                     raise SpecError(f"has the unit {quantity[1]}, which does not fit the unit {units[0]}", key=key)
@@ -224,12 +224,12 @@ class EvolutionStrategy(Section):
 Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
 
 
-def _check_goals(given: object) -> object:
-    if not isinstance(given, str | Mapping):
-        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(given)}")
-    if isinstance(given, Mapping) and not given:
+def _check_goals(value: object) -> object:
+    if not isinstance(value, str | Mapping):
+        raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(value)}")
+    if isinstance(value, Mapping) and not value:
         raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
-    return given
+    return value
 
 
 def _check_comparison(settings: dict[str, object]) -> dict[str, object]:
@@ -380,7 +380,7 @@ class DesignSpec(StrictSpec):
 
     def defined_measures(self) -> Iterator[DefinedMeasure]:
         """Yield goals and limits as measures, with their locations in this spec."""
-        for one in defined(self.goals, ("minimize",)):
-            yield one if isinstance(self.minimize, Mapping) else replace(one, place=("minimize",))
+        for measure in defined(self.goals, ("minimize",)):
+            yield measure if isinstance(self.minimize, Mapping) else replace(measure, place=("minimize",))
         for name, limit in self.subject_to.items():
             yield from defined({name: limit.measure}, ("subject_to",))

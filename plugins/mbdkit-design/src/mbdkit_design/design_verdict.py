@@ -52,8 +52,8 @@ def _gains(design: Design) -> Iterator[Claim]:
         answer = Answer.OPEN if gain.is_real is None else Answer.YES if gain.is_real else Answer.NO
         statement = f"The gain of the {goal_words(gain.name)} exceeds the errors of both points."
         sentence = f"The {goal_words(gain.name)} changes {gain.text()}."
-        found = f"{gain.start:.6g} to {gain.best:.6g}{unit}, {known}"
-        yield Claim(f"gain-{gain.name}", statement, "", found, answer, sentence)
+        text = f"{gain.start:.6g} to {gain.best:.6g}{unit}, {known}"
+        yield Claim(f"gain-{gain.name}", statement, "", text, answer, sentence)
 
 
 def _certified(design: Design) -> Claim:
@@ -70,22 +70,22 @@ def _limits(design: Design) -> Iterator[Claim]:
         yield Claim("limits", "The best point satisfies all limits.", "", text, answer, "")
 
 
-def _compared(design: Design, one: Comparison) -> Claim:
+def _compared(design: Design, comparison: Comparison) -> Claim:
     """Return the claim that the search with other settings of the runs finds the same best point."""
-    name = f"compared-{[*design.spec.compare].index(one.name) + 1}"
-    statement = f"With {one.name}, the best point is the same."
-    if one.believed is None or one.actual is None:
-        return Claim(name, statement, "", one.reason, Answer.NO, one.reason)
+    name = f"compared-{[*design.spec.compare].index(comparison.name) + 1}"
+    statement = f"With {comparison.name}, the best point is the same."
+    if comparison.believed is None or comparison.actual is None:
+        return Claim(name, statement, "", comparison.reason, Answer.NO, comparison.reason)
     (goal,) = design.best.goals
     unit = f" {units}" if (units := goal_units(design.spec)[goal]) else ""
-    believed, actual, best = (point.goals[goal] for point in (one.believed, one.actual, design.best))
+    believed, actual, best = (point.goals[goal] for point in (comparison.believed, comparison.actual, design.best))
     moved = max(
-        abs(one.believed.variables[key] - design.best.variables[key]) / variable.width
+        abs(comparison.believed.variables[key] - design.best.variables[key]) / variable.width
         for key, variable in design.spec.variables.items()
     )
     size = max(abs(best), abs(design.start.goals[goal]))
-    same = moved <= SAME and abs(believed - best) <= SAME * size and one.is_feasible
-    in_fact = "a run fails there" if one.fails else f"it is {actual:.6g}{unit}"
+    same = moved <= SAME and abs(believed - best) <= SAME * size and comparison.is_feasible
+    in_fact = "a run fails there" if comparison.fails else f"it is {actual:.6g}{unit}"
     text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
     if same:
         return Claim(
@@ -94,12 +94,12 @@ def _compared(design: Design, one: Comparison) -> Claim:
             "",
             text,
             Answer.YES,
-            f"{one.confirmation(goal_units(design.spec)[goal])} {one.reason}".strip(),
+            f"{comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}".strip(),
         )
-    beyond = "" if one.is_feasible or one.fails else ", and limits are violated there"
+    beyond = "" if comparison.is_feasible or comparison.fails else ", and limits are violated there"
     sentence = (
-        f"With {one.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
-        f"{in_fact}{beyond}. {one.confirmation(goal_units(design.spec)[goal])} {one.reason}"
+        f"With {comparison.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
+        f"{in_fact}{beyond}. {comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}"
     )
     return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
 

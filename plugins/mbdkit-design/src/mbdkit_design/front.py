@@ -39,14 +39,14 @@ def pareto_front(evaluator: Evaluator, first_end: Search, notify: Notify) -> lis
     goals = np.array([evaluator.totals(one.end) for one in (first_end, *ends.values())])
     caps = {k: np.linspace(np.max(goals[:, k]), goals[k, k], spec.front) for k in others}
     places = list(product(range(spec.front), repeat=len(others)))
-    found = {places[0]: first_end}  # `first_end` does not exceed the first limits, the largest values
+    results = {places[0]: first_end}  # `first_end` does not exceed the first limits, the largest values
     for number, place in enumerate(places[1:], start=2):
         limits = {k: float(caps[k][step]) for k, step in zip(others, place, strict=True)}
         strictest = next((k for k, step in zip(others, place, strict=True) if step == spec.front - 1), None)
-        start = _before(found, place) if strictest is None else ends[strictest]
-        found[place] = searches(Problem(evaluator, caps=limits), spec.optimizer, start.end)[0]
+        start = _before(results, place) if strictest is None else ends[strictest]
+        results[place] = searches(Problem(evaluator, caps=limits), spec.optimizer, start.end)[0]
         notify(f"{counted(evaluator.runs, 'run')}: point {number} of {len(places)} of the front")
-    return _efficient(evaluator, [one for one in found.values() if one.feasible]) or [first_end]
+    return _efficient(evaluator, [value for value in results.values() if value.feasible]) or [first_end]
 
 
 def _before(found: dict[tuple[int, ...], Search], place: tuple[int, ...]) -> Search:
@@ -64,15 +64,15 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
     worse = [
         bool(np.any(np.all(goals <= goal + slack, axis=1) & np.any(goals < goal - slack, axis=1))) for goal in goals
     ]
-    return [one for one, is_worse in zip(points, worse, strict=True) if not is_worse]
+    return [point for point, is_worse in zip(points, worse, strict=True) if not is_worse]
 
 
 def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoint) -> str:
     """Return a table of the points of a front as text for a terminal."""
     units = goal_units(spec) | {name: variable_unit(spec, name) for name in best.variables}
     rows = [("POINT OF THE FRONT", *(heading(name, units[name]) for name in (*best.goals, *best.variables)))]
-    for number, one in enumerate(front[:ROWS], start=1):
-        name = f"{number} (best)" if one == best else f"{number}"
-        rows.append((name, *(f"{value:.6g}" for value in (*one.goals.values(), *one.variables.values()))))
+    for number, point in enumerate(front[:ROWS], start=1):
+        name = f"{number} (best)" if point == best else f"{number}"
+        rows.append((name, *(f"{value:.6g}" for value in (*point.goals.values(), *point.variables.values()))))
     more = f"\n{len(front) - ROWS} more points are in design.json." if len(front) > ROWS else ""
     return table(rows) + more

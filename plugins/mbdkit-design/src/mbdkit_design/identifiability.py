@@ -106,8 +106,8 @@ def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray, *,
         steps = np.where(smooth, steps, steps / SHRINK)
     pairs = () if is_alone else tuple(combinations(range(len(free)), 2))
     whole, half = (_differences(problem, best, free, share * steps, pairs) for share in (1.0, 0.5))
-    found = (16.0 * half - whole) / 3.0  # without the term of fourth order
-    return np.asarray(found / (steps[:, None] * steps))
+    result = (16.0 * half - whole) / 3.0  # without the term of fourth order
+    return np.asarray(result / (steps[:, None] * steps))
 
 
 def _differences(
@@ -122,10 +122,10 @@ def _differences(
     moves = [0.0 * best, *single, *(0.5 * (single[i] + single[j]) for i, j in pairs)]
     costs = problem.costs(np.array([center + side * move for side in (1, -1) for move in moves]), failed=np.nan)
     even = costs[: len(moves)] + costs[len(moves) :] - 2.0 * costs[0]
-    found = np.diag(even[1 : 1 + len(free)])
+    values = np.diag(even[1 : 1 + len(free)])
     for (i, j), value in zip(pairs, even[1 + len(free) :], strict=True):
-        found[i, j] = found[j, i] = 2.0 * value - 0.5 * (found[i, i] + found[j, j])
-    return found
+        values[i, j] = values[j, i] = 2.0 * value - 0.5 * (values[i, i] + values[j, j])
+    return values
 
 
 def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[str, float]:
@@ -133,13 +133,13 @@ def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[s
     direction = direction / direction[np.argmax(np.abs(direction))]
     variables = problem.evaluator.spec.variables
     names = list(variables)
-    found = {
+    results = {
         names[place]: 0.01 * float(share) * variables[names[place]].width
         for place, share in zip(free, direction, strict=True)
         if abs(share) > 1e-2
     }
-    side = np.sign(next(iter(found.values())))
-    return {name: float(side * value) for name, value in found.items()}
+    side = np.sign(next(iter(results.values())))
+    return {name: float(side * value) for name, value in results.items()}
 
 
 def sentence(spec: DesignSpec, change: Mapping[str, float]) -> str:

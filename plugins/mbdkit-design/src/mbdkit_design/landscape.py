@@ -34,7 +34,7 @@ class Cut:
 
 def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
     """Return, for each variable, a cut through the best point (n,) along this variable, within its bounds."""
-    found = []
+    results = []
     for index, name in enumerate(evaluator.spec.variables):
         low, high = max(best[index] - REACH, 0.0), min(best[index] + REACH, 1.0)
         shares = np.union1d(np.linspace(low, high, POINTS), best[index])
@@ -42,8 +42,8 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
         points[:, index] = shares
         evaluator.outcomes(points)  # vectorized where possible
         values = np.array([evaluator.variables(x)[name] for x in points])
-        found.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
-    return found
+        results.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
+    return results
 
 
 SHARE = 0.01  #: Change of a variable for which sensitivities are given, as a share of its bounds.
@@ -84,17 +84,17 @@ def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
     slopes = SHARE * differences(evaluator, best)
     sides = _sides(evaluator, best)
     names = list(evaluator.spec.variables)
-    found = []
+    results = []
     for row, scenario in enumerate(evaluator.spec.situations):
         for column, measure in enumerate(evaluator.names):
             changes = dict(zip(names, slopes[row, column].tolist(), strict=True))
             corners = {
-                name: (float(sides[0, row, column, place]), float(sides[1, row, column, place]))
-                for place, name in enumerate(names)
-                if np.all(np.isfinite(sides[:, row, column, place]))
+                name: (float(sides[0, row, column, index]), float(sides[1, row, column, index]))
+                for index, name in enumerate(names)
+                if np.all(np.isfinite(sides[:, row, column, index]))
             }
-            found.append(Sensitivity(scenario, measure, changes | dict.fromkeys(corners, np.nan), corners))
-    return found
+            results.append(Sensitivity(scenario, measure, changes | dict.fromkeys(corners, np.nan), corners))
+    return results
 
 
 def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:

@@ -108,8 +108,8 @@ class Problem:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the terms (R,) at a point (n,) whose sum of squares is the cost."""
-        found = self._terms(self.evaluator.values(x[None]))[0]
-        return np.asarray(np.nan_to_num(found / np.sqrt(self.scale), nan=np.sqrt(FAILED)))
+        result = self._terms(self.evaluator.values(x[None]))[0]
+        return np.asarray(np.nan_to_num(result / np.sqrt(self.scale), nan=np.sqrt(FAILED)))
 
     def residual_slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of the terms of a sum of squares."""
@@ -136,8 +136,8 @@ class Problem:
         values = self.evaluator.values(points)
         columns = []
         for bound, size in zip(self.bounds, self._sizes, strict=True):
-            found = bound.of(values)
-            columns += [side * (found - limit) / size for side, limit in _sides(bound)]
+            result = bound.of(values)
+            columns += [side * (result - limit) / size for side, limit in _sides(bound)]
         return np.nan_to_num(np.stack(columns, axis=1), nan=-FAILED) if columns else np.zeros((len(points), 0))
 
     def margin_slopes(self, x: np.ndarray) -> np.ndarray:
@@ -180,13 +180,13 @@ def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:
 
 def _limits(evaluator: Evaluator) -> list[Bound]:
     """Return the limits of a design in every scenario."""
-    found = []
+    bounds = []
     for row, scenario in enumerate(evaluator.spec.situations):
         for name, limit in evaluator.spec.subject_to.items():
             weights = np.zeros((len(evaluator.spec.situations), len(evaluator.names)))
             weights[row, evaluator.names.index(name)] = 1.0
-            found.append(Bound(f"{scenario}: {name}" if scenario else name, weights, *limit.ends))
-    return found
+            bounds.append(Bound(f"{scenario}: {name}" if scenario else name, weights, *limit.ends))
+    return bounds
 
 
 def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:

@@ -92,12 +92,12 @@ def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Seq
     Numbers at or below the paths in `taken` are left out.
     """
     model = canonical(spec.model)
-    found = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
-    masses = [path for path in found if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
+    results = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
+    masses = [path for path in results if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
     for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
-        paths = [path, *(one for one in found if one == _inertia_of(path))]
+        paths = [path, *(result for result in results if result == _inertia_of(path))]
         yield path, [_scaled(model, paths, 1 + off) for off in (-OFF, OFF)]
-    for path in found:
+    for path in results:
         if path[1] in _ELEMENTS and any(key in path for key in _POINTS) and key_unit(path, [spec]) == "m":
             value = _at(model, path)
             yield path, [_setting(model, path, value + off) for off in (-MOVED, MOVED)]
@@ -105,7 +105,7 @@ def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Seq
 
 def _inertia_of(path: Path) -> Path:
     """Return the path that the inertia beside a mass would have."""
-    place = max(place for place, part in enumerate(path) if isinstance(part, str))
+    place = max(index for index, part in enumerate(path) if isinstance(part, str))
     return (*path[:place], _INERTIA.get(str(path[place]), ""), *path[place + 1 :])
 
 
@@ -132,7 +132,7 @@ def _setting(model: object, path: Path, value: float) -> Settings:
     """Return the setting of a number. A number in a list is set with the whole list, because the base may omit the
     list.
     """
-    depth = next((place for place, part in enumerate(path) if isinstance(part, int)), len(path))
+    depth = next((index for index, part in enumerate(path) if isinstance(part, int)), len(path))
     return [(path[:depth], _replaced(_at(model, path[:depth]), path[depth:], value))]
 
 
@@ -140,7 +140,7 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
     """Return nested lists with another number at a path."""
     if not path:
         return value
-    return [_replaced(one, path[1:], value) if place == path[0] else one for place, one in enumerate(holder)]
+    return [_replaced(one, path[1:], value) if index == path[0] else one for index, one in enumerate(holder)]
 
 
 def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:

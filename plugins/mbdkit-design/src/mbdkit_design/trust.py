@@ -74,9 +74,9 @@ class Trust:
         points = [("best point", self.verdict, self.reason)]
         if self.level != self.verdict:
             points.append(("start", self.start_verdict, self.start_reason))
-        told = [f"{level} at the {point}: {why.rstrip('.')}" for point, level, why in points if level in QUESTIONED]
-        if told:
-            return f"Verdict on the runs: {'; '.join(told)}."
+        texts = [f"{level} at the {point}: {why.rstrip('.')}" for point, level, why in points if level in QUESTIONED]
+        if texts:
+            return f"Verdict on the runs: {'; '.join(texts)}."
         errors = (
             "estimated" if self.level == "good" else "those due to the data" if self.is_of_data else "not all known"
         )
@@ -149,9 +149,9 @@ def _sampled(evaluator: Evaluator, x: np.ndarray) -> SampledMeasures | None:
     Goals are summed over the scenarios; the value of a limited measure is the largest one over the scenarios. The
     result is None if any scenario is not inverse dynamics or has unknown errors, or if their samples do not correspond.
     """
-    found = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
-    known = [one for one in found if one is not None]
-    if len(known) < len(found) or len({tuple(map(len, one[2:])) for one in known}) > 1:
+    results = [scenario.sampled(evaluator.settings(x)) for scenario in evaluator.scenarios]
+    known = [result for result in results if result is not None]
+    if len(known) < len(results) or len({tuple(map(len, one[2:])) for one in known}) > 1:
         return None
     weights, count = evaluator.root_weights**2, len(evaluator.spec.goals)
 

@@ -48,9 +48,9 @@ class Work:
             parts.append("no process is computing it; the same command continues it")
         else:
             parts.append(f"computed by {listed(self.owners, 'and')}")
-            made = self.done - before.done if before is not None else 0
-            if made > 0 and math.isfinite(self.total):
-                parts.append(f"about {_duration((self.total - self.done) * seconds / made)} left")
+            result = self.done - before.done if before is not None else 0
+            if result > 0 and math.isfinite(self.total):
+                parts.append(f"about {_duration((self.total - self.done) * seconds / result)} left")
         return "; ".join(parts)
 
 
@@ -83,9 +83,9 @@ def _of_design(folder: Path) -> Work:
     goal = next(iter(spec.goals))
     for line in lines:
         try:
-            found = json.loads(line)["values"]
-            is_allowed = all(_is_within(found[name], limit) for name, limit in spec.subject_to.items())
-            values.append(found[goal] if is_allowed else None)
+            result = json.loads(line)["values"]
+            is_allowed = all(_is_within(result[name], limit) for name, limit in spec.subject_to.items())
+            values.append(result[goal] if is_allowed else None)
         except (ValueError, KeyError, TypeError):  # the line is still being written
             continue
     known = [value for value in values if isinstance(value, int | float)]

@@ -247,18 +247,18 @@ class _Trial:
     def end(self) -> mbdkit.Step:
         """Return the step, with consistent velocities of the same kinetic energy at its end."""
         equations, h, end = self.equations, self.h, self.t + self.h
-        made = self.state.moved(h * self.mean, h * self.g[0])
+        result = self.state.moved(h * self.mean, h * self.g[0])
         if equations.m:
-            v = equations.project_velocities(end, made.q, made.v)
+            v = equations.project_velocities(end, result.q, result.v)
             if not equations.constraint_rates(
-                end, made.q, 0 * v
+                end, result.q, 0 * v
             ).any():  # a factor leaves only scleronomic rows at zero
                 kinetic = equations.kinetic(v)
-                v = v * np.sqrt(self._kinetic(end, made) / kinetic) if kinetic else v
-            made = mbdkit.StepState(made.q, v)
-        a, lam = equations.accelerations(end, made.q, made.v)
-        made = replace(made, multipliers=lam, memory=(a, lam, self.energy))
-        return mbdkit.Step(made, dense=self._interpolant(made, a))
+                v = v * np.sqrt(self._kinetic(end, result) / kinetic) if kinetic else v
+            result = mbdkit.StepState(result.q, v)
+        a, lam = equations.accelerations(end, result.q, result.v)
+        result = replace(result, multipliers=lam, memory=(a, lam, self.energy))
+        return mbdkit.Step(result, dense=self._interpolant(result, a))
 
     def _kinetic(self, t: float, end: mbdkit.StepState) -> float:
         """Return the kinetic energy of the end of the step, with which rounding errors of the energy do not accumulate
@@ -272,16 +272,16 @@ class _Trial:
             self.energy, lost = potential + kinetic, 0.0
         return kinetic + lost
 
-    def _interpolant(self, made: mbdkit.StepState, a1: np.ndarray) -> Dense:
+    def _interpolant(self, state: mbdkit.StepState, a1: np.ndarray) -> Dense:
         """Return the quintic polynomial through positions, velocities and accelerations at both ends of the step."""
         h, q, a = self.h, self.state.q, self.state.memory[0]
         v = h * self.state.v
-        of_q, of_v, of_a = made.q - q - v - h**2 / 2 * a, h * made.v - v - h**2 * a, h**2 * (a1 - a)
+        of_q, of_v, of_a = state.q - q - v - h**2 / 2 * a, h * state.v - v - h**2 * a, h**2 * (a1 - a)
         c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
 
         def dense(x: float) -> tuple[np.ndarray, ...]:
             position = q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
-            return position, (v + x * (h**2 * a + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h, made.z
+            return position, (v + x * (h**2 * a + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h, state.z
 
         return dense
 

@@ -137,8 +137,8 @@ def application(explorer: Explorer, token: str) -> Starlette:
     turn = asyncio.Lock()  # allows only one run at a time
     page: list[str] = []
 
-    def is_known(given: str | None) -> bool:
-        return secrets.compare_digest((given or "").encode(), token.encode())
+    def is_known(text: str | None) -> bool:
+        return secrets.compare_digest((text or "").encode(), token.encode())
 
     async def computed(request: Request, values: Mapping[str, float]) -> dict[str, object] | None:
         try:

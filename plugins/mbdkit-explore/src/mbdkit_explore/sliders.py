@@ -71,8 +71,8 @@ def sliders(spec: ModelSpec, names: Sequence[str] | None = None) -> list[Slider]
     if names:
         return [_slider(spec, data, _path_of(spec, name)) for name in names]
     paths: list[Path] = [("parameters", name) for name, value in spec.parameters.items() if not isinstance(value, str)]
-    found = [_slider(spec, data, path) for path in paths or _numbers(data["model"], ("model",))]
-    chosen = [one for one in found if paths or one.value or one.unit == "rad"][:MOST]
+    results = [_slider(spec, data, path) for path in paths or _numbers(data["model"], ("model",))]
+    chosen = [result for result in results if paths or result.value or result.unit == "rad"][:MOST]
     if not chosen:
         raise SpecError(
             "no slider is chosen by default, because the numbers of the model are positions, settings or zeros; name "

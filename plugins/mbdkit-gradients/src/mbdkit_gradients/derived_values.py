@@ -61,9 +61,9 @@ def _aligned(x: DerivedValue, y: DerivedValue) -> tuple[DerivedValue, DerivedVal
     """Return two values with equal numbers of axes, so that a number applies to all components of a vector."""
     axes = max(x.value.ndim, y.value.ndim)
 
-    def widened(one: DerivedValue) -> DerivedValue:
-        more = (None,) * (axes - one.value.ndim)
-        return DerivedValue(one.value[more], one.slope[(slice(None), *more)])
+    def widened(value: DerivedValue) -> DerivedValue:
+        more = (None,) * (axes - value.value.ndim)
+        return DerivedValue(value.value[more], value.slope[(slice(None), *more)])
 
     return widened(x), widened(y)
 

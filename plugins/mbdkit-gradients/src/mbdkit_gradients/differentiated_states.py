@@ -88,8 +88,8 @@ def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> DerivedValu
     require_derivative(quantity)
     if quantity.recorded.array.is_shared and states.mechanism.redundancy.rows:
         raise _refused(quantity, ", because redundant joints share their reactions")
-    found = quantity.taker(states.names or archive_names(states.mechanism))(states)
-    return DerivedValue.joined(np.moveaxis(found, 1, 0) if found.ndim > 2 else found)
+    result = quantity.taker(states.names or archive_names(states.mechanism))(states)
+    return DerivedValue.joined(np.moveaxis(result, 1, 0) if result.ndim > 2 else result)
 
 
 def require_derivative(quantity: Quantity) -> None:

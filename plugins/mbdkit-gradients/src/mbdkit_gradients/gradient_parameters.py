@@ -56,19 +56,19 @@ def read_names(
     """
     if names is None:
         names, parameters = parameters, None
-    found = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
-    for name in found:
+    result = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
+    for name in result:
         if not isinstance(name, str):
-            given = "None" if name is None else value_text(name)
+            text = "None" if name is None else value_text(name)
             raise _refused(
-                f"a gradient needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not {given}"
+                f"a gradient needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not {text}"
             )
     if parameters is not None:
         sections["parameters"] = plain(parameters, ("parameters",))
     if isinstance(names, Mapping):
         source = read_source(source)
         _put_values(source.data if parameters is None else sections, names)
-    return source, [str(name) for name in found]  # NumPy has its own type of text
+    return source, [str(name) for name in result]  # NumPy has its own type of text
 
 
 def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
@@ -80,15 +80,15 @@ def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
         If a key is a key path, if a name is not one of the parameters of the spec (in a spec without parameters, if no
         expression contains it), or if a value is not plain data.
     """
-    given = data.get("parameters")
-    known = list(given) if isinstance(given, dict) else sorted(names_in(data))
+    parameters = data.get("parameters")
+    known = list(parameters) if isinstance(parameters, dict) else sorted(names_in(data))
     for name, value in values.items():
         path = parse_key(name)
         if path[:1] == ("model",) and len(path) > 1:
             raise _refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
         path = ("parameters", *path[path[:1] == ("parameters",) :])
         if len(path) != 2 or path[1] not in known:
-            raise _unknown(known if isinstance(given, dict) else [], name)
+            raise _unknown(known if isinstance(parameters, dict) else [], name)
         put(data, path, plain(value, path))
 
 
@@ -105,11 +105,11 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     if len(names) > MOST_PARAMETERS:
         raise SpecError(f"a gradient takes at most {MOST_PARAMETERS} parameters, not {len(names)}", key="gradients")
     data = json.loads(spec.canonical_json())
-    found = [_resolved(spec, data, name) for name in names]
-    paths = [one.path for one in found]
-    if twice := [one.name for i, one in enumerate(found) if one.path in paths[:i]]:
+    results = [_resolved(spec, data, name) for name in names]
+    paths = [result.path for result in results]
+    if twice := [result.name for i, result in enumerate(results) if result.path in paths[:i]]:
         raise SpecError(f"the parameter '{twice[0]}' is named twice", key="gradients")
-    return tuple(found)
+    return tuple(results)
 
 
 def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:

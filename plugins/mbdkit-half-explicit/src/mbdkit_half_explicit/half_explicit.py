@@ -84,15 +84,15 @@ class HalfExplicit(mbdkit.StepMethod):
         """Take one step."""
         a, _, rates = state.memory
         dq, dv, dz = self._increments(equations, t, state, h)
-        made = state.moved(dq, dv, dz)
-        a1, lam, rates1 = equations.derivatives(t + h, made.q, made.v, made.z)
+        result = state.moved(dq, dv, dz)
+        a1, lam, rates1 = equations.derivatives(t + h, result.q, result.v, result.z)
         dense = interpolant(state, h, (dq, dv, dz), (a, a1), (rates, rates1))
-        end = replace(made, multipliers=lam, memory=(a1, lam, rates1))
+        end = replace(result, multipliers=lam, memory=(a1, lam, rates1))
         if self.tolerances is None:
             return mbdkit.Step(end, dense=dense)
         a_half, _, rates_half = equations.derivatives(t + h / 2, *dense(0.5))
         error = (
-            dq - h / 2 * (state.v + made.v) - h**2 / 12 * (a - a1),
+            dq - h / 2 * (state.v + result.v) - h**2 / 12 * (a - a1),
             dv - h / 6 * (a + 4 * a_half + a1),
             dz - h / 6 * (rates + 4 * rates_half + rates1),
         )

@@ -101,13 +101,13 @@ def _create(tableau: HalfExplicitTableau) -> Callable[[ControlledOptions], Metho
 def _claims(tableau: HalfExplicitTableau) -> Callable[[ControlledOptions], mbdkit.Claims]:
     @integrator_claims
     def claims(options: ControlledOptions) -> mbdkit.Claims:
-        of = "the tolerance" if options.adaptive else f"order {tableau.order}"
+        text = "the tolerance" if options.adaptive else f"order {tableau.order}"
         return mbdkit.Claims(
             order=None if options.adaptive else tableau.order,
             multiplier_order=None if options.adaptive else tableau.order,
             adaptive=options.adaptive,
             stages=len(tableau.a),
-            drift=f"velocities satisfy the constraints to rounding; positions drift by an error of {of}",
+            drift=f"velocities satisfy the constraints to rounding; positions drift by an error of {text}",
             constraints_hold=("velocity",),
             needs=("accelerations",),
             formulations=("index-2",),

@@ -103,7 +103,7 @@ def interval_of(
         ratios = [abs(one - value) / max(half, 1e-300) for one in (lower, upper)]
     why = ""
     if np.any(near):
-        names = [one.name for one, is_near in zip(problem.unknowns, near, strict=True) if is_near]
+        names = [unknown.name for unknown, is_near in zip(problem.unknowns, near, strict=True) if is_near]
         why = f"the interval of {listed(names, 'and')} reaches a bound"
     elif not all(1.0 / STRAIGHT < ratio < STRAIGHT for ratio in ratios):
         why = "its effect on the data is too nonlinear"
@@ -130,13 +130,13 @@ def bounded_share(distance: float, level: float) -> float:
 
 def covariance_of(jacobian: np.ndarray, free: np.ndarray) -> np.ndarray:
     """Return the covariance (n, n) of unknowns from derivatives (R, n) of whitened residuals; 0 for those at bounds."""
-    found = np.zeros((len(free), len(free)))
+    values = np.zeros((len(free), len(free)))
     j = jacobian[:, free]
     scale = np.linalg.norm(j, axis=0)
     scale = np.where(scale > 0, scale, 1.0)
     inverse = np.linalg.pinv(j / scale, rcond=1e-12)
-    found[np.ix_(free, free)] = (inverse @ inverse.T) / np.outer(scale, scale)
-    return found
+    values[np.ix_(free, free)] = (inverse @ inverse.T) / np.outer(scale, scale)
+    return values
 
 
 def freedom_of(problem: Problem, fit: Fit, slope: np.ndarray) -> float:
@@ -208,17 +208,17 @@ def _limit(
     for _ in range(MOST_STEPS):
         distance = min(distance, abs(bound - best))
         value = best + side * distance if distance < abs(bound - best) else bound
-        found = _constrained(problem, fit, goal, value, _between(known, distance), covariance, threshold)
+        result = _constrained(problem, fit, goal, value, _between(known, distance), covariance, threshold)
         inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
-        if found is None:  # the run fails there
+        if result is None:  # the run fails there
             outer = distance
             if outer - inner[0] < 1e-3 * outer:
                 return side * np.inf, points
             distance = 0.5 * (inner[0] + outer)
             continue
-        increase = max(found[0] - lowest, 0.0)
+        increase = max(result[0] - lowest, 0.0)
         points.append((value, increase))
-        at = distance, float(np.sqrt(increase / share(value))), found[1]
+        at = distance, float(np.sqrt(increase / share(value))), result[1]
         near = min(known, key=lambda one: abs(one[1] - root))
         known.append(at)
         slope = (at[1] - near[1]) / (at[0] - near[0]) if at[0] != near[0] else 0.0

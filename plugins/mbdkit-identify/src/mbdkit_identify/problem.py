@@ -90,31 +90,33 @@ class Problem:
     def measure(self, values: np.ndarray) -> None:
         """Take (R,) measured values in place of those of the windows, and a first guess of their noise."""
         self.measured = values
-        self.scales = [float(np.max(np.abs(values[one.places]), initial=0.0)) or 1.0 for one in self.pieces]
+        self.scales = [float(np.max(np.abs(values[piece.places]), initial=0.0)) or 1.0 for piece in self.pieces]
         self.noises = [
-            Noise(known or max(_roughness(values[one.places]), LEAST_DEVIATION * scale))
-            for known, one, scale in zip(self.known, self.pieces, self.scales, strict=True)
+            Noise(known or max(_roughness(values[piece.places]), LEAST_DEVIATION * scale))
+            for known, piece, scale in zip(self.known, self.pieces, self.scales, strict=True)
         ]
 
     @property
     def first(self) -> np.ndarray:
         """First values (n,) of the unknowns."""
-        return np.array([one.start for one in self.unknowns])
+        return np.array([unknown.start for unknown in self.unknowns])
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper bounds (n,) of the unknowns."""
-        return np.array([one.low for one in self.unknowns]), np.array([one.high for one in self.unknowns])
+        return np.array([unknown.low for unknown in self.unknowns]), np.array(
+            [unknown.high for unknown in self.unknowns]
+        )
 
     @property
     def sizes(self) -> np.ndarray:
         """Magnitudes (n,) of the unknowns."""
-        return np.array([one.size for one in self.unknowns])
+        return np.array([unknown.size for unknown in self.unknowns])
 
     @property
     def differences(self) -> str:
         """Why derivatives are differences; empty if they are exact."""
-        return next((one.prepared.differences for one in self.segments if one.prepared.differences), "")
+        return next((segment.prepared.differences for segment in self.segments if segment.prepared.differences), "")
 
     def predicted(self, x: np.ndarray) -> np.ndarray:
         """Return what the sensors show (R,) for unknowns (n,); nan where a run fails."""
@@ -138,8 +140,8 @@ class Problem:
             parts, values = [], []
             for segment, some in zip(self.segments, self.valid, strict=True):
                 self.derived += 1
-                found = segment.prepared.at(*segment.given(x))
-                shown, every = segment.shown(found.values, found.derivatives, x, self.names)
+                result = segment.prepared.at(*segment.given(x))
+                shown, every = segment.shown(result.values, result.derivatives, x, self.names)
                 assert every is not None
                 parts.append(every[some])
                 values.append(shown[some])
@@ -158,16 +160,16 @@ class Problem:
                 self.slopes(x)
         self._is_jacobian_next = False
         raw = self.predicted(x) - self.measured
-        found = [self.white(raw), self._priors(x)]
-        return np.asarray(np.nan_to_num(np.concatenate(found), nan=FAILED, posinf=FAILED, neginf=-FAILED))
+        results = [self.white(raw), self._priors(x)]
+        return np.asarray(np.nan_to_num(np.concatenate(results), nan=FAILED, posinf=FAILED, neginf=-FAILED))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R + P, n) of `residuals`."""
         self._is_jacobian_next = True
-        priors = [place for place, one in enumerate(self.unknowns) if one.prior is not None]
+        priors = [index for index, unknown in enumerate(self.unknowns) if unknown.prior is not None]
         rows = np.zeros((len(priors), len(x)))
-        for row, place in enumerate(priors):
-            rows[row, place] = 1.0 / self.unknowns[place].prior[1]  # type: ignore[index]
+        for row, prior in enumerate(priors):
+            rows[row, prior] = 1.0 / self.unknowns[prior].prior[1]  # type: ignore[index]
         try:
             slopes = self.white(self.slopes(x))
         except MbdkitError:
@@ -176,20 +178,20 @@ class Problem:
         return np.concatenate([slopes, rows]) if priors else slopes
 
     def _priors(self, x: np.ndarray) -> np.ndarray:
-        pairs = [(x[place], one.prior) for place, one in enumerate(self.unknowns) if one.prior is not None]
+        pairs = [(x[index], unknown.prior) for index, unknown in enumerate(self.unknowns) if unknown.prior is not None]
         return np.array([(value - prior[0]) / prior[1] for value, prior in pairs])
 
     @property
     def information(self) -> np.ndarray:
         """(n, n) what the priors know."""
-        return np.diag([0.0 if one.prior is None else one.prior[1] ** -2 for one in self.unknowns])
+        return np.diag([0.0 if unknown.prior is None else unknown.prior[1] ** -2 for unknown in self.unknowns])
 
     def white(self, raw: np.ndarray) -> np.ndarray:
         """Return residuals (R,), or their derivatives (R, n), whitened by the noise of their signals."""
-        found = np.empty_like(raw)
+        values = np.empty_like(raw)
         for piece, noise in zip(self.pieces, self.noises, strict=True):
-            found[piece.places] = piece.white(raw, noise)
-        return found
+            values[piece.places] = piece.white(raw, noise)
+        return values
 
     def log_likelihood(self, white: np.ndarray) -> float:
         """Return the logarithm of the likelihood of the data for whitened residuals (R,)."""

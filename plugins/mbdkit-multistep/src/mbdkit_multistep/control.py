@@ -44,9 +44,9 @@ class MultistepOptions(ControlledOptions):
 
     def tolerances(self) -> mbdkit.Tolerances:
         """Return the tolerances."""
-        found = super().tolerances()
-        assert found is not None  # because steps are adaptive
-        return found
+        result = super().tolerances()
+        assert result is not None  # because steps are adaptive
+        return result
 
 
 class Choice(NamedTuple):
@@ -82,8 +82,8 @@ def scale(
     length = min(1.0, equations.length) if tolerances.by_size else 1.0
     units = np.ones(len(begin))
     units[: 2 * equations.n] = np.tile([length, length, 1.0], 2 * equations.n // 3)
-    found: np.ndarray = tolerances.atol * units + tolerances.rtol * np.maximum(np.abs(begin), np.abs(end))
-    return found
+    values: np.ndarray = tolerances.atol * units + tolerances.rtol * np.maximum(np.abs(begin), np.abs(end))
+    return values
 
 
 def norm(error: np.ndarray, scales: np.ndarray) -> float:

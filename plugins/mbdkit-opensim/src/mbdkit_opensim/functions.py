@@ -73,13 +73,13 @@ def function_in(holder: Element, owner: str) -> Function:
     """Return the function that an element contains. If planar mechanisms have no counterpart of it, SpecError is
     raised, with the name `owner`.
     """
-    found = holder.find("*[@name='function']")
-    if found is None or found.tag in ("coordinates", "axis"):
+    result = holder.find("*[@name='function']")
+    if result is None or result.tag in ("coordinates", "axis"):
         wrapper = holder.find("function")
-        found = None if wrapper is None else next(iter(wrapper), None)
-    if found is None:
+        result = None if wrapper is None else next(iter(wrapper), None)
+    if result is None:
         raise refused(f"{owner} has no function")
-    return _function(found, owner)
+    return _function(result, owner)
 
 
 def function_named(holder: Element, name: str, owner: str) -> Function:
@@ -87,10 +87,10 @@ def function_named(holder: Element, name: str, owner: str) -> Function:
     with the name `owner`.
     """
     wrapper = holder.find(name)
-    found = None if wrapper is None else next(iter(wrapper), None)
-    if found is None:
+    result = None if wrapper is None else next(iter(wrapper), None)
+    if result is None:
         raise refused(f"{owner} has no function")
-    return _function(found, owner)
+    return _function(result, owner)
 
 
 def _function(element: Element, owner: str) -> Function:

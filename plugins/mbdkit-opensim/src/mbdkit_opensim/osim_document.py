@@ -107,7 +107,7 @@ def _read_parts(root: Element, path: Path, largest: int, readers: tuple[Path, ..
         What remains of `largest`.
     """
     for parent in root.iter():
-        for place, element in enumerate(parent):
+        for index, element in enumerate(parent):
             if (name := element.get("file")) is None:
                 continue
             of_part, label = path.parent / name, f"{label_of(element)} of {path}"
@@ -129,7 +129,7 @@ def _read_parts(root: Element, path: Path, largest: int, readers: tuple[Path, ..
             part = document.find(element.tag)
             assert part is not None
             part.set("name", part.get("name") or name_of(element))
-            parent[place] = part
+            parent[index] = part
     return largest
 
 

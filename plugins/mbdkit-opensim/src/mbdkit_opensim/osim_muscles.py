@@ -141,15 +141,15 @@ class MuscleReader:
     def _add_circle(self, items: list[dict[str, Any]], wrap: Element) -> None:
         """Add to `items` a circle between two points of a path."""
         name = last_part(text_of(wrap, "wrap_object"))
-        found = [
+        results = [
             (body, one)
             for body in (*self.model.iterfind("BodySet/objects/Body"), *self.model.iterfind("Ground"))
             for one in body.iterfind("WrapObjectSet/objects/*")
             if name_of(one) == name
         ]
-        if not found:
+        if not results:
             raise UnreadError(f"it wraps around '{name}', which does not exist")
-        owner, surface = found[0]
+        owner, surface = results[0]
         body = "ground" if owner.tag == "Ground" else name_of(owner)
         if surface.tag != "WrapCylinder":
             raise UnreadError(f"it wraps around a {surface.tag}")

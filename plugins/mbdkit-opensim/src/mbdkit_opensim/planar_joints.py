@@ -91,19 +91,19 @@ class PlanarJoint:
     def coordinates(self) -> list[OsimCoordinate]:
         """The free coordinates; that of the angle comes first."""
         terms = [self.angle, *(term for _, term in self.directions)]
-        found = {term.coordinate.name: term.coordinate for term in terms if term.varies and term.coordinate}
-        return list(found.values())
+        results = {term.coordinate.name: term.coordinate for term in terms if term.varies and term.coordinate}
+        return list(results.values())
 
 
 def coordinates_of(joint: Element, values: Mapping[str, float], speeds: Mapping[str, float]) -> list[OsimCoordinate]:
     """Return the coordinates of a joint; given values and speeds replace those in the file."""
-    found = []
+    coordinates = []
     for one in joint.iterfind("coordinates/Coordinate"):
         name = name_of(one)
         value = values.get(name, number_of(one, "default_value", "0"))
         speed = speeds.get(name, number_of(one, "default_speed_value", "0"))
-        found.append(OsimCoordinate(name, value, speed, flag_of(one, "locked")))
-    return found
+        coordinates.append(OsimCoordinate(name, value, speed, flag_of(one, "locked")))
+    return coordinates
 
 
 def planar_joint(joint: Element, coordinates: list[OsimCoordinate]) -> PlanarJoint:

@@ -44,13 +44,13 @@ class Unread(NamedTuple):
 def registry() -> Mapping[str, Mapping[str, Mapping[str, str]]]:
     """Return the properties and their default values by base class and type; objects are ``:CLASS``."""
     data = json.loads((files("mbdkit_opensim") / "registry.json").read_text("utf-8"))
-    return {kind: of for kind, of in data.items() if kind != "source"}
+    return {kind: value for kind, value in data.items() if kind != "source"}
 
 
 @cache
 def defaults_of(kind: str) -> Mapping[str, str]:
     """Return the properties of a type in the registry with their default values; empty if it is not registered."""
-    return next((of[kind] for of in registry().values() if kind in of), {})
+    return next((value[kind] for value in registry().values() if kind in value), {})
 
 
 def is_actuator(kind: str) -> bool:

@@ -85,10 +85,10 @@ def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODE
 
 
 def _evaluated(
-    method: Transcription, mesh: Mesh, given: Mapping[str, np.ndarray], times: np.ndarray
+    method: Transcription, mesh: Mesh, values: Mapping[str, np.ndarray], times: np.ndarray
 ) -> tuple[np.ndarray, ...]:
     """Return constraints, rates, integrands and forces, (rows, N, K), of unknowns at K times in each interval."""
-    x = {name: given[name].reshape(len(given[name]), times.size) for name in OF_POINTS}
+    x = {name: values[name].reshape(len(values[name]), times.size) for name in OF_POINTS}
     p, count = ca.repmat(mesh.values["p"], 1, times.size), len(mesh.grid.phase)
     results = method.stage.map(times.size)(*(x[name] for name in ARGUMENTS), p, times.reshape(1, -1), x["mu"])
     rows = (np.array(results[k]) for k in (0, 2, 3, 4))

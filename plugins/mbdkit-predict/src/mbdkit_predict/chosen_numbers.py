@@ -67,7 +67,7 @@ class ChosenNumbers:
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.equilibria = chosen_equilibria(mechanism, controls)
-        unknowns = {controls[i] for one in self.equilibria for i in one.unknowns}
+        unknowns = {controls[i] for equilibrium in self.equilibria for i in equilibrium.unknowns}
         self.control_start = [0.0 if key in unknowns else self._start(key) for key in controls]
         if both := set(controls) & set(parameters):
             raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")

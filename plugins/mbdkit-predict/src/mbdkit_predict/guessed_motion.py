@@ -72,9 +72,9 @@ def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
             known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
         chosen = spec.chosen
         unknowns = {
-            chosen.controls[index]: (one.equilibrium.recorded[k], one.equilibrium.sizes[k])
-            for one in chosen.equilibria
-            for k, index in enumerate(one.unknowns)
+            chosen.controls[index]: (equilibrium.equilibrium.recorded[k], equilibrium.equilibrium.sizes[k])
+            for equilibrium in chosen.equilibria
+            for k, index in enumerate(equilibrium.unknowns)
         }
         controls = zip(chosen.controls, chosen.control_states, strict=True)
         optimized = json.loads(str(run.provenance.get("optimized", "{}")))

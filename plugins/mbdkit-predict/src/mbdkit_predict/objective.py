@@ -51,12 +51,12 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     """Return the objective of a spec; raise SpecError if it is not valid, or a reduction in it is not smooth."""
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
-    found: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: [], PEAK: []}
+    results: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: [], PEAK: []}
     duration = ca.SX.sym("duration")
 
     def functional(kind: str, x: object) -> Symbol:
-        symbol = Symbol(ca.SX.sym(f"{kind}_{len(found[kind])}"))
-        found[kind].append((x, symbol))
+        symbol = Symbol(ca.SX.sym(f"{kind}_{len(results[kind])}"))
+        results[kind].append((x, symbol))
         return symbol
 
     def step(operation: str, number: float, *operands: Any) -> Any:
@@ -72,7 +72,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
         reduction = operation.removeprefix(REDUCE)
         if reduction == operation:
             return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
-        if reduction in found:
+        if reduction in results:
             return functional(reduction, operands[0])
         if reduction in ("mean", "rms"):
             x = operands[0] if reduction == "mean" else operands[0] ** 2
@@ -83,6 +83,6 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
         )
 
     value = column([execute(tuple(program), step)])
-    given = [column([symbol for _, symbol in functionals]) for functionals in found.values()]
-    integrands, finals, peaks = (column([x for x, _ in functionals]) for functionals in found.values())
+    given = [column([symbol for _, symbol in functionals]) for functionals in results.values()]
+    integrands, finals, peaks = (column([x for x, _ in functionals]) for functionals in results.values())
     return Objective(integrands, finals, peaks, ca.Function("objective", [*given, duration], [value]))

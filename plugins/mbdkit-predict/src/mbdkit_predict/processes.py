@@ -104,8 +104,8 @@ def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
     for child in children.values():
         if not child.found and not stop.now:
             raise RunError("the process of the optimizer ended without a result: the memory may be too small")
-    found = [children[index].found if index in children else [] for index in range(len(tasks))]
-    return [last[0] if last else None for last in found]
+    results = [children[index].found if index in children else [] for index in range(len(tasks))]
+    return [last[0] if last else None for last in results]
 
 
 def _started(task: Task[T]) -> _Child[T]:

@@ -25,7 +25,7 @@ def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
         return
     spec, names = run.spec, {"radau": "Radau IIA methods", "gauss": "Gauss methods"}
     collocation = spec["collocation"]
-    told = _METHOD.format(minimize=spec["minimize"], method=names[collocation["method"]], points=collocation["points"])
+    text = _METHOD.format(minimize=spec["minimize"], method=names[collocation["method"]], points=collocation["points"])
     meshes = tuple((" + ".join(map(str, n)) if isinstance(n, tuple) else n, value) for n, value in mesh(run))
     tables = [
         Table("optimum", "Optimum", columns_of("item; value"), tuple(lines(run)), headline=True),
@@ -35,4 +35,4 @@ def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
     if slopes:
         note = "Change of the objective for a small change of the value, with the motion optimized again."
         tables.append(Table("sensitivities", "Sensitivities", columns_of("value; derivative"), slopes, note=note))
-    yield Section("prediction", "Prediction", (told,), tables=tuple(tables))
+    yield Section("prediction", "Prediction", (text,), tables=tuple(tables))

@@ -116,9 +116,9 @@ def lines(run: Run) -> list[tuple[str, str]]:
     named = filter(slopes.__contains__, run.spec.get("sensitivities", ()))
     entries += [(f"d/d {name}", f"{slopes[name]:.6g}, derivative of the objective") for name in named]
     if "compared_objective" in run.provenance:
-        found = gain(run)()
-        share = f"{100 * found.share:.4g} % of the motion that is compared"
-        entries.append(("gain", f"{found.value:.6g} +- {found.error:.2g}, {share}"))
+        result = gain(run)()
+        share = f"{100 * result.share:.4g} % of the motion that is compared"
+        entries.append(("gain", f"{result.value:.6g} +- {result.error:.2g}, {share}"))
     if not math.isnan(forward["end"]):
         at_end, most = (f"{forward[name]:.1e}" for name in ("end", "largest"))
         entries.append(("forward run", f"differs by {at_end} of the range of the motion at the end, {most} at most"))

@@ -782,20 +782,20 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
     """Return the optima of problems on the grids of guesses in at most so many iterations, each found in a process of
     its own; best iterates, or the guesses themselves, if `stop` says to stop.
     """
-    found = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
+    results = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
     return [
         replace(guess, solution=Solution(guess.values, method.objective_at(guess, guess.values["u"]), {}))
         if mesh is None
         else mesh
-        for mesh, (method, guess, _) in zip(found, problems, strict=True)
+        for mesh, (method, guess, _) in zip(results, problems, strict=True)
     ]
 
 
 def _limits(variables: Iterable[Variable | None], present: Iterable[float]) -> np.ndarray:
     """Return lower bounds, upper bounds, and starts within them (3, K); present values where a number is fixed."""
     rows = [
-        (x, x, x) if own is None else (*own.limits, x if own.start is None else own.start)
-        for own, x in zip(variables, present, strict=True)
+        (x, x, x) if variable is None else (*variable.limits, x if variable.start is None else variable.start)
+        for variable, x in zip(variables, present, strict=True)
     ]
     low, high, start = np.reshape(rows, (-1, 3)).T
     return np.array([low, high, np.clip(start, low, high)])

@@ -65,11 +65,11 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
     """
     for spec in specs:
         try:
-            found = _unit(spec, _parts(key))
+            text = _unit(spec, _parts(key))
         # the option is computed, or its plugin is not installed
         except (MbdkitError, LookupError, TypeError, AttributeError):
             continue
-        return found
+        return text
     return ""
 
 

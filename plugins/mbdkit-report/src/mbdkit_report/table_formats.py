@@ -176,23 +176,23 @@ def _rows(table: ExportedTable) -> Iterator[list[object]]:
 
 
 def _matlab_names(names: Iterable[str]) -> list[str]:
-    found = []
+    results = []
     for name in names:
         word = re.sub(r"[^A-Za-z0-9_]", "_", name)
         if not word[:1].isalpha():
             word = f"x{word}"
-        found.append(word)
-    return _distinct(found, MATLAB_LENGTH, taken=("units", "names"))
+        results.append(word)
+    return _distinct(results, MATLAB_LENGTH, taken=("units", "names"))
 
 
 def _distinct(names: Iterable[str], length: int = 1_000_000, taken: Sequence[str] = ()) -> list[str]:
     """Return the names, cut to a length, with ``_2``, ``_3`` and so on appended to those that occurred before."""
-    used, found = set(taken), []
+    used, texts = set(taken), []
     for name in names:
         new, number = name[:length], 2
         while new in used:
             end = f"_{number}"
             new, number = name[: length - len(end)] + end, number + 1
         used.add(new)
-        found.append(new)
-    return found
+        texts.append(new)
+    return texts

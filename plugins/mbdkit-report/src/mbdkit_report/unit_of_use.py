@@ -27,7 +27,7 @@ def unit_of_use(name: str, uses: Iterable[tuple[str, str]], units: Mapping[str, 
     units
         Units of the parameters that have one, by name.
     """
-    found = set()
+    result = set()
     for text, unit in uses:
         try:
             tree, wanted = ast.parse(text.strip(), mode="eval").body, read_unit(unit.replace("²", "^2"))
@@ -35,8 +35,8 @@ def unit_of_use(name: str, uses: Iterable[tuple[str, str]], units: Mapping[str, 
             continue
         derived = _unit(tree, name, wanted, {**units, "t": _SECOND})
         if derived is not None and _contains(tree, name):
-            found.add(derived.text)
-    return found.pop() if len(found) == 1 else ""
+            result.add(derived.text)
+    return result.pop() if len(result) == 1 else ""
 
 
 def _contains(node: ast.expr, name: str) -> bool:
@@ -91,9 +91,9 @@ def _product(unit: Unit, other: Unit, power: int) -> Unit:
         return read_unit("Hz")
     if not any(other.exponents):
         return unit
-    found = unit.times(other, Fraction(power))
-    length, mass, time = found.exponents
+    times = unit.times(other, Fraction(power))
+    length, mass, time = times.exponents
     if unit.counts[0] == 1 and not length and not mass:
         angle = unit.text.partition("/")[0]
         return read_unit(angle if not time else f"{angle}/s" if time == -1 else f"{angle}*s^{time}")
-    return found
+    return times

@@ -30,28 +30,28 @@ def read_xml(file: str, root: str) -> Element:
     """Return the root element of a file; raise SpecError if the file is not XML or its root has another name."""
     content = read_content(file)
     try:
-        found: Element = fromstring(content, forbid_dtd=True)
+        element: Element = fromstring(content, forbid_dtd=True)
     except DefusedXmlException:
         raise refused(f"{file} contains a document type definition or entities, which are not read") from None
     except (ParseError, ValueError) as error:
         raise refused(f"{file} is not XML: {error}") from None
-    if found.tag != root:
-        raise refused(f"{file} has the root <{found.tag}>, not <{root}>")
-    return found
+    if element.tag != root:
+        raise refused(f"{file} has the root <{element.tag}>, not <{root}>")
+    return element
 
 
 def numbers(element: Element | None, name: str, default: str, count: int | None = None) -> np.ndarray:
     """Return the numbers in an attribute; raise SpecError if they are not finite or their count is wrong."""
     text = default if element is None else element.get(name, default)
     try:
-        found = np.array([float(word) for word in text.split()])
+        values = np.array([float(word) for word in text.split()])
     except ValueError:
-        found = np.array([math.nan])
-    if not np.all(np.isfinite(found)) or (count is not None and len(found) != count):
+        values = np.array([math.nan])
+    if not np.all(np.isfinite(values)) or (count is not None and len(values) != count):
         tag = "" if element is None else element.tag
         wanted = "finite numbers" if count is None else f"{count} finite number{'s' * (count > 1)}"
         raise refused(f'{name}="{text[:60]}" of <{tag}> should have {wanted}')
-    return found
+    return values
 
 
 def number(element: Element | None, name: str, default: float) -> float:
@@ -71,9 +71,9 @@ def about(axis: int, angle: float) -> np.ndarray:
     """Return the matrix (3, 3) of a rotation about the x, y or z axis."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
-    found = np.eye(3)
-    found[i, i], found[i, j], found[j, i], found[j, j] = c, -s, s, c
-    return found
+    values = np.eye(3)
+    values[i, i], values[i, j], values[j, i], values[j, j] = c, -s, s, c
+    return values
 
 
 def unit(vector: np.ndarray, what: str) -> np.ndarray:

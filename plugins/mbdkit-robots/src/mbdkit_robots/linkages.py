@@ -39,19 +39,19 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
     content = read_content(file)
     try:
         data = json.loads(content)
-        joints = {one["id"]: one for one in data["joints"]}
-        links = [(one["id"], one.get("type", "link"), one["joints"], one) for one in data["links"]]
-        places = {name: (float(one["position"][0]), float(one["position"][1])) for name, one in joints.items()}
+        joints = {joint["id"]: joint for joint in data["joints"]}
+        links = [(link["id"], link.get("type", "link"), link["joints"], link) for link in data["links"]]
+        places = {name: (float(joint["position"][0]), float(joint["position"][1])) for name, joint in joints.items()}
     except (ValueError, KeyError, TypeError, IndexError):
         raise refused(f"{file} is no mechanism of pylinkage, as mechanism_to_json writes it") from None
-    if wrong := [name for name, one in joints.items() if one.get("type") not in ("ground", "revolute")]:
+    if wrong := [name for name, joint in joints.items() if joint.get("type") not in ("ground", "revolute")]:
         raise refused(f"joints other than pins are not read: {listed(wrong)}")
     m = Mechanism(name=str(data.get("name") or "linkage"))
     for what, items in (("mechanism", [data]), ("joint", joints.values()), ("link", [link for *_, link in links])):
         unknown = dict.fromkeys(f"'{key}'" for item in items for key in item if key not in UNDERSTOOD[what])
         if unknown:
             m.left_out += (f"keys of the {what} left out, which may change the motion: {listed(unknown)}",)
-    at: dict[str, list[str]] = {name: [GROUND] for name, one in joints.items() if one.get("type") == "ground"}
+    at: dict[str, list[str]] = {name: [GROUND] for name, joint in joints.items() if joint.get("type") == "ground"}
     for name, kind, ids, one in links:
         if kind == "ground":
             continue
@@ -132,7 +132,7 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
             if pin == name:
                 joints.append({"id": name, "type": "revolute", "position": list(place)})
             if GROUND in joint.bodies:
-                next(one for one in joints if one["id"] == pin)["type"] = "ground"
+                next(joint for joint in joints if joint["id"] == pin)["type"] = "ground"
             for body in joint.bodies:
                 members[body] += [] if pin in members[body] else [pin]
         elif isinstance(joint, Driver) and joint.coordinate == "angle" and joint.bodies[0] == GROUND:
@@ -144,7 +144,7 @@ def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> di
             {"id": name, "type": "revolute", "position": list(mechanism.to_global(marker.body, marker.point))}
         )
         members[marker.body].append(name)
-    places = {one["id"]: one for one in joints}
+    places = {joint["id"]: joint for joint in joints}
     links: list[dict[str, object]] = [{"id": GROUND, "type": "ground", "joints": members.pop(GROUND)}]
     for body, ids in members.items():
         link: dict[str, object] = {"id": body, "type": "link", "joints": ids}
@@ -163,8 +163,8 @@ def _rate(name: str, joint: Driver) -> float:
     probe.body("body", mass=1.0, inertia=1.0)
     probe.revolute("pin", GROUND, "body", at=(0.0, 0.0))
     probe.driver("motor", GROUND, "body", coordinate="angle", motion=joint.motion)
-    found = mbdkit.kinematics(probe, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.25})
-    rates = found["body"].velocity[:, 2]
+    result = mbdkit.kinematics(probe, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.25})
+    rates = result["body"].velocity[:, 2]
     if max(rates) - min(rates) > 1e-9 * max(abs(rates)):
         raise mbdkit.SpecError(f"the rate of the motor '{name}' is not constant")
     return float(rates[0])

@@ -185,8 +185,8 @@ class _MjcfReader:
         return math.radians(value) if self.is_degree else value
 
     def _rotation(self, element: Element) -> np.ndarray:
-        if len(given := [name for name in ORIENTATIONS if element.get(name)]) > 1:
-            raise refused(f"<{element.tag}> has several orientations: {listed(given)}")
+        if len(names := [name for name in ORIENTATIONS if element.get(name)]) > 1:
+            raise refused(f"<{element.tag}> has several orientations: {listed(names)}")
         if element.get("quat"):
             w, x, y, z = unit(numbers(element, "quat", "", 4), "a quaternion")
             return np.array([
@@ -293,7 +293,7 @@ class _MjcfReader:
                 tensor = np.diag(numbers(inertial, "diaginertia", "0 0 0", 3))
             center = here + turned @ numbers(inertial, "pos", "0 0 0", 3)
             return Part(name, number(inertial, "mass", 0.0), center, own @ tensor @ own.T)
-        solids = [found for one in self.geoms[name] if (found := self._solid(one, name, here, turned)).mass > 0]
+        solids = [result for one in self.geoms[name] if (result := self._solid(one, name, here, turned)).mass > 0]
         mass = sum(solid.mass for solid in solids)
         if not mass:
             return Part(name, 0.0, here, np.zeros((3, 3)))

@@ -149,21 +149,21 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
 
 
 def _add_part(
-    model: SpatialModel, link: Element, turn: np.ndarray, place: np.ndarray, *, is_fixed: bool = False
+    model: SpatialModel, link: Element, turn: np.ndarray, values: np.ndarray, *, is_fixed: bool = False
 ) -> None:
     """Add a link whose frame has the position `place` (3,) and the orientation `turn` (3, 3). A link fixed to the
     ground is added without mass.
     """
     name, inertial = _name(link), link.find("inertial")
     if inertial is None or is_fixed:
-        model.parts.append(Part(name, 0.0, place, np.zeros((3, 3))))
+        model.parts.append(Part(name, 0.0, values, np.zeros((3, 3))))
         return
     frame, inertia = inertial.find("origin"), inertial.find("inertia")
     xx, xy, xz, yy, yz, zz = (number(inertia, f"i{pair}", 0.0) for pair in ("xx", "xy", "xz", "yy", "yz", "zz"))
     own = turn @ _rotation(frame)
     tensor = own @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ own.T
     mass = number(inertial.find("mass"), "value", 0.0)
-    model.parts.append(Part(name, mass, place + turn @ numbers(frame, "xyz", "0 0 0", 3), tensor))
+    model.parts.append(Part(name, mass, values + turn @ numbers(frame, "xyz", "0 0 0", 3), tensor))
 
 
 def _rotation(frame: Element | None) -> np.ndarray:
@@ -179,8 +179,8 @@ def _name(element: Element) -> str:
 
 
 def _link(joint: Element, tag: str, links: dict[str, Element]) -> str:
-    found = joint.find(tag)
-    name = "" if found is None else found.get("link", "")
+    result = joint.find(tag)
+    name = "" if result is None else result.get("link", "")
     if name not in links:
         raise refused(f"joint '{_name(joint)}' has no <{tag}> among the links: '{name}'")
     return name

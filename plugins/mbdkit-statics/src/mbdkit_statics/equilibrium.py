@@ -176,45 +176,45 @@ def equilibrium(source: RunSource, **sections: Unpack[Sections]) -> Equilibrium:
     >>> round(float(found.position[0, 1]), 9)
     -1.1962
     """
-    found = equilibrium_of(PreparedMechanism.of(source, **sections))
-    warn_on_stderr(found.warnings)
-    return found
+    result = equilibrium_of(PreparedMechanism.of(source, **sections))
+    warn_on_stderr(result.warnings)
+    return result
 
 
 def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     """Find the static equilibrium of a prepared mechanism; see `equilibrium`."""
     dynamic, prepared = prepared, in_statics(prepared)
     with prepared.as_spec_errors():
-        found = rest(prepared)
+        result = rest(prepared)
         p, compiled = prepared.equations, prepared.workspace.mechanism
-        at = at_rest(prepared, found.q, found.lam)
-        stability = stability_of(dynamic, prepared, at, found.z)
-        rows = p.recorded_multipliers(p.t0, found.q, found.lam)
-        force, torque = joint_reactions(prepared, p.t0, found.q, rows)
-        residual = float(np.max(np.abs(p.constraints(p.t0, found.q)), initial=0.0))
+        at = at_rest(prepared, result.q, result.lam)
+        stability = stability_of(dynamic, prepared, at, result.z)
+        rows = p.recorded_multipliers(p.t0, result.q, result.lam)
+        force, torque = joint_reactions(prepared, p.t0, result.q, rows)
+        residual = float(np.max(np.abs(p.constraints(p.t0, result.q)), initial=0.0))
     mechanism = prepared.spec.mechanism()
-    outside = dynamic.laws_out_of_range(p.t0, found.q, p.v0 * 0.0)
-    forces, warnings = _internal_forces(prepared, found) if mechanism.beams else ({}, ())
+    outside = dynamic.laws_out_of_range(p.t0, result.q, p.v0 * 0.0)
+    forces, warnings = _internal_forces(prepared, result) if mechanism.beams else ({}, ())
     return Equilibrium(
         time=p.t0,
         bodies=p.bodies,
         joints=compiled.joints,
         constraints=tuple(row.label for row in compiled.rows),
-        position=found.q.reshape(-1, 3),
+        position=result.q.reshape(-1, 3),
         multiplier=rows,
         reaction_force=force,
         reaction_torque=torque,
         shared=compiled.redundancy.not_unique,
-        imbalance=float(np.max(np.abs(found.left))),
+        imbalance=float(np.max(np.abs(result.left))),
         residual=residual,
         stiffness=stability.stiffness,
         stability=stability.verdict,
         growth=stability.growth,
-        iterations=found.iterations,
+        iterations=result.iterations,
         states=tuple(state.name for state in compiled.named_states),
-        state=found.z[: len(compiled.named_states)],
+        state=result.z[: len(compiled.named_states)],
         beams=forces,
-        displacement=(found.q - p.q0).reshape(-1, 3),
+        displacement=(result.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
         warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped, *[CORNER] * stability.is_corner),
     )

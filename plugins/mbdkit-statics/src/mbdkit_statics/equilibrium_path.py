@@ -211,8 +211,8 @@ class _Follower:
         """Artificial stiffness of the angles of point masses, without which the matrix would be singular."""
 
     def path(self) -> EquilibriumPath:
-        found = rest(self.prepared)
-        y = np.concatenate([found.q, found.lam, [self.start]])
+        result = rest(self.prepared)
+        y = np.concatenate([result.q, result.lam, [self.start]])
         forward = np.zeros(len(y))
         forward[-1] = self.span
         points, critical, step = [self._point(y, forward)], list[CriticalPoint](), LONGEST / 4
@@ -324,8 +324,8 @@ class _Follower:
         if here.tangent[-1] * there.tangent[-1] >= 0:
             return self._between(here, 0.0, step)
         turn = self._root(here, 0.0, step, lambda point: float(point.tangent[-1]))
-        found, _ = self._at(here, turn)
-        limit = self._described("limit point", found, found.tangent[: self.p.n])
+        result, _ = self._at(here, turn)
+        limit = self._described("limit point", result, result.tangent[: self.p.n])
         before, after = self._beside(turn, step)
         return [*self._between(here, 0.0, before), limit, *self._between(here, after, step)]
 
@@ -362,8 +362,8 @@ class _Follower:
             if not is_short:
                 return [point for half in halves for point in self._between(here, *half)]
             place = 0.5 * (low + high)
-        found, _ = self._at(here, place)
-        bifurcation = self._described("bifurcation", found, singular_motion(self.prepared, self._state_of(found)))
+        result, _ = self._at(here, place)
+        bifurcation = self._described("bifurcation", result, singular_motion(self.prepared, self._state_of(result)))
         if is_short or np.isnan(critical):
             return [bifurcation]
         before, after = self._beside(place, high)  # flutter may begin in the same interval
@@ -387,10 +387,10 @@ class _Follower:
                 high = middle, point
             else:
                 return [*self._between(here, low[0], middle), *self._between(here, middle, high[0])]
-        found = max(low[1], high[1], key=lambda point: point.unstable)
-        value = complex(found.growing[-1])
-        shape = shape_of(self.prepared, self._state_of(found), value)
-        return [self._described("flutter", found, shape, abs(value.imag))]
+        result = max(low[1], high[1], key=lambda point: point.unstable)
+        value = complex(result.growing[-1])
+        shape = shape_of(self.prepared, self._state_of(result), value)
+        return [self._described("flutter", result, shape, abs(value.imag))]
 
     def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
         """Return the distance from a point at which a function of points of the path is zero.
@@ -406,10 +406,10 @@ class _Follower:
 
         return float(brentq(at, low, high, xtol=LOCATED * (high - low), maxiter=10_000))
 
-    def _described(self, kind: Kind, found: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
+    def _described(self, kind: Kind, point: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
         parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
-        return CriticalPoint(kind, found.t, found.q.reshape(-1, 3), self.p.bodies[most], frequency)
+        return CriticalPoint(kind, point.t, point.q.reshape(-1, 3), self.p.bodies[most], frequency)
 
     def _state_of(self, point: _Point) -> State:
         return State(point.t, point.q, self.none, self.none, point.lam)

@@ -266,9 +266,9 @@ def modes(
     >>> [round(float(frequency), 9) for frequency in mbdkit.modes(m).natural_frequency]  # rad/s
     [5.0]
     """
-    found = modes_of(PreparedMechanism.of(source, **sections), at, count)
-    warn_on_stderr(found.warnings)
-    return found
+    result = modes_of(PreparedMechanism.of(source, **sections), at, count)
+    warn_on_stderr(result.warnings)
+    return result
 
 
 def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int | None = None) -> Modes:
@@ -311,8 +311,8 @@ def state_of(prepared: PreparedMechanism, at: Where) -> tuple[State, np.ndarray]
     statics = in_statics(prepared)
     if at == "equilibrium":
         with prepared.as_spec_errors():
-            found = rest(statics)
-            return at_rest(prepared, found.q, found.lam), found.z
+            result = rest(statics)
+            return at_rest(prepared, result.q, result.lam), result.z
     if at != "start":
         raise prepared.error(f"a mechanism is linearised at 'equilibrium' or at 'start', not at {at!r}", key="")
     with prepared.as_spec_errors():
@@ -391,12 +391,12 @@ def _with_small_ones(
     by_position = (inverse * squares - np.eye(f)) / shift  # -inverse (damping + shift)
     whole = np.block([[by_position, -inverse], [np.eye(f) + shift * by_position, -shift * inverse]])
     inverted, others = eig(whole)
-    found = shift + 1 / inverted
+    result = shift + 1 / inverted
     middle = np.sqrt(np.max(np.abs(values)) * shift)
     small = int(np.sum(np.abs(values) <= middle))
     large = np.argsort(np.abs(values))[small:]
-    few = np.argsort(np.abs(found))[:small]
-    return np.concatenate([found[few], values[large]]), np.concatenate([others[:, few], vectors[:, large]], axis=1)
+    few = np.argsort(np.abs(result))[:small]
+    return np.concatenate([result[few], values[large]]), np.concatenate([others[:, few], vectors[:, large]], axis=1)
 
 
 def _few(prepared: PreparedMechanism, state: State, count: int) -> tuple[np.ndarray, np.ndarray]:

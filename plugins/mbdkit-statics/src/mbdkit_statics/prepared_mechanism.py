@@ -76,7 +76,7 @@ class PreparedMechanism(AssembledMechanism):
         q, v = (np.append(x, np.zeros(3))[None] for x in (q, v))
         ranges.add_between(Nodes(np.array([time]), np.zeros(1), q, v))
         ranges.add(np.zeros(0), np.zeros((0, compiled.first_friction, 5)))
-        found = ranges.in_one_state()
-        if found and self.spec.limits.law_range == "stop":
-            raise RunError(f"out-of-range: {'; '.join(found)}. Write `limits: {{law_range: warn}}` to get a result")
-        return found
+        texts = ranges.in_one_state()
+        if texts and self.spec.limits.law_range == "stop":
+            raise RunError(f"out-of-range: {'; '.join(texts)}. Write `limits: {{law_range: warn}}` to get a result")
+        return texts

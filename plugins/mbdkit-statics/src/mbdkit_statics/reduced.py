@@ -159,8 +159,8 @@ def _refuse_side_forces_that_work(
     """
     mechanism = prepared.workspace.mechanism
     for force in mechanism.following:
-        slope, points, given = np.zeros((2, len(q))), [], force.joint.flat_points
-        for sign, body, point in zip((-1.0, 1.0), force.joint.bodies, (given[:2], given[2:]), strict=True):
+        slope, points, flat_points = np.zeros((2, len(q))), [], force.joint.flat_points
+        for sign, body, point in zip((-1.0, 1.0), force.joint.bodies, (flat_points[:2], flat_points[2:]), strict=True):
             if body == GROUND:
                 points.append(np.array(point))
                 continue
@@ -390,12 +390,12 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
         operator = LinearOperator((p.n, p.n), matvec=inverse, dtype=float)
         nearest = eigs(operator, k=NEAREST, v0=root * first, tol=1e-12, return_eigenvectors=False)
         return float(np.min((1 / nearest).real)) - 0.01 * square
-    found = extreme(inverse, "LM", root * first, 1e-12)
-    if found > 0:
+    result = extreme(inverse, "LM", root * first, 1e-12)
+    if result > 0:
         anything = np.random.default_rng(0).standard_normal(p.n)
-        least = extreme(lambda x: inverse(x) + found * x, "SA", anything, NEGATIVE) - found
-        found = least if least < -10 * NEGATIVE * found else found
-    return 1 / found - 0.01 * square
+        least = extreme(lambda x: inverse(x) + result * x, "SA", anything, NEGATIVE) - result
+        result = least if least < -10 * NEGATIVE * result else result
+    return 1 / result - 0.01 * square
 
 
 #: Number of inverse iterations used to find the motion for which a matrix is almost singular.

@@ -217,5 +217,5 @@ class StaticEquations(EquationsOfMotion):
         force, rate = states.by_states(t, q, v, z)
         by_position, _ = states.rates_by_motion(t, q, v, z)
         states.use(z)
-        found = super()._sparse_tangents(t, q, v, a, lam)
-        return replace(found, stiffness=csr_array(found.stiffness + force @ np.linalg.solve(rate, by_position)))
+        result = super()._sparse_tangents(t, q, v, a, lam)
+        return replace(result, stiffness=csr_array(result.stiffness + force @ np.linalg.solve(rate, by_position)))

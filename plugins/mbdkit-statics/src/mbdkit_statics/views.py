@@ -35,10 +35,10 @@ def equilibrium_view(rest: Equilibrium) -> View:
     forces = np.column_stack([rest.reaction_force, rest.reaction_torque])
     forces[np.abs(forces) < 1e-12 * np.max(np.abs(forces), initial=0.0)] = 0.0
     joints: list[tuple[Cell, ...]] = [(name, *row) for name, row in zip(rest.joints, forces.tolist(), strict=True)]
-    place = columns_of("body; x [m]; y [m]; angle [rad]")
+    columns = columns_of("body; x [m]; y [m]; angle [rad]")
     force = columns_of("joint; force x [N]; force y [N]; torque [N m]")
     tables = (
-        Table("bodies", "Positions of the bodies", place, tuple(bodies)),
+        Table("bodies", "Positions of the bodies", columns, tuple(bodies)),
         Table("reactions", "Reactions in the joints", force, tuple(joints), sharing(rest)),
         Table("beam-ends", "Ends of beams",
               columns_of("end of beam; x [m]; y [m]; angle [rad]; moved by x [m]; moved by y [m]; turned by [rad]"),

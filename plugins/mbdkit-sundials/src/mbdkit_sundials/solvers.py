@@ -68,9 +68,9 @@ class Interpolant(DenseOutput):  # type: ignore[misc]
         self.solver = solver
 
     def _call_impl(self, t: np.ndarray) -> np.ndarray:
-        found = [np.array(self.solver.step(float(x), "normal").y) for x in np.atleast_1d(t)]
+        results = [np.array(self.solver.step(float(x), "normal").y) for x in np.atleast_1d(t)]
         self.solver.step(self.t, "normal")  # otherwise the next step would repeat this one
-        return np.stack(found, axis=-1) if np.ndim(t) else found[0]
+        return np.stack(results, axis=-1) if np.ndim(t) else results[0]
 
 
 class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
@@ -106,13 +106,13 @@ class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
 
     def _step_impl(self) -> tuple[bool, str | None]:
         with redirect_stdout(io.StringIO()):  # scikit-sundae prints its message in addition to returning it
-            found = self.solver.step(self.t_bound, "onestep", self.t_bound)
-        if not found.success:
-            return False, str(found.message)
-        if found.t - self.t < 10 * np.spacing(self.t):  # otherwise SUNDIALS would continue with ever smaller steps
+            result = self.solver.step(self.t_bound, "onestep", self.t_bound)
+        if not result.success:
+            return False, str(result.message)
+        if result.t - self.t < 10 * np.spacing(self.t):  # otherwise SUNDIALS would continue with ever smaller steps
             return False, self.TOO_SMALL_STEP
-        self.t, self.y = float(found.t), np.array(found.y)
-        self.njev, self.nlu = int(found.njev), int(found.njev)
+        self.t, self.y = float(result.t), np.array(result.y)
+        self.njev, self.nlu = int(result.njev), int(result.njev)
         return True, None
 
     def _dense_output_impl(self) -> Interpolant:

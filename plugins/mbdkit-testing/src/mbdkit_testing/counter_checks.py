@@ -74,11 +74,11 @@ class InstrumentedEquations(EquationsOfMotion):
 @check("honesty.counters")
 def counters(integrator: IntegratorUnderTest) -> Result:
     """The counters of a run agree with those of instrumented equations of motion."""
-    made = integrator.method()
+    method = integrator.method()
     workspace = integrator.workspace(FORCED_PENDULUM)
-    if isinstance(made, SciPySolver):
-        return _of_solver(integrator, made)
-    stepper = integrator.stepper(workspace, 0.2, STEPS, method=made)
+    if isinstance(method, SciPySolver):
+        return _of_solver(integrator, method)
+    stepper = integrator.stepper(workspace, 0.2, STEPS, method=method)
     adaptive = integrator.claims.adaptive
     seen: dict[str, int] = {} if adaptive else {"steps": STEPS, "accepted": STEPS, "rejected": 0}
     instrumented = None
@@ -89,7 +89,7 @@ def counters(integrator: IntegratorUnderTest) -> Result:
     if instrumented is not None:
         asked = instrumented.seen
         seen |= {name: asked[name] for name in ("rhs_evaluations", "jacobian_evaluations", "projections")}
-    elif not adaptive and made.traits.is_explicit and (tableau := made.traits.tableau) is not None:
+    elif not adaptive and method.traits.is_explicit and (tableau := method.traits.tableau) is not None:
         evaluations = STEPS * tableau.stages - (STEPS - 1) * tableau.is_first_same_as_last
         seen |= {"rhs_evaluations": evaluations, "jacobian_evaluations": 0, "newton_iterations": 0}
     said = stepper.counters

@@ -22,8 +22,8 @@ EXACT = 1e-11
 #: Levels, ``position`` and ``velocity``, at which each formulation satisfies the constraints to round-off.
 #:
 #: This is true for the models of these checks, which have no closed loops.
-HELD = {name: one.holds for name, one in FORMULATIONS.items() if one.solves_multipliers} | {
-    name: ("position", "velocity") for name, one in FORMULATIONS.items() if one.coordinates == "joint"
+HELD = {name: formulation.holds for name, formulation in FORMULATIONS.items() if formulation.solves_multipliers} | {
+    name: ("position", "velocity") for name, formulation in FORMULATIONS.items() if formulation.coordinates == "joint"
 }
 ROUNDING = 1e-15
 #: Misalignments [m, m/s] above this limit, a tenth of the mechanism's size, do not follow a power of the step size.
@@ -42,14 +42,14 @@ def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
             return _of_tolerance(integrator, level, model)
         order = integrator.order
         ratio = min(2.0, 4.0 ** (1 / order))
-        steps, found = [], []
+        steps, results = [], []
         for k in range(REFINEMENTS):
             steps.append(1.5 * coarse_step(integrator) / ratio**k)
             with integrator.run(model, {"end": 2.0, "step": steps[-1]}) as run:
-                found.append(_worst(run, level))
-            if found[-1] < 100 * ROUNDING or steps[0] / steps[-1] > FINEST:
+                results.append(_worst(run, level))
+            if results[-1] < 100 * ROUNDING or steps[0] / steps[-1] > FINEST:
                 break
-        sizes = np.array(found)
+        sizes = np.array(results)
         if not np.any(np.isfinite(sizes)):
             raise Skip("no run completed at any step size")
         largest = float(np.nanmax(sizes))
@@ -113,8 +113,8 @@ def growth(integrator: IntegratorUnderTest) -> Result:
         history = worst_history(run)
         if np.max(history) < EXACT:
             return passed(growth="exact", largest_m=float(np.max(history)))
-        found = growth_law(run.time, history)
-    return passed(growth=found.law, exponent=round(found.exponent, 2), largest_m=float(np.max(history)))
+        result = growth_law(run.time, history)
+    return passed(growth=result.law, exponent=round(result.exponent, 2), largest_m=float(np.max(history)))
 
 
 @check("drift.formulations")
@@ -145,10 +145,10 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
 def _residuals(equations: EquationsOfMotion, run: Run) -> dict[str, float]:
     """Return the largest residuals of the constraints in the rows of a run, at both levels [m, rad; per second]."""
     q, v = (run.array(f"trajectory/{name}").reshape(len(run.time), -1) for name in ("position", "velocity"))
-    found = [
+    results = [
         (equations.constraints(*row[:2]), equations.constraint_rates(*row)) for row in zip(run.time, q, v, strict=True)
     ]
-    position, velocity = np.max(np.abs(found), axis=(0, 2)).tolist()
+    position, velocity = np.max(np.abs(results), axis=(0, 2)).tolist()
     return {"position": position, "velocity": velocity}
 
 

@@ -53,7 +53,7 @@ def free_fall(integrator: IntegratorUnderTest) -> Result:
                 defects.append(body.position[-1] - exact)
             else:  # the force acts along y only
                 defects.append(body.position[-1, 0] - 0.4 - 30.0 * end)
-        defect = float(max(np.max(np.abs(one)) for one in defects))
+        defect = float(max(np.max(np.abs(defect)) for defect in defects))
         worst = max(worst, defect)
         if not defect <= limit:
             where = f" at the end of a last step of {count - FALL_STEPS:g} times the others"

@@ -124,12 +124,12 @@ def energy(integrator: IntegratorUnderTest) -> Result:
     """If the method claims to be symplectic or symmetric, the energy of a mass in a central field has no long-term
     trend.
     """
-    found, duration = energy_trend(integrator, ORBIT)
-    change = found.slope * duration
-    figures = {"trend_J_per_s": found.slope, "error_J_per_s": found.error, "largest_J": found.largest}
+    result, duration = energy_trend(integrator, ORBIT)
+    change = result.slope * duration
+    figures = {"trend_J_per_s": result.slope, "error_J_per_s": result.error, "largest_J": result.largest}
     if not (integrator.claims.symplectic or integrator.claims.symmetric):
         return unclaimed(**figures)
-    if found.drifts and found.largest > 1e-11 and abs(change) > 0.3 * found.largest:
+    if result.drifts and result.largest > 1e-11 and abs(change) > 0.3 * result.largest:
         return failed("it claims to be symplectic or symmetric, but its energy has a trend", **figures)
     return passed(**figures)
 
@@ -137,8 +137,8 @@ def energy(integrator: IntegratorUnderTest) -> Result:
 @check("geometry.energy-jointed", slow=True)
 def energy_jointed(integrator: IntegratorUnderTest) -> Result:
     """Trend of the energy of a conservative double pendulum, including effects of drift; reported without a limit."""
-    found, _ = energy_trend(integrator, SWINGING)
-    return passed(trend_J_per_s=found.slope, error_J_per_s=found.error, largest_J=found.largest)
+    result, _ = energy_trend(integrator, SWINGING)
+    return passed(trend_J_per_s=result.slope, error_J_per_s=result.error, largest_J=result.largest)
 
 
 def energy_trend(integrator: IntegratorUnderTest, model: Model) -> tuple[Trend, float]:

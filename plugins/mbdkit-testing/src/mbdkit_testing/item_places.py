@@ -90,11 +90,11 @@ def plugins_where(
     Also prints the command that shows its help, and the pages of the guide that
     mention it. With --json, prints one object with a list "items".
     """
-    found = whereabouts(name)
+    result = whereabouts(name)
     if as_json:
-        show_json(found)
+        show_json(result)
     else:
-        show(whereabouts_text(found))
+        show(whereabouts_text(result))
 
 
 class Place(NamedTuple):
@@ -110,12 +110,12 @@ def places(item: Registered) -> list[Place]:
 
     Modules behind targets are read, not imported, unless they import the object from elsewhere.
     """
-    found = []
+    results = []
     for field, value in {**vars(item.plugin), **item.plugin.targets()}.items():
         place = _of_target(value) if isinstance(value, Target) else _of_object(value)
         if place is not None and field != "references":
-            found.append(Place(field, *place))
-    return found
+            results.append(Place(field, *place))
+    return results
 
 
 def _of_target(target: Target) -> tuple[str, int] | None:

@@ -303,7 +303,7 @@ def reaction(kind: JointUnderTest) -> Result:
     return passed(joints=len(kind.pairs))
 
 
-def _is_out_of_balance(pair: Pair, q: np.ndarray, force: np.ndarray, told: np.ndarray) -> bool:
+def _is_out_of_balance(pair: Pair, q: np.ndarray, force: np.ndarray, values: np.ndarray) -> bool:
     """Return whether the forces ``Phi_q^T lam``, the negative ones on the bodies, are not those of a reaction.
 
     It is a force (x, y) and a torque on the second body, at its point, and the opposite ones on the first.
@@ -314,7 +314,7 @@ def _is_out_of_balance(pair: Pair, q: np.ndarray, force: np.ndarray, told: np.nd
         if body in bodies:
             k = 3 * bodies.index(body)
             x, y = at - q[k : k + 2]
-            own[k : k + 3] = sign * told[0], sign * told[1], sign * (told[2] + x * told[1] - y * told[0])
+            own[k : k + 3] = sign * values[0], sign * values[1], sign * (values[2] + x * values[1] - y * values[0])
     off = (force - own) / pair.scales
     if pair.of_first and pair.joint.bodies[0] in bodies:  # the ground bears a torque if an absolute angle matters
         off[3 * bodies.index(pair.joint.bodies[0]) + 2] = 0.0
@@ -327,7 +327,7 @@ def spec(kind: JointUnderTest) -> Result:
     data = kind.spec.mechanism().to_spec()
     if Mechanism.from_spec(data).to_spec() != data:
         return failed("its joints change in a round trip through a spec")
-    others = {name: one for name, one in data["joints"].items() if name not in kind.joints}
+    others = {name: joint for name, joint in data["joints"].items() if name not in kind.joints}
     again, with_units = Mechanism.from_spec({**data, "joints": others}), deepcopy(data)
     for name in kind.joints:
         one = dict(data["joints"][name])
@@ -378,11 +378,11 @@ def methods(kind: JointUnderTest) -> Result:
         raise Skip("the bodies of its example rest")
     for method in METHODS:
         try:
-            found = end_of(_short(kind, 0.5, **method, stabilization="none"))
+            result = end_of(_short(kind, 0.5, **method, stabilization="none"))
         except MbdkitError as error:
             refused.append(f"{method['formulation']}: {error}".rstrip("."))
             continue
-        off = float(np.max(np.abs(found - reference)[:half] / size)) / motion
+        off = float(np.max(np.abs(result - reference)[:half] / size)) / motion
         worst, agreed = max(worst, off), agreed + 1
         if not off <= MOTION:
             name = method["integrator"]["name"]

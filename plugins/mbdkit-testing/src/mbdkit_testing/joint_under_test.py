@@ -47,10 +47,10 @@ class JointUnderTest(ExampleUnderTest):
     @cached_property
     def model(self) -> type[FunctionJoint]:
         """Class of the joints."""
-        found: Any = self.kind.model()
-        if not (isinstance(found, type) and issubclass(found, FunctionJoint)):
-            raise PluginError(f"its `model` is {found!r}, not a class derived from FunctionJoint")
-        return found
+        result: Any = self.kind.model()
+        if not (isinstance(result, type) and issubclass(result, FunctionJoint)):
+            raise PluginError(f"its `model` is {result!r}, not a class derived from FunctionJoint")
+        return result
 
     def members(self, spec: RunSpec) -> Mapping[str, Any]:
         """Return the joints of this type in a spec, by name."""
@@ -148,7 +148,7 @@ class Pair:
     @cached_property
     def of_first(self) -> bool:
         """Whether a function depends on the absolute angle of the first body."""
-        return any(recorded(one).of("first") for one in self.joint.functions(self.start))
+        return any(recorded(function).of("first") for function in self.joint.functions(self.start))
 
     def rows_at(self, q: np.ndarray) -> np.ndarray:
         """Return the values of the rows, (m,); NaN where they are not finite numbers."""
@@ -269,13 +269,13 @@ def slope(function: Callable[[float], np.ndarray]) -> np.ndarray:
 
     Of several steps, each entry takes that which changes least if it is halved; so tables may have knots nearby.
     """
-    found, least = np.zeros(()), np.array(np.inf)
+    values, least = np.zeros(()), np.array(np.inf)
     for step in STEPS:
         coarse, fine = ((function(h) - function(-h)) / (2 * h) for h in (step, step / 2))
         change = np.abs(fine - coarse)
-        found = np.where(change < least, (4 * fine - coarse) / 3, found)
+        values = np.where(change < least, (4 * fine - coarse) / 3, values)
         least = np.fmin(change, least)
-    return found
+    return values
 
 
 @dataclass(frozen=True)

@@ -128,8 +128,8 @@ def jacobian(model: ModelUnderTest) -> Result:
     return at_most(DERIVATIVE, "a derivative of its constraints differs from finite differences", difference=worst)
 
 
-def _share(found: np.ndarray, exact: np.ndarray) -> float:
-    return float(np.max(np.abs(found - exact)) / max(1.0, float(np.max(np.abs(exact)))))
+def _share(values: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.max(np.abs(values - exact)) / max(1.0, float(np.max(np.abs(exact)))))
 
 
 @check("model.drivers")
@@ -165,15 +165,15 @@ def drivers(model: ModelUnderTest) -> Result:
 @check("energy.balance")
 def balance(model: ModelUnderTest) -> Result:
     """The energy balance of loads and drivers converges to zero with the step."""
-    found, steps = [], (0.02, 0.01, 0.005, 0.0025)
+    results, steps = [], (0.02, 0.01, 0.005, 0.0025)
     for step in steps:
         with simulate(model.spec(step, stages=2)) as run:
             if run.status != "complete":
-                found.append(np.nan)
+                results.append(np.nan)
                 continue
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
-            found.append(float(np.max(np.abs(run.energy.balance))) / size)
-    last = [value for value in found if np.isfinite(value)]
+            results.append(float(np.max(np.abs(run.energy.balance))) / size)
+    last = [value for value in results if np.isfinite(value)]
     if not last:
         return failed("no run completed")
     figures = {"coarsest": last[0], "finest": last[-1]}

@@ -32,8 +32,8 @@ def tolerance(integrator: IntegratorUnderTest) -> Result:
             drive(integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, steps, method=method))
         )
 
-    found, iterated = end(own, steps), end(exact, steps)
-    change, error = float(np.max(np.abs(found - iterated))), float(np.max(np.abs(iterated - end(exact, 2 * steps))))
+    result, iterated = end(own, steps), end(exact, steps)
+    change, error = float(np.max(np.abs(result - iterated))), float(np.max(np.abs(iterated - end(exact, 2 * steps))))
     if change > SAME * error + NEAR_ROUNDING:
         return failed("its iteration stops early: iterating to rounding changes the result", change=change, error=error)
     return passed(change=change, error=error).within({"change": SAME * error + NEAR_ROUNDING})

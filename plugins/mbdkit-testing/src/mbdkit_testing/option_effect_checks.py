@@ -107,13 +107,13 @@ def _at(law: ForceLawUnderTest, options: dict[str, object]) -> ForceLawUnderTest
     return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
 
 
-def _differ(one: ForceLawUnderTest, two: ForceLawUnderTest) -> bool:
+def _differ(test: ForceLawUnderTest, two: ForceLawUnderTest) -> bool:
     """Whether two sets of options give different values at the samples of either, or different valid ranges."""
-    if not np.array_equal(one.span, two.span):
+    if not np.array_equal(test.span, two.span):
         return True
-    places = np.concatenate([one.places, two.places])
-    rates = one.rates(places), two.rates(places)
-    return not np.array_equal(one(places), two(places), equal_nan=True) or any(
+    places = np.concatenate([test.places, two.places])
+    rates = test.rates(places), two.rates(places)
+    return not np.array_equal(test(places), two(places), equal_nan=True) or any(
         not np.array_equal(rates[0][name], rates[1][name], equal_nan=True) for name in rates[0]
     )
 
@@ -124,8 +124,8 @@ def _symbols(law: ForceLawUnderTest) -> set[str] | None:
     if not isinstance(given, ExpressionLaw) or given.parameters is not None or callable(given.valid_range):
         return None
     expressions = [given.force, given.potential, *(rate for rate, _ in given.rates.values())]
-    made = [expression() if callable(expression) else expression for expression in expressions]
-    return {str(symbol) for one in made for symbol in getattr(one, "free_symbols", ())}
+    results = [expression() if callable(expression) else expression for expression in expressions]
+    return {str(symbol) for result in results for symbol in getattr(result, "free_symbols", ())}
 
 
 @check("contract.option-effects")

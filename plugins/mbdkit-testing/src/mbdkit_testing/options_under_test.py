@@ -118,10 +118,10 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[object]:
     if (
         limits["type"] == "number"
     ):  # the bounds themselves are not tried, because they may be special cases, such as a tolerance of 0
-        found = [-size, size / 2, 2 * size]
+        results = [-size, size / 2, 2 * size]
     else:
-        found = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]
-    return [value for value in dict.fromkeys(found) if value != now and _is_within(value, limits)]
+        results = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]
+    return [value for value in dict.fromkeys(results) if value != now and _is_within(value, limits)]
 
 
 def _is_within(value: float, limits: Mapping[str, Any]) -> bool:

@@ -85,14 +85,14 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     """
     from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
 
-    found, end = [], ENDS[problem]
+    results, end = [], ENDS[problem]
     gauss = {"name": "mbdkit:gauss", "stages": 6}
     for rate in (60, 75):
         time = {"end": end, "step": 1 / rate}
         spec = load_spec({"mbdkit": 1, "model": PROBLEMS[problem], "integrator": gauss, "time": time})
         with simulate(spec).check() as result:
-            found.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
-    (state, multipliers), (other, _) = found
+            results.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
+    (state, multipliers), (other, _) = results
     return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)
 
 
@@ -218,8 +218,8 @@ def compare_orders(claimed: float, observed: ObservedOrder, errors: np.ndarray, 
 def _on(problem: str) -> Check[IntegratorUnderTest]:
     def observed(integrator: IntegratorUnderTest) -> Result:
         claimed = integrator.order
-        found = convergence(integrator, problem)
-        return compare_orders(claimed, found.observed, found.errors)
+        result = convergence(integrator, problem)
+        return compare_orders(claimed, result.observed, result.errors)
 
     observed.__doc__ = (
         f"The error on the {problem.replace('-', ' ')}, nonlinear and non-autonomous, converges with the claimed order."
@@ -233,8 +233,8 @@ def multipliers(integrator: IntegratorUnderTest) -> Result:
     claimed = integrator.claims.multiplier_order
     if claimed is None:
         raise Skip("it claims no order of multipliers")
-    found = convergence(integrator, "forced-pendulum")
-    return compare_orders(claimed, found.observed_of_multipliers, found.multiplier_errors, "order of multipliers")
+    result = convergence(integrator, "forced-pendulum")
+    return compare_orders(claimed, result.observed_of_multipliers, result.multiplier_errors, "order of multipliers")
 
 
 @check("order.formulations", slow=True)
@@ -252,20 +252,20 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     for name in others:
         claimed = integrator.claims.orders_on(name)
         assert claimed is not None
-        found = Convergence(integrator, "forced-pendulum", name)
+        result = Convergence(integrator, "forced-pendulum", name)
         seen = []
         kinds = [
-            ("positions", claimed.positions, found.position_errors),
-            ("velocities", claimed.velocities, found.velocity_errors),
+            ("positions", claimed.positions, result.position_errors),
+            ("velocities", claimed.velocities, result.velocity_errors),
         ]
         if claimed.positions == claimed.velocities:
             # The smaller ones may reach rounding before they follow a power of the step h: with dop853, the largest
             # error of positions is about 4.4 h^8 (1 - 13 h).
-            kinds = [("positions and velocities", claimed.positions, found.errors)]
-        for what, order, errors in (*kinds, ("multipliers", claimed.multipliers, found.multiplier_errors)):
+            kinds = [("positions and velocities", claimed.positions, result.errors)]
+        for what, order, errors in (*kinds, ("multipliers", claimed.multipliers, result.multiplier_errors)):
             if order is None:
                 continue
-            observed = found.observed_of_multipliers if what == "multipliers" else found.observed_in(errors)
+            observed = result.observed_of_multipliers if what == "multipliers" else result.observed_in(errors)
             finding = compare_orders(order, observed, errors, f"order of {what}")
             if finding.outcome == "fail":
                 return failed(f"on {name} {finding.cause}", **finding.figures)
@@ -279,9 +279,9 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
 @check("order.finest")
 def finest(integrator: IntegratorUnderTest) -> Result:
     """The order holds at the finest steps until errors approach rounding."""
-    order, found = integrator.order, convergence(integrator, "forced-pendulum")
-    keep = np.isfinite(found.errors) & (found.errors > 0)
-    steps, errors = found.steps[keep], found.errors[keep]
+    order, result = integrator.order, convergence(integrator, "forced-pendulum")
+    keep = np.isfinite(result.errors) & (result.errors > 0)
+    steps, errors = result.steps[keep], result.errors[keep]
     if len(steps) <= FINEST:
         raise Skip("too few runs completed")
     smallest = float(errors.min())
@@ -367,8 +367,8 @@ def projected(integrator: IntegratorUnderTest) -> Result:
     sections = {"stabilization": "projection"}
     if integrator.claims.adaptive:
         return _errors_of_tolerances(integrator, "forced-pendulum", **sections)
-    found = Convergence(integrator, "forced-pendulum", **sections)
-    return compare_orders(integrator.order, found.observed, found.errors)
+    result = Convergence(integrator, "forced-pendulum", **sections)
+    return compare_orders(integrator.order, result.observed, result.errors)
 
 
 @check("tolerance.multipliers")
@@ -444,9 +444,9 @@ def _reported_order(integrator: IntegratorUnderTest, rtol: float) -> float:
     orders, step = list[float](), method.step
 
     def watched(*arguments: Any) -> Any:
-        made = step(*arguments)
-        orders.append(getattr(made, "next_order", None) or 0.0)
-        return made
+        result = step(*arguments)
+        orders.append(getattr(result, "next_order", None) or 0.0)
+        return result
 
     object.__setattr__(method, "step", watched)
     drive(integrator.stepper(integrator.workspace(ORBIT), 40.0, 1, method=method))
@@ -467,8 +467,8 @@ def states(integrator: IntegratorUnderTest) -> Result:
         steps.append(1.0 / number)
         errors.append(float(np.max(np.abs(value - exact))))
         observed = observed_order(np.array(steps), np.array(errors), floor=STATES_FLOOR)
-        found = len(observed.steps)
-        if errors[-1] < 10 * STATES_FLOOR or found > 5 or (found > 3 and observed.order > claimed - BELOW):
+        result = len(observed.steps)
+        if errors[-1] < 10 * STATES_FLOOR or result > 5 or (result > 3 and observed.order > claimed - BELOW):
             break
     if observed.order > claimed + ABOVE:
         return passed(claimed=claimed, measured=round(observed.order, 3))
@@ -496,19 +496,19 @@ def own_control(integrator: IntegratorUnderTest) -> Result:
     size, rejected = LARGEST_TRIAL, 0
     for _ in range(MOST_TRIALS):
         try:
-            made = step_of(method, equations, equations.t0, state, size)
+            result = step_of(method, equations, equations.t0, state, size)
         except StepError:
             size /= 2
             continue
-        if made.accepted:
+        if result.accepted:
             break
-        wanted = size / 2 if made.next_step is None else made.next_step
+        wanted = size / 2 if result.next_step is None else result.next_step
         if not 0.0 < wanted < size:
             return failed(f"it rejects a step of {size:g} s and asks for one of {wanted:g} s, no smaller one")
         size, rejected = wanted, rejected + 1
     else:
         return failed(f"it accepts none of {MOST_TRIALS} attempts, the last of {size:.3g} s")
-    if made.error is not None or (made.next_step is None and not rejected):
+    if result.error is not None or (result.next_step is None and not rejected):
         raise Skip("it leaves the control of its steps to the framework")
     return passed(rejected=rejected, accepted_size=size)
 

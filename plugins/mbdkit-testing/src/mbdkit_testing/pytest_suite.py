@@ -91,7 +91,7 @@ def conformance(
     """
     import pytest
 
-    given: dict[Kind, str | None] = {
+    texts: dict[Kind, str | None] = {
         "integrator": integrator,
         "model": model,
         "force-law": force_law,
@@ -99,7 +99,7 @@ def conformance(
         "element-kind": element,
         "joint-kind": joint,
     }
-    named = [(kind, name) for kind, name in given.items() if name is not None]
+    named = [(kind, name) for kind, name in texts.items() if name is not None]
     if len(named) != 1:
         raise TypeError(
             "conformance needs exactly one of integrator=, model=, force_law=, measure=, element= and joint="

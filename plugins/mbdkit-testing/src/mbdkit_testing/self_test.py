@@ -50,15 +50,15 @@ RUNS: dict[str, tuple[str, dict[str, Any]]] = {
 
 def hashes() -> dict[str, str]:
     """Run all specs; return ``data_sha256`` by name, or why there is none."""
-    found = {}
+    texts = {}
     for name, (example, changes) in RUNS.items():
         try:
             result = run(load_spec(example, **changes))
         except MbdkitError as error:
-            found[name] = str(error)
+            texts[name] = str(error)
             continue
-        found[name] = result.data_sha256 if result.status == "complete" else str(result.status_reason)
-    return found
+        texts[name] = result.data_sha256 if result.status == "complete" else str(result.status_reason)
+    return texts
 
 
 def compared() -> dict[str, str]:

@@ -81,8 +81,8 @@ def step_method(integrator: IntegratorUnderTest, **changes: float) -> StepMethod
 
 def step_of(method: StepMethod, equations: EquationsOfMotion, t: float, state: StepState, h: float) -> Step:
     """Take one step."""
-    made = method.step(equations, t, state, h)
-    return made if isinstance(made, Step) else Step(made)
+    result = method.step(equations, t, state, h)
+    return result if isinstance(result, Step) else Step(result)
 
 
 def single_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
@@ -110,14 +110,14 @@ def steps_on(integrator: IntegratorUnderTest, model: Model) -> Iterator[tuple[fl
         for size in STEPS:
             begin = replace(start, memory=method.begin(equations, equations.t0, start, "start"))
             try:
-                made = step_of(method, equations, equations.t0, begin, size)
+                result = step_of(method, equations, equations.t0, begin, size)
             except StepError as error:
                 why = str(error).rstrip(".")
                 continue
-            if made.accepted and made.time is None and made.event is None:
+            if result.accepted and result.time is None and result.event is None:
                 taken += 1
-                yield size, begin, made
-            elif not made.accepted:
+                yield size, begin, result
+            elif not result.accepted:
                 why = f"its own control rejects them, down to the smallest of {size:.2g} s"
             else:
                 why = "they end earlier than asked"
@@ -142,8 +142,8 @@ def later_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
 
     Their reference states are those of the motion through the begin of the step.
     """
-    found = (_later_steps(integrator, changes) for changes in _tolerances(integrator))
-    return next((steps for steps in found if steps), ())
+    result = (_later_steps(integrator, changes) for changes in _tolerances(integrator))
+    return next((steps for steps in result if steps), ())
 
 
 def _later_steps(integrator: IntegratorUnderTest, changes: dict[str, float]) -> tuple[SingleStep, ...]:
@@ -154,17 +154,17 @@ def _later_steps(integrator: IntegratorUnderTest, changes: dict[str, float]) -> 
         for number in range(HISTORY + 1):
             t, begin = equations.t0 + number * size, state
             try:
-                made = step_of(method, equations, t, begin, size)
+                result = step_of(method, equations, t, begin, size)
             except StepError:
                 break
-            if not made.accepted or made.time is not None or made.event is not None:
+            if not result.accepted or result.time is not None or result.event is not None:
                 break
-            state = made.state
+            state = result.state
         else:
             ends = (moved(equations, t, (begin.q, begin.v, begin.z), share * size) for share in SHARES)
             q, v, z = zip(*(np.split(end, cuts) for end in ends), strict=True)
             exact = tuple(zip(q, v, z, strict=True))
-            found.append(SingleStep(size, begin, made, looked_into(made), exact))
+            found.append(SingleStep(size, begin, result, looked_into(result), exact))
     return tuple(found)
 
 
@@ -202,12 +202,12 @@ def reference_states(*, with_state: bool) -> tuple[tuple[Moment, ...], ...]:
         workspace.t0, stops[-1], step=0.1, steps=4, every=10**9, single=True,
         stops=tuple(stops[:-1]), stop_margins=(1e-15,) * (len(stops) - 1),
     )  # fmt: skip
-    stepper, found = start_method(make_method(spec), workspace, table), dict[float, Moment]()
+    stepper, result = start_method(make_method(spec), workspace, table), dict[float, Moment]()
     n = len(workspace.q0) - 3
     while not stepper.finished:
         stepper.advance()
         step = stepper.last_step
         assert step is not None
         near = min(stops, key=lambda stop, end=step.t1: abs(stop - end))  # type: ignore[misc]
-        found[near] = step.q1[:n].copy(), step.v1[:n].copy(), step.z1.copy()
-    return tuple(tuple(found[time] for time in row) for row in times.tolist())
+        result[near] = step.q1[:n].copy(), step.v1[:n].copy(), step.z1.copy()
+    return tuple(tuple(result[time] for time in row) for row in times.tolist())

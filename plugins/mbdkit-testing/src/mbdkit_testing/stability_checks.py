@@ -66,18 +66,18 @@ def a_stable(integrator: IntegratorUnderTest) -> Result:
         return _adaptive(integrator)
     worst, where = 0.0, ""
     for product in PRODUCTS:
-        place = f"at a frequency times step of {product:.3g}"
+        text = f"at a frequency times step of {product:.3g}"
         try:
-            found = amplitudes(integrator, product, DAMPING, STEPS)
+            result = amplitudes(integrator, product, DAMPING, STEPS)
         except Skip as stopped:
-            worst, where = math.inf, f"{place} {stopped}"
+            worst, where = math.inf, f"{text} {stopped}"
             break
         quarter = STEPS // 4
-        before, after = found[quarter : 2 * quarter].max(axis=0), found[3 * quarter :].max(axis=0)
+        before, after = result[quarter : 2 * quarter].max(axis=0), result[3 * quarter :].max(axis=0)
         growth = np.where(after < NEGLIGIBLE, 0.0, after / np.maximum(before, NEGLIGIBLE))
         if growth.max() > worst:
             worst = float(growth.max())
-            where = f"{place} and a damping ratio of {DAMPING[int(growth.argmax())]:g} oscillations grow"
+            where = f"{text} and a damping ratio of {DAMPING[int(growth.argmax())]:g} oscillations grow"
         if worst > GROWTH:
             break
     figures = {"growth": worst}

@@ -51,8 +51,8 @@ def verdict(subject: StudyUnderTest) -> Result:
     count = len(PlannedPoints(load_study_spec(cut)))
     with tempfile.TemporaryDirectory(prefix="mbdkit-study-") as folder:
         tiny = study(cut, out=Path(folder) / "study", shard=Shard(1, 2 * count), notify=lambda text: None)
-        found = judge(tiny)
-    return passed(claims=len(found.claims), tables=len(found.tables), figures=len(found.figures))
+        result = judge(tiny)
+    return passed(claims=len(result.claims), tables=len(result.tables), figures=len(result.figures))
 
 
 CHECKS = (spec, verdict)

@@ -111,13 +111,13 @@ class InverseProblem:
     def warnings(self) -> tuple[str, ...]:
         """Warnings about the model, as sentences."""
         mechanism = self.names.mechanism
-        told = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
+        texts = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
         if self.names.mechanism.muscles and self.recruiter is None:
-            told.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
-        told += [*self.unused.warnings, *remarks_of(self)]
+            texts.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
+        texts += [*self.unused.warnings, *remarks_of(self)]
         if any(actuator.is_residual for actuator in self.actuators):
-            told += [f"{warning}." for warning in light_roots(self.names.mechanism)]
-        return tuple(told)
+            texts += [f"{warning}." for warning in light_roots(self.names.mechanism)]
+        return tuple(texts)
 
     @classmethod
     def of(cls, spec: InverseSpec) -> InverseProblem:
@@ -373,9 +373,9 @@ def _compressions(
 ) -> np.ndarray:
     if not knees:
         return np.zeros((len(motion.time), 0))
-    found = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).reactions
-    reactions = JointSums(problem.prepared.workspace.mechanism).sum(found)
-    return np.stack([compression(reactions[:, one.index], motion.q, one.shank) for one in knees], axis=1)
+    result = problem.fitter.manifold.reactions(motion.time, motion.q, motion.v, lam).reactions
+    reactions = JointSums(problem.prepared.workspace.mechanism).sum(result)
+    return np.stack([compression(reactions[:, knee.index], motion.q, knee.shank) for knee in knees], axis=1)
 
 
 def compression(reaction: np.ndarray, q: np.ndarray, shank: int) -> np.ndarray:
@@ -403,16 +403,16 @@ def recorded_states(result: Inverse) -> States:
     motion, dynamics = result.motion, result.dynamics
     workspace, manifold = result.problem.prepared.workspace, result.problem.fitter.manifold
     count = len(motion.time)
-    found = manifold.reactions(motion.time, motion.q, motion.v, result.lam)
+    reactions = manifold.reactions(motion.time, motion.q, motion.v, result.lam)
     q, v, a = (np.column_stack([x, np.zeros((count, 3))]) for x in (motion.q, motion.v, motion.a))
     observer = StateObserver(workspace)
     observed: Observed = observer.arrays(count)
-    singular = observer.observe(motion.time, q, v, observed, GivenForces(a, found.lam, found.reactions))
+    singular = observer.observe(motion.time, q, v, observed, GivenForces(a, reactions.lam, reactions.reactions))
     if singular is not None:
         where = workspace.mechanism.unknown_name(singular.unknown)
         raise RunError(f"no unique solution near {where} at t = {motion.time[singular.row]:.6g} s")
-    supplied = found.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
-    work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, found.powers[:, 1]))
+    supplied = reactions.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
+    work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, reactions.powers[:, 1]))
     start, muscles = float(observed.kinetic[0] + observed.potential[0]), _muscles(result)
     return States(
         workspace.mechanism,
@@ -438,9 +438,9 @@ def _muscles(result: Inverse) -> Muscles | None:
     one = result.recruited
     if one is None:
         return None
-    own, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
-    fibers = own.fiber_length, own.fiber_rate
-    return Muscles(own.length, own.rate, *fibers, one.activation, one.force, one.power, muscles)
+    contraction, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
+    fibers = contraction.fiber_length, contraction.fiber_rate
+    return Muscles(contraction.length, contraction.rate, *fibers, one.activation, one.force, one.power, muscles)
 
 
 def without_followers(result: Inverse) -> Inverse:

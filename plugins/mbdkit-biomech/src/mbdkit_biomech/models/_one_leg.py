@@ -197,11 +197,11 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
     SpecError
         If another muscle already has the name of a copy.
     """
-    found: dict[str, Muscle] = {}
+    results: dict[str, Muscle] = {}
     leg = {name for kind in first for name in kind}
     on_leg, with_muscles = (partial(_of_second, own) for own in (leg, leg | set(muscles)))
     for name, muscle in muscles.items():
-        found[name] = muscle
+        results[name] = muscle
         if not any(item.on in first.bodies for item in muscle.path):
             continue
         if name + SUFFIX in muscles:
@@ -213,8 +213,8 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
         if (patella := muscle.patella) is not None:
             own = {"joint": on_leg(patella.joint), "flexion": on_leg(patella.flexion)}
             change["patella"] = patella.model_copy(update=own)
-        found[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles(muscle.excitation)})
-    return found
+        results[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles(muscle.excitation)})
+    return results
 
 
 def _of_second(own: Set[str], value: object) -> Any:

@@ -105,12 +105,12 @@ class BezierCurve:
         inside = np.where(plain < first, first, np.where(plain > last, last, x))
         begins = self.x[1:, 0].tolist()
         u = _reached(_chosen(self.x, begins, plain), inside, HALLEY)
-        found = _bezier_of(_chosen(self.y, begins, plain), u)[0]
+        result = _bezier_of(_chosen(self.y, begins, plain), u)[0]
         below, above = (
             at_end + slope * (x - end)
             for end, at_end, slope in zip((first, last), (self.y[0, 0], self.y[-1, -1]), self.slopes, strict=True)
         )
-        return np.where(plain < first, below, np.where(plain > last, above, found))
+        return np.where(plain < first, below, np.where(plain > last, above, result))
 
     def x_where(self, p: Traced, q: Traced, r: Traced) -> Traced:
         """Return the x at which ``p y + q x = r``, computed by a fixed sequence of operations that can be traced.
@@ -160,10 +160,10 @@ def _chosen(points: np.ndarray, begins: Sequence[Traced], x: Traced) -> Points:
     `begins` are the values (S - 1,) of x at which the segments after the first begin.
     """
     steps = np.column_stack([points[:, 0], np.diff(points, axis=1)]).tolist()
-    found = list(steps[0])
+    results = list(steps[0])
     for begin, step in zip(begins, steps[1:], strict=True):
-        found = [np.where(x >= begin, new, old) for new, old in zip(step, found, strict=True)]
-    return found
+        results = [np.where(x >= begin, new, old) for new, old in zip(step, results, strict=True)]
+    return results
 
 
 def _bezier_of(points: Points, u: Traced) -> tuple[Traced, Traced, Traced]:

@@ -73,10 +73,10 @@ def metabolic_power(
     length, rate
         (...) length of the fibres [m] and its rate [m/s].
     """
-    own, curves = muscle.metabolics, CURVES[muscle.curves]
-    if own is None:
+    metabolics, curves = muscle.metabolics, CURVES[muscle.curves]
+    if metabolics is None:
         return np.full_like(activation, np.nan)
-    slow, fast, width = own.slow_fibers, 1.0 - own.slow_fibers, own.smoothing
+    slow, fast, width = metabolics.slow_fibers, 1.0 - metabolics.slow_fibers, metabolics.smoothing
     normal, speed = length / muscle.optimal_length, rate / (muscle.max_velocity * muscle.optimal_length)
     isometric = _positive(curves.active(normal)[0], width)
     when_long = _positive(curves.active(1.0 + _positive(normal - 1.0, width))[0], width)
@@ -86,7 +86,7 @@ def metabolic_power(
     largest = of_slow[0] - _positive(of_slow[0] - LARGEST_SLOW_HEAT, LARGEST_SLOW_HEAT * width)
     shortening = slow * largest + fast * FAST_HEAT * _positive(-speed, width)
     moved = (scale**2 * shortening + scale * LENGTHENING * of_slow[1]) * when_long
-    heat = LEAST_HEAT + _positive(own.aerobic_factor * (maintained + moved) - LEAST_HEAT, width)
+    heat = LEAST_HEAT + _positive(metabolics.aerobic_factor * (maintained + moved) - LEAST_HEAT, width)
     active = muscle.max_force * activation * isometric * _positive(curves.velocity(speed)[0], width)
     work = active * muscle.max_velocity * muscle.optimal_length * _positive(-speed, width)
     return np.asarray(muscle.mass * heat + work)

@@ -226,18 +226,18 @@ def muscle_law(tendon: str, curves: str, form: Form) -> TracedLaw:
             return 0.0 * p["activation"]
         return activation_rate(excitation_of(form, time, [p[f"number_{i}"] for i in range(count)]), p)
 
-    own = CURVES[curves]
+    curve = CURVES[curves]
     states = [LawState("activation", TracedLaw(activation, _parameters, has_derivatives=False), "1")]
     if tendon == "rigid":
         return TracedLaw(
-            lambda length, rate, time, p: rigid_tension(length, rate, p, own),
+            lambda length, rate, time, p: rigid_tension(length, rate, p, curve),
             _parameters,
             tuple(states),
             valid_range=lambda force: {"length": (force.muscle.tendon_length, np.inf)},
         )
-    rate_law = TracedLaw(lambda length, rate, time, p: fiber_rate(length, p, own), _parameters, has_derivatives=False)
+    rate_law = TracedLaw(lambda length, rate, time, p: fiber_rate(length, p, curve), _parameters, has_derivatives=False)
     states.append(LawState("fiber_length", rate_law, "m"))
-    return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p, own), _parameters, tuple(states))
+    return TracedLaw(lambda length, rate, time, p: elastic_tension(length, p, curve), _parameters, tuple(states))
 
 
 def _parameters(force: Traced) -> dict[str, float]:

@@ -27,18 +27,18 @@ def muscle_lines(muscle: Muscle, mechanism: Mechanism) -> list[list[Place]]:
     for item in items:  # a point, or the center of a circle, in the frame of its body at the start
         x, y = (_value(mechanism, part) for part in item.center)
         places.append((item.on, (x, y)))
-    found: list[Place] = []
+    results: list[Place] = []
     for index, item in enumerate(items):
         body, center = places[index]
         if item.wrap is None:
-            found.append((body, center))
+            results.append((body, center))
             continue
         (ax, ay), (bx, by) = (mechanism.to_global(*places[other]) for other in (index - 1, index + 1))
         size = math.hypot(bx - ax, by - ay) or 1.0
         reach = item.wrap.radius * (1.0 if item.wrap.side == "left" else -1.0) / size
         x, y = mechanism.to_global(body, center)
-        found.append((body, mechanism.to_local(body, (x - reach * (by - ay), y + reach * (bx - ax)))))
-    return [found]
+        results.append((body, mechanism.to_local(body, (x - reach * (by - ay), y + reach * (bx - ax)))))
+    return [results]
 
 
 def _value(mechanism: Mechanism, part: CoordinateFunction) -> float:

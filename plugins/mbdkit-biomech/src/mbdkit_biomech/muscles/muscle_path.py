@@ -182,8 +182,8 @@ class MusclePath:
 
         The circles that the path touches are found by trying all selections of circles, those with few circles first.
         """
-        centers = [one.position for one in span]
-        radii = [one.place.radius for one in span]
+        centers = [placed.position for placed in span]
+        radii = [placed.place.radius for placed in span]
         circles = range(1, len(span) - 1)
         for index in circles:
             self._require_outside(time, centers, radii, index)

@@ -100,7 +100,7 @@ class MuscleValues:
         own = self.given
         if self.states.q.ndim > 2:
             raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
-        muscles = tuple(one.force.muscle for one in self.acting) if own is None else own.muscles
+        muscles = tuple(force.force.muscle for force in self.acting) if own is None else own.muscles
         length, rate = self.array("fiber_length"), self.array("fiber_rate")
         if name == "fiber_power":
             every = _by_muscle(muscles, self.array("force"), length, rate)

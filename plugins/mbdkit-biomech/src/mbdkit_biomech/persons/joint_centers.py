@@ -236,9 +236,9 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     if not symmetric_eigenvectors(normal)[0][0] > 0:
         raise _undetermined(pair, turn, np.inf)
     inverse = inverse_of(normal)
-    found = product(inverse, vector)
-    points = found[:3], found[3:]
-    gap = np.sum(matrix * found, axis=2) - right
+    result = product(inverse, vector)
+    points = result[:3], result[3:]
+    gap = np.sum(matrix * result, axis=2) - right
     residual = float(np.sqrt(np.mean(np.sum(gap * gap, axis=1))))
     if residual > LARGEST_RESIDUAL:
         raise SpecError(
@@ -261,11 +261,11 @@ def functional_center(pair: SegmentPair, other: JointCenter | None = None) -> Jo
     misfit = square = 0.0
     if other is not None:
         to_plane = product(pair.axes, pair.reference[0])[:2]
-        gap = product(to_plane, other.proximal - found[:3])
+        gap = product(to_plane, other.proximal - result[:3])
         both = product(product(to_plane, covariance[:3, :3] + other.covariance), to_plane.T)
         square = float(np.sum(gap * product(inverse_of(both), gap)))
-        found, covariance, misfit = _combined(found, covariance, other)
-        points = found[:3], found[3:]
+        result, covariance, misfit = _combined(result, covariance, other)
+        points = result[:3], result[3:]
     fit = pair.fit(points)
     weighed = zip(fit.weights, pair.reference, strict=True)
     to_plane = np.concatenate([weight * product(pair.axes, rotation) for weight, rotation in weighed], axis=1)
@@ -316,12 +316,12 @@ def _spread(matrix: np.ndarray, covariance: np.ndarray, correlation: np.ndarray)
         (L,) correlation of errors that are 0, 1, ... frames apart; zero beyond.
     """
     frames = len(matrix)
-    found = np.zeros((6, 6))
+    values = np.zeros((6, 6))
     weighted = product(covariance, matrix[:, None])
     for lag, share in enumerate(correlation[:frames]):
         own = np.sum(matrix[: frames - lag, :, :, None] * weighted[lag:, :, None, :], axis=(0, 1))
-        found = found + share * (own if lag == 0 else own + own.T)
-    return found
+        values = values + share * (own if lag == 0 else own + own.T)
+    return values
 
 
 def landmark_center(pair: SegmentPair, method: str, points: np.ndarray) -> JointCenter:
@@ -335,8 +335,8 @@ def landmark_center(pair: SegmentPair, method: str, points: np.ndarray) -> Joint
     inside = [poses.inside(points) for poses in pair.poses]
     if any(np.isnan(own[:, 0]).all() for own in inside):
         raise SpecError("in no frame are both landmarks and the markers of both segments seen", key=pair.key)
-    found = np.nanmean(inside[0], axis=0), np.nanmean(inside[1], axis=0)
-    return pair.center(method, found, LANDMARKS * LANDMARKS * np.eye(3))
+    result = np.nanmean(inside[0], axis=0), np.nanmean(inside[1], axis=0)
+    return pair.center(method, result, LANDMARKS * LANDMARKS * np.eye(3))
 
 
 def hip_center(pair: SegmentPair, landmarks: tuple[np.ndarray, np.ndarray, np.ndarray], side: Side) -> JointCenter:

@@ -45,19 +45,19 @@ class MarkerFile:
     def marker(self, name: str, key: str) -> np.ndarray:
         """Return the positions (T, 3) of a marker [m], nan where it was not seen; raise SpecError if there is none."""
         if not self.has(name):
-            names = [shown(one) for one in self.names]
+            names = [shown(name) for name in self.names]
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(name, self.names) or f"; its markers: {some or 'none'}"
             raise SpecError(f"{self.table.name} has no marker '{shown(name)}'{hint}", key=key)
-        found = self.vectors(name, "m", key)
-        found[np.isnan(found).any(axis=1) | np.all(found == 0, axis=1)] = np.nan  # some programs write 0 for unseen
-        if np.nanmax(np.abs(found), initial=0.0) > LARGEST_LABORATORY:
+        values = self.vectors(name, "m", key)
+        values[np.isnan(values).any(axis=1) | np.all(values == 0, axis=1)] = np.nan  # some programs write 0 for unseen
+        if np.nanmax(np.abs(values), initial=0.0) > LARGEST_LABORATORY:
             raise SpecError(
                 f"marker '{shown(name)}' of {self.table.name} is more than {LARGEST_LABORATORY:g} m from the origin; "
                 "check the unit of length that the file states",
                 key=key,
             )
-        return found
+        return values
 
     def markers(self, names: tuple[str, ...], key: str) -> np.ndarray:
         """Return the positions (T, N, 3) of markers [m]."""

@@ -67,12 +67,12 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
 
 def _points_of_segments(generic: BodySegments, person: BodySegments) -> dict[str, tuple[float, float, float]]:
     """Return by body: the factor of its points, and what is added to x and y, as centres of mass move."""
-    found = {}
+    results = {}
     for body, size in {"trunk": "height", "thigh": "thigh_length", "shank": "shank_length", "foot": "height"}.items():
         factor = getattr(person, size) / getattr(generic, size)
         move = factor * getattr(generic, body).centre - getattr(person, body).centre
-        found[body] = found[body + SUFFIX] = (factor, move.real, move.imag)
-    return found
+        results[body] = results[body + SUFFIX] = (factor, move.real, move.imag)
+    return results
 
 
 def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, float, float]]) -> dict[str, object]:
@@ -107,7 +107,7 @@ def _stretched(value: Any, factor: float, move: float) -> object:
         return f"{factor!r}*({value}) + {move!r}"
     if isinstance(value, Mapping):
         at, values = value["table"]
-        return {**value, "table": [at, [factor * one + move for one in values]]}
+        return {**value, "table": [at, [factor * value + move for value in values]]}
     return factor * value + move
 
 

@@ -38,8 +38,8 @@ def compression_doubts(result: Inverse) -> Iterator[Finding]:
             continue
         index, shank = joints.index(knee), names.body(f"shank{leg}", "model")
         pushed, alone = (compression(one[:, index], result.motion.q, shank) for one in (reactions, without))
-        own = [column for column, body in enumerate(loads.bodies[:measured]) if body == f"foot{leg}"]
-        ground, other = np.sum(size[:, own], axis=1), np.sum(np.delete(size, own, axis=1), axis=1)
+        columns = [column for column, body in enumerate(loads.bodies[:measured]) if body == f"foot{leg}"]
+        ground, other = np.sum(size[:, columns], axis=1), np.sum(np.delete(size, columns, axis=1), axis=1)
         stands = (ground > STANCE * np.max(size, initial=0.0)) & (other <= 0)
         less = np.where(stands, alone - pushed, -np.inf)
         if np.sum(less > LESS * ground) > FRAMES * np.sum(stands):

@@ -41,11 +41,11 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     whole = float(sum(squares.values()))
     if not squares or not whole > (limit := quantile_of_many(freedoms)):
         return
-    told = [f"{name} {squares[name] ** 0.5:.1f}" for name in sorted(squares, key=lambda name: -squares[name])[:3]]
+    texts = [f"{name} {squares[name] ** 0.5:.1f}" for name in sorted(squares, key=lambda name: -squares[name])[:3]]
     yield doubt(
         "misfit",
         f"landmarks, motion and loads contradict each other by more than the stated deviations explain: the sum of "
         f"squares relative to them is {whole:.1f} for {freedoms} degrees of freedom (doubtful above {limit:.1f}, which "
-        f"Gaussian errors exceed in 5 % of cases); largest are {listed(told, 'and')} deviations. Error bars are too "
+        f"Gaussian errors exceed in 5 % of cases); largest are {listed(texts, 'and')} deviations. Error bars are too "
         "narrow: check markers, plates and subject, or state larger deviations in `uncertainty`",
     )

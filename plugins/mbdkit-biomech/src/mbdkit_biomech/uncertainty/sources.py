@@ -121,11 +121,11 @@ def sources_of(problem: InverseProblem) -> list[UncertainScalar]:
 
 def change_of(sources: Sequence[UncertainScalar], values: np.ndarray) -> dict[Place, float]:
     """Return the changes of places for values (K,) of the scalars."""
-    found: dict[Place, float] = {}
+    results: dict[Place, float] = {}
     for source, value in zip(sources, values.tolist(), strict=True):
         for place, size in source.moves.items():
-            found[place] = found.get(place, 0.0) + value * size
-    return found
+            results[place] = results.get(place, 0.0) + value * size
+    return results
 
 
 class _Sources:
@@ -142,7 +142,7 @@ class _Sources:
             size = self._size(key)
             sizes = size if isinstance(size, dict) else dict.fromkeys(segments, size)
             require_known(sizes, segments, f"uncertainty.{key}", "segment")
-            yield from (self._scalar(key, segment, own) for segment, own in sizes.items() if own)
+            yield from (self._scalar(key, segment, size) for segment, size in sizes.items() if size)
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
@@ -171,8 +171,8 @@ class _Sources:
         if self.person is None:
             self._require("centers", "needs `subject`: only a person from markers has joint centres that are measured")
             return
-        given = self.asked.centers
-        sizes = given if isinstance(given, dict) else dict.fromkeys(self.person.centers, given)
+        centers = self.asked.centers
+        sizes = centers if isinstance(centers, dict) else dict.fromkeys(self.person.centers, centers)
         require_known(sizes, self.person.centers, "uncertainty.centers")
         alike: dict[tuple[str, bool], dict[Place, float]] = {}
         for joint, center in self.person.centers.items():
@@ -191,7 +191,7 @@ class _Sources:
     def _of_loads(self) -> Iterator[UncertainScalar]:
         loads = self.problem.loads
         pressed = [name for name, load in loads.items() if load.point is not None and load.frame < 0]
-        forced = [name for name, one in loads.items() if np.any(one.force != 0)]
+        forced = [name for name, load in loads.items() if np.any(load.force != 0)]
         for key, names, what in (("pressure", pressed, "point in the global frame"), ("plate_gain", forced, "force")):
             if not names:
                 self._require(key, f"needs a load with a {what}, but `loads` has none")
@@ -250,14 +250,14 @@ class _Sources:
                 yield UncertainScalar(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
 
     def _of_followers(self) -> Iterator[UncertainScalar]:
-        followers, given = self.problem.followers, self.asked.devices or {}
-        known = dict.fromkeys(number for one in followers.values() for number in one.deviations)
-        for number in given:
+        followers, devices = self.problem.followers, self.asked.devices or {}
+        known = dict.fromkeys(number for follower in followers.values() for number in follower.deviations)
+        for number in devices:
             if number not in known:
                 what = f"there is no uncertain number '{number}'{did_you_mean(number, known)}"
                 raise SpecError(what if known else "needs `follows: dynamics`", key=f"uncertainty.devices.{number}")
-        for name, one in followers.items():
-            for number, size in (one.deviations | given).items():
+        for name, follower in followers.items():
+            for number, size in (follower.deviations | devices).items():
                 if size:
                     place = ("followers", name, number)
                     yield UncertainScalar(f"{number.replace('_', ' ')} of {name}", "devices", {place: size})

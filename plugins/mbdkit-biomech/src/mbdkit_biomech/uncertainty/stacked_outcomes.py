@@ -112,9 +112,9 @@ class StackedOutcomes:
         self.result, self.sources = result, sources
         self.recruiter = result.problem.recruiter
         self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
-        own = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
-        self._mechanics = _Mechanics(own)
-        self._base = self._smooth(own)
+        problem = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
+        self._mechanics = _Mechanics(problem)
+        self._base = self._smooth(problem)
         self._starts: dict[float, np.ndarray] = {}  # multipliers of the result by exponent
         self.moves = np.zeros((len(sources), len(self._base), result.motion.q.shape[1] // 3, 6))
         slopes, changer = {}, Changer(result)
@@ -154,16 +154,16 @@ class StackedOutcomes:
         shapes = {"value": (u,), "reactions": (j, 3), "arms": (u, m), "unit": (j, 3, m)} | dict.fromkeys(SMOOTH, (m,))
         return np.dtype([(name, float, shape) for name, shape in shapes.items()])
 
-    def _smooth(self, own: ChangedProblem, keys: set[str] | None = None) -> np.ndarray:
+    def _smooth(self, problem: ChangedProblem, keys: set[str] | None = None) -> np.ndarray:
         """Return rows (T, W) of smooth values, see `_layout`; `keys` of what is changed, None for the result itself."""
-        mechanics, same_paths = _Mechanics(own), keys is not None and keys <= OF_DYNAMICS
-        rows = self._base.copy() if same_paths else np.zeros((len(own.motion.time), self._layout.itemsize // 8))
+        mechanics, same_paths = _Mechanics(problem), keys is not None and keys <= OF_DYNAMICS
+        rows = self._base.copy() if same_paths else np.zeros((len(problem.motion.time), self._layout.itemsize // 8))
         out = rows.view(self._layout)[:, 0]
         out["value"], out["reactions"] = mechanics.dynamics.value, mechanics.reactions(mechanics.dynamics.lam)
-        if (recruiter := own.problem.recruiter) is None or same_paths:
+        if (recruiter := problem.problem.recruiter) is None or same_paths:
             return rows
         for index, name in enumerate(self._names):
-            mechanics.put_muscle(out, index, recruiter.path(name, own.motion))
+            mechanics.put_muscle(out, index, recruiter.path(name, problem.motion))
             for key in PROPERTIES[1:]:
                 out[key][:, index] = getattr(recruiter.muscles[name], key)
         return rows
@@ -171,12 +171,12 @@ class StackedOutcomes:
     def _slope_of_points(self, name: str, places: Mapping[Place, float]) -> np.ndarray:
         """Return the derivatives (T, W) with respect to a scalar that moves points of one muscle."""
         assert self.recruiter is not None
-        own, motion, sides = self._mechanics.own.problem, self.result.motion, []
+        problem, motion, sides = self._mechanics.own.problem, self.result.motion, []
         for sign in (1.0, -1.0):
             change = {place: sign * size for place, size in places.items()}
             muscle = with_moved_points(name, self.recruiter.muscles[name], {}, change)
             rows = self._base.copy()
-            path = MusclePath(name, muscle, own.names).at(motion.time, motion.q)
+            path = MusclePath(name, muscle, problem.names).at(motion.time, motion.q)
             self._mechanics.put_muscle(rows.view(self._layout)[:, 0], self._names.index(name), path)
             sides.append(rows)
         return np.asarray((sides[0] - sides[1]) / 2)
@@ -187,7 +187,7 @@ class StackedOutcomes:
         shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),), ()
         out = Outcomes(*(np.empty((len(values), frames, *shape)) for shape in shapes))
         exponents, most = self._total(values, ("exponent",)), max(1, ROWS // frames)
-        equal = (np.flatnonzero(exponents == one) for one in np.unique(exponents))  # they are solved together
+        equal = (np.flatnonzero(exponents == exponent) for exponent in np.unique(exponents))  # they are solved together
         blocks = [rows[begin : begin + most] for rows in equal for begin in range(0, len(rows), most)]
         with ThreadPoolExecutor(THREADS) as pool:  # NumPy and machine code release the lock of the interpreter
             list(pool.map(lambda rows: self._fill(values[rows], rows, out), blocks))

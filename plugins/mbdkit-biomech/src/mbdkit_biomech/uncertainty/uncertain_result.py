@@ -111,11 +111,11 @@ class UncertainResult:
         excess
             (J,) expected excess of the largest forces by noise [N].
         """
-        own = self.squares[1]
+        square = self.squares[1]
         safe = np.where(whole == 0, 1.0, whole)  # nan where the bars are not known
-        rows = [of_data / safe, *(self.shares * (own / safe)), (1.0 - np.sum(self.shares, axis=0)) * (own / safe)]
+        rows = [of_data / safe, *(self.shares * (square / safe)), (1.0 - np.sum(self.shares, axis=0)) * (square / safe)]
         kinds = [kind for kind in KINDS if kind != "devices" or self.added is not None]
-        by_kind = {kind: np.sqrt(self.share_of(kind) * own) for kind in kinds}
+        by_kind = {kind: np.sqrt(self.share_of(kind) * square) for kind in kinds}
         words = {"person": "the person"}
         what = "error of the largest reaction_force over the motion by person and muscles"
         more = "expected excess of the largest reaction_force over the true one"
@@ -146,7 +146,7 @@ class UncertainResult:
         """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
         proportion.
         """
-        own = [np.sum(self.shares[[one == each for one in self.kinds.values()]], axis=0) for each in KINDS]
+        own = [np.sum(self.shares[[kind == each for kind in self.kinds.values()]], axis=0) for each in KINDS]
         own = [np.maximum(one, 0.0) for one in own]
         whole = np.sum(own, axis=0)
         return np.asarray(own[KINDS.index(kind)] / np.where(whole > 0, whole, 1.0))
@@ -239,19 +239,19 @@ def drawn(sources: Sequence[UncertainScalar], samples: int, random: np.random.Ge
     scalars, normal scalars are not orthogonal.
     """
     half = -(-samples // 2)
-    found = np.zeros((2 * half, len(sources)))
-    normal = [index for index, one in enumerate(sources) if one.span is None]
+    values = np.zeros((2 * half, len(sources)))
+    normal = [index for index, source in enumerate(sources) if source.span is None]
     own = random.standard_normal((half, len(normal)))
     if len(normal) < half:
         for column in range(len(normal)):  # Gram-Schmidt, modified
             own[:, column] *= np.sqrt(half / np.sum(own[:, column] * own[:, column]))
             share = product(own[:, column + 1 :].T, own[:, column]) / half
             own[:, column + 1 :] -= own[:, column, None] * share
-    found[:, normal] = np.concatenate([own, -own])
+    values[:, normal] = np.concatenate([own, -own])
     for index, source in enumerate(sources):
         if source.span is not None:
-            found[:, index] = source.levels[random.permutation(2 * half) % LEVELS]
-    return found
+            values[:, index] = source.levels[random.permutation(2 * half) % LEVELS]
+    return values
 
 
 def _shares(
@@ -269,7 +269,7 @@ def _shares(
     mean = np.sum(np.where(known, force, 0.0), axis=0) / number
     square = np.sum(np.sum(np.where(known, force * force, 0.0), axis=0) / number, axis=-1)
     safe = np.where(square > 0, square, 1.0)
-    found, excess = np.zeros((len(groups), *square.shape)), np.zeros(square.shape[1])
+    result, excess = np.zeros((len(groups), *square.shape)), np.zeros(square.shape[1])
     largest = np.max(np.linalg.norm(nominal.reactions[0, ..., :2], axis=-1), axis=0)
     for source, weights, changed in _alone(stacked, sources):
         more = np.max(np.nan_to_num(np.linalg.norm(changed, axis=-1)), axis=1) - largest
@@ -277,8 +277,8 @@ def _shares(
         change = np.nan_to_num(changed - nominal.reactions[..., :2])
         weighted = weights[:, None, None, None] * change
         own, own_square = np.sum(weighted, axis=0), np.sum(np.sum(weighted * change, axis=0), axis=-1)
-        found[groups.index(source.group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
-    return found, excess
+        result[groups.index(source.group)] += (own_square + np.sum(own * (mean - own), axis=-1)) / safe
+    return result, excess
 
 
 def _alone(

@@ -40,10 +40,10 @@ def magnitudes(study: Study) -> tuple[Claim, Table]:
     rows: list[tuple[Cell, ...]] = []
     answers, computed = [], []
     for (model, method), published in PUBLISHED.items():
-        found = points.at({MODEL: model, METHOD: method}).value("misalignment_max")
-        answers.append(Range.around(published, FACTOR).holds(found))
-        computed.append(f"{found:.1e} m ({model} pendulum, {method})")
-        rows.append((model, method, published, found, found / published, str(answers[-1])))
+        result = points.at({MODEL: model, METHOD: method}).value("misalignment_max")
+        answers.append(Range.around(published, FACTOR).holds(result))
+        computed.append(f"{result:.1e} m ({model} pendulum, {method})")
+        rows.append((model, method, published, result, result / published, str(answers[-1])))
     number = sum(answer is Answer.YES for answer in answers)
     claim = WORDS.claim("magnitudes", together(answers), computed=", ".join(computed), number=number, factor=FACTOR)
     return claim, WORDS.table("magnitudes", rows)

@@ -96,6 +96,6 @@ def integrate(rtol: float, atol: float, shift: float = 0.0) -> LoopRun:
     begin = time.perf_counter()
     state = start() + np.array([0.0, shift, 0.0, 0.0])
     rows = np.linspace(0.0, END, FRAMES)
-    found = solve_ivp(rates, (0.0, END), state, t_eval=rows, rtol=rtol, atol=atol, method="RK45")
+    result = solve_ivp(rates, (0.0, END), state, t_eval=rows, rtol=rtol, atol=atol, method="RK45")
     seconds = time.perf_counter() - begin
-    return LoopRun(float(np.max(np.abs(gap(found.y[:3].T)))), int(found.nfev), seconds)
+    return LoopRun(float(np.max(np.abs(gap(result.y[:3].T)))), int(result.nfev), seconds)

@@ -117,11 +117,11 @@ def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]
     best: dict[int, float] = {}
     for times in (1, 2.5, 10):
         work = times * book.evaluations
-        found = {
+        results = {
             method: at_equal_work([w for w, _, _ in curve], [r for _, r, _ in curve], work)
             for method, curve in curves.items()
         }
-        known = {method: residual for method, residual in found.items() if math.isfinite(residual)}
+        known = {method: residual for method, residual in results.items() if math.isfinite(residual)}
         name = min(known, key=lambda method: known[method]) if known else ""
         best[int(times)] = known[name] if name else math.nan
         told.append(f"{work:.0f} evaluations: " + (f"{known[name]:.1e} m ({name})" if name else "no run with so few"))

@@ -118,9 +118,9 @@ def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
         return Growth("unclear", ("unclear",), math.nan)
     s, y = (at[keep] - time[0]) / (time[-1] - time[0]), np.log(largest[keep])
     residuals = {law: fit(s, y) for law, fit in _FITS.items()}
-    nearest = min(residuals.values(), key=lambda one: float(one[0] @ one[0]))
+    nearest = min(residuals.values(), key=lambda residual: float(residual[0] @ residual[0]))
     count = max(float(independent(nearest[0])), float(FEWEST))
-    fits = sorted((_fit(law, found, count, len(y)) for law, found in residuals.items()), key=lambda fit: fit.aicc)
+    fits = sorted((_fit(law, residual, count, len(y)) for law, residual in residuals.items()), key=lambda fit: fit.aicc)
     exponent = float(np.polyfit(np.log(np.maximum(s, 1e-12)), y, 1)[0])
     if fits[0].scatter > LOOSE:
         return Growth("unclear", ("unclear",), exponent)

@@ -148,9 +148,9 @@ def errors_at(accuracy: Accuracy, errors: Array, time: Array) -> Array:
         (K,) times of the picture [s].
     """
     rows = np.searchsorted(accuracy.time, time, side="right") - 1
-    found = np.array(errors[rows], dtype=np.float64)
-    found[rows >= accuracy.rows_known] = np.nan
-    return found
+    values = np.array(errors[rows], dtype=np.float64)
+    values[rows >= accuracy.rows_known] = np.nan
+    return values
 
 
 def band_over_time(time: Array, low: Array, high: Array, error: Array) -> Array | None:

@@ -281,11 +281,11 @@ class _Sketch:
 
     def attach(self, element: Any, *, joint: bool = False) -> list[int]:
         """Add the points of a joint or force element and return their indices."""
-        found = []
+        results = []
         for _, name, local in element.attachments():
             body = self.index[name]
             index = self.point(body, local)
-            found.append(index)
+            results.append(index)
             if body == GROUND:
                 if index not in self.parts["grounds"] and getattr(element, "mark", "") != "none":
                     self.parts["grounds"].append(index)
@@ -293,7 +293,7 @@ class _Sketch:
             self.touched[body].append(index)
             if joint:
                 self.held[body].append(index)
-        return found
+        return results
 
     def beam(self, name: str, beam: Beam) -> None:
         """Add the curve of a beam."""
@@ -376,17 +376,17 @@ class _Sketch:
             local=np.array(self.local, dtype=np.float64).reshape(-1, 2),
             outlines=tuple(outlines),
             centres=tuple(centres),
-            **{name: tuple(found) for name, found in self.parts.items()},
+            **{name: tuple(part) for name, part in self.parts.items()},
             traces=tuple(self.marked + free + self.moving),
         )
 
     def _free_nodes(self) -> list[Trace]:
-        found = []
+        traces = []
         for beam in self.parts["beams"]:
             ends = [node for node in (beam.nodes[0], beam.nodes[-1]) if not self.held[node]]
             shown = ends or [beam.nodes[len(beam.nodes) // 2]]
-            found += [Trace(self.bodies[node], self.point(node, (0.0, 0.0))) for node in shown]
-        return found
+            traces += [Trace(self.bodies[node], self.point(node, (0.0, 0.0))) for node in shown]
+        return traces
 
     def _free_end(self, body: int) -> tuple[float, float] | None:
         """Return the free end of a body, in the frame of the body [m]; None if there is none.

@@ -72,10 +72,10 @@ def contact_places(mechanism: Mechanism, body: str, shape: Shape) -> list[Place]
         nx, ny = shape.line.unit
         points = [_far_end(mechanism, body, shape.line.point, side) for side in ((-ny, nx), (ny, -nx))]
     elif shape.polyline is not None:
-        given = shape.polyline
-        ends = [(end, (end[0] - inner[0], end[1] - inner[1])) for end, inner in (given[:2], given[:-3:-1])]
+        polyline = shape.polyline
+        ends = [(end, (end[0] - inner[0], end[1] - inner[1])) for end, inner in (polyline[:2], polyline[:-3:-1])]
         first, last = (_far_end(mechanism, body, *end) for end in ends)
-        points = [first, *given, last]
+        points = [first, *polyline, last]
     elif shape.circle is not None or shape.hole is not None:
         (x, y), radius = shape.circle_of
         turns = np.linspace(0.0, 2.0 * np.pi, ON_CIRCLE, endpoint=False).tolist()

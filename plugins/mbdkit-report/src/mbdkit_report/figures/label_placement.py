@@ -67,7 +67,7 @@ def place_names(names: Sequence[Name], ink: Array, width: float, height: float) 
         Size of the drawing [px].
     """
     taken = np.empty((0, 4))
-    found = []
+    results = []
     for name in names:
         boxes, points, cost = _candidates(name)
         outside = np.maximum(0.0, 2.0 - boxes[:, :2]).sum(axis=1)
@@ -76,8 +76,8 @@ def place_names(names: Sequence[Name], ink: Array, width: float, height: float) 
         best = int(np.argmin(cost))
         taken = np.vstack([taken, boxes[best]])
         left, top = boxes[best, :2].tolist()
-        found.append(PlacedName(name, left, top, (float(points[best, 0]), float(points[best, 1]))))
-    return found
+        results.append(PlacedName(name, left, top, (float(points[best, 0]), float(points[best, 1]))))
+    return results
 
 
 def _candidates(name: Name) -> tuple[Array, Array, Array]:
@@ -93,8 +93,8 @@ def _candidates(name: Name) -> tuple[Array, Array, Array]:
     return boxes, points, np.broadcast_to(_DISTANCES[None, :, None], centre.shape[:-1]).reshape(-1).copy()
 
 
-def _overlaps(boxes: Array, taken: Array) -> Array:
-    apart = (boxes[:, None, :2] >= taken[None, :, 2:]) | (boxes[:, None, 2:] <= taken[None, :, :2])
+def _overlaps(boxes: Array, values: Array) -> Array:
+    apart = (boxes[:, None, :2] >= values[None, :, 2:]) | (boxes[:, None, 2:] <= values[None, :, :2])
     return np.asarray(np.sum(~np.any(apart, axis=-1), axis=1), dtype=float)
 
 

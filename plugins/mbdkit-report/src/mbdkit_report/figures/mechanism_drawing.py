@@ -298,8 +298,8 @@ def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
         if body not in nodes:
             yield Name(name, "body", _along(at[list(drawing.outlines[body])]), color_key(colors[body]))
     for beam in drawing.beams:
-        own = "" if shown.moments is not None else color_key(colors[beam.nodes[0]])
-        yield Name(beam.name, "body", at[list(beam.points)], own)
+        text = "" if shown.moments is not None else color_key(colors[beam.nodes[0]])
+        yield Name(beam.name, "body", at[list(beam.points)], text)
 
 
 def short_name(name: str, longest: int = LONGEST) -> str:

@@ -50,8 +50,8 @@ def line_styles(chart: Figure) -> list[tuple[str, int]]:
     """
     groups = dict.fromkeys(line.group or line.label for line in chart.lines if not (line.color or line.is_emphasized))
     colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}
-    found: list[tuple[str, int]] = []
+    rows: list[tuple[str, int]] = []
     for line in chart.lines:
         color = line.color or (INK if line.is_emphasized else colors[line.group or line.label])
-        found.append((color, sum(color == other for other, _ in found)))
-    return found
+        rows.append((color, sum(color == other for other, _ in rows)))
+    return rows

@@ -82,13 +82,13 @@ def _beam_data(shown: Scene) -> dict[str, object]:
 
 def _gap_data(run: Run, shown: Scene) -> dict[str, object]:
     """Return the gaps of the joints with the largest gaps [m], and the largest gap in any frame."""
-    found: JointGaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
-    size = np.hypot(found.vectors[..., 0], found.vectors[..., 1])
+    result: JointGaps = gaps(run, shown.drawing, shown.poses).largest(_JOINTS)
+    size = np.hypot(result.vectors[..., 0], result.vectors[..., 1])
     return {
-        "joints": list(found.joints),
-        "ends": [list(ends) for ends in found.ends],
+        "joints": list(result.joints),
+        "ends": [list(ends) for ends in result.ends],
         "largest": float(np.max(size[np.isfinite(size)], initial=0.0)),
-        "vectors": _short(found.vectors, 3),
+        "vectors": _short(result.vectors, 3),
     }
 
 
@@ -135,10 +135,10 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> JointGaps:
         if joint.is_driver or joint.points is None:
             continue
         a, b = (index[body] for body in joint.bodies)
-        found = [_find(drawing, body, local) for body, local in zip((a, b), joint.points, strict=True)]
+        results = [_find(drawing, body, local) for body, local in zip((a, b), joint.points, strict=True)]
         gap = _world(poses, b, joint.points[1]) - _world(poses, a, joint.points[0])
         names.append(name)
-        ends.append((found[0], found[1]))
+        ends.append((results[0], results[1]))
         angles = [poses[:, body, 2] if body >= 0 else np.zeros(len(poses)) for body in (a, b)]
         vectors.append(joint.gap(gap, np.stack(angles, axis=-1)))
     stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))

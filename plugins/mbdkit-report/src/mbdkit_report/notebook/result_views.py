@@ -113,9 +113,9 @@ def view(thing: HtmlView) -> View:
     """Return the view of an object: that of a plugin, or one of this file."""
     classes = {f"{one.__module__}:{one.__qualname__}" for one in type(thing).__mro__}
     for item in registry().of_kind("view"):
-        made = cast(ViewItem, item.plugin)
-        if made.of in classes:
-            return object_view.of(made.make)(thing)
+        result = cast(ViewItem, item.plugin)
+        if result.of in classes:
+            return object_view.of(result.make)(thing)
     raise TypeError(f"there is no view for a {type(thing).__name__}: a plugin can add an item `ViewItem`")
 
 

@@ -80,13 +80,13 @@ def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[
     """Return the distinct options of each model, integrator or controller (`kind`) in the specs, by its name. The
     options of models are left out.
     """
-    found: dict[str, dict[str, dict[str, Any]]] = {}
+    results: dict[str, dict[str, dict[str, Any]]] = {}
     for spec in specs:
         if kind not in spec:  # inverse dynamics has no integrator
             continue
         options = {key: value for key, value in spec[kind].items() if key != "name"} if kind != "model" else {}
-        found.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
-    return {name: list(options.values()) for name, options in found.items()}
+        results.setdefault(str(spec[kind]["name"]), {}).setdefault(json.dumps(options, sort_keys=True), options)
+    return {name: list(options.values()) for name, options in results.items()}
 
 
 def _find(kind: Kind, name: str) -> Registered | None:
@@ -104,7 +104,7 @@ def _paragraph(item: Registered, used: list[dict[str, object]]) -> str:
                 values.setdefault(key.replace("_", " "), {})[
                     f"{value:g}" if isinstance(value, float) else str(value)
                 ] = None
-    settings = "; ".join(f"{key} {listed(given, 'and')}" for key, given in values.items())
+    settings = "; ".join(f"{key} {listed(value, 'and')}" for key, value in values.items())
     origin = f"{item.origin.distribution} {item.origin.version}"
     parts = [
         f"{item.plugin.label().capitalize()} {item.name} ({origin}): {item.plugin.summary}",

@@ -164,10 +164,10 @@ def _markers(shown: NamedPose) -> Table:
 
 
 def _parameters(spec: Mapping[str, Any]) -> Table:
-    given = spec.get("parameters") or {}
-    values = parameter_values(given)
+    parameters = spec.get("parameters") or {}
+    values = parameter_values(parameters)
     rows: list[tuple[Cell, ...]] = [
-        (name, text if isinstance(text, str) else None, values[name]) for name, text in given.items()
+        (name, text if isinstance(text, str) else None, values[name]) for name, text in parameters.items()
     ]
     return _limited("parameters", "Parameters", "parameter; expression; value", rows)
 
@@ -209,15 +209,15 @@ def _options(force: Any) -> list[str]:
     """Return the options of a spring, damper or force law as texts, with their units where known. Options that are zero
     or that describe the position are left out.
     """
-    told = []
+    texts = []
     for name, value in force:  # including the options of a force law of a plugin
         if name in _PLACE or value is None or value == 0:
             continue
         words = [name.replace("_", " "), _motion(value)]
         if isinstance(value, float) and name in type(force).model_fields:
             words.append(described_unit(description(type(force), name), force.pathway.length_unit))
-        told.append(" ".join(filter(None, words)))
-    return told
+        texts.append(" ".join(filter(None, words)))
+    return texts
 
 
 def _motion(value: object) -> str:

@@ -118,8 +118,8 @@ def _document(source: Path, kind: FileFormat | None, workers: int) -> Iterator[R
             yield run_report(run)
     elif kind is None or kind.report is None:
         folders = [one for one in _formats() if one.file]
-        phrases = listed([f"no {one.name}" for one in folders], "and")
-        files = ", ".join(f"no {one.file}" for one in folders)
+        phrases = listed([f"no {folder.name}" for folder in folders], "and")
+        files = ", ".join(f"no {folder.file}" for folder in folders)
         raise SpecError(f"this folder contains {phrases}: {files}", file=source)
     else:
         with report_of_folder.of(kind.report)(source, workers) as page:

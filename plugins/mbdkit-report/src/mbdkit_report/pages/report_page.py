@@ -175,8 +175,8 @@ def _summary(figure: Figure) -> Table:
     for line, mask in seen:
         if np.any(mask):
             at, values = line.x[mask], line.y[mask]
-            found = (values[0], values[-1], values.min(), values.max(), at[values.argmax()])
-            rows.append((line.label, *map(float, found)))
+            result = (values[0], values[-1], values.min(), values.max(), at[values.argmax()])
+            rows.append((line.label, *map(float, result)))
     columns = ("curve", "first", "last", "smallest", "largest", f"largest at {x}")
     title = f"Ends and extremes of {figure.title}, {y}"
     return Table(figure.name, title, tuple(Column(name) for name in columns), tuple(rows))

@@ -118,11 +118,11 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
     rows = _rows(run, names[0], component) if times is None else _rows_at(run, times)
     lines = []
     for name in names:
-        values, place = run.beams[name].along(component), run.beams[name].arc_length
+        values, arc_length = run.beams[name].along(component), run.beams[name].arc_length
         for k, row in enumerate(rows):
             time, color = f"{run.time[row]:.4g} s", PALETTE[k] if k < len(PALETTE) else ""
             label = f"{name}, {time}" if len(names) > 1 else time
-            lines.append(Line(label, place, values[row], group=time, color=color))
+            lines.append(Line(label, arc_length, values[row], group=time, color=color))
     where = f" along {names[0]}" if len(names) == 1 else " along beams"
     frame = "; positive moments turn the far part counter-clockwise."
     frame = frame if component == "moment" else ", in the frame of its cross-section."
@@ -151,9 +151,9 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
     chosen = _picked(run, None, component, MOST) if names is None else names
     time = np.asarray(run.time)
     largest = np.stack([np.max(np.abs(run.beams[name].along(component)), axis=1) for name in chosen], axis=1)
-    found = bands(time, largest)
+    result = bands(time, largest)
     axis, caption = _axis(component), "Largest magnitude along a beam, ends included."
-    lines = tuple(Line(name, *found.curve(k), group=name) for k, name in enumerate(chosen))
+    lines = tuple(Line(name, *result.curve(k), group=name) for k, name in enumerate(chosen))
     return Figure(f"beams-{component}-over-time", f"Largest {axis.label} over time", caption, TIME, axis, lines)
 
 

@@ -192,7 +192,7 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
     for mark in chart.marks:
         axes.axvline(mark.x, color=notes["color"], linewidth=0.8, linestyle=":", zorder=0.6)
         _note(axes, mark.label, (mark.x, 1.0), ("data", "axes fraction"), (2, -3), rotation=90, **notes)
-    found = _draw_lines(axes, chart, looks)
+    ds = _draw_lines(axes, chart, looks)
     for guide in chart.guides:
         axes.plot(guide.x, guide.y, color=FAINT, linewidth=1.0, linestyle=(0, (1.0, 2.0)))
         x, y = (
@@ -209,12 +209,12 @@ def _draw(axes: Axes, chart: Figure, looks: Sequence[Look], labels: Look, notes:
         axes.xaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(0.5, 0.25)))
     if chart.y.log:
         axes.set_yscale("log")
-    return found
+    return ds
 
 
 def _draw_lines(axes: Axes, chart: Figure, looks: Sequence[Look]) -> list[Line2D]:
     """Draw the lines of a chart with their bands; a line without its own colour has that of its group."""
-    found: list[Line2D] = []
+    ds: list[Line2D] = []
     colors: dict[str, object] = {}
     for line, look in zip(chart.lines, looks, strict=True):
         group, seen = line.group or line.label, chart.visible(line)
@@ -228,8 +228,8 @@ def _draw_lines(axes: Axes, chart: Figure, looks: Sequence[Look]) -> list[Line2D
         colors.setdefault(group, artist.get_color())
         if line.band is not None:
             axes.fill(*line.band.T, color=artist.get_color(), alpha=0.25, linewidth=0)
-        found.append(artist)
-    return found
+        ds.append(artist)
+    return ds
 
 
 def _note(

@@ -102,9 +102,9 @@ def _relative(values: dict[str, Array]) -> tuple[dict[str, Array], float]:
     The balance is left out, as are dissipated energy and work if they are zero.
     """
     base = float(values["potential"][0]) if len(values["potential"]) else 0.0
-    found = {}
+    results = {}
     for name, curve in values.items():
         if name == "balance" or (name in ("dissipated", "work") and not np.any(np.nan_to_num(curve))):
             continue
-        found[name] = curve - base if name in ("potential", "total") else curve
-    return found, base
+        results[name] = curve - base if name in ("potential", "total") else curve
+    return results, base

@@ -90,8 +90,8 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     """Return the chart of the paths of some points; the options are those of `RunPlots.trajectory`, and at most `most`
     points are shown unless they are named. Raises UnknownNameError if there is no such point.
     """
-    names, found = _points(run, points, most, evenly(len(run.time), _CHART_ROWS))
-    paths = np.stack([path for path, _ in found], axis=1)
+    names, result = _points(run, points, most, evenly(len(run.time), _CHART_ROWS))
+    paths = np.stack([path for path, _ in result], axis=1)
     (left, right), (low, high), cut = view_box(paths, paths[:1])
     x, y = paths[..., 0], paths[..., 1]
     outside = (x < left) | (x > right) | (y < low) | (y > high)
@@ -100,7 +100,7 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     caption = f"Paths of {'markers' if of_markers else 'points'} in the plane."
     if run.accuracy is not None:
         caption += " Bands show estimated errors; a line hides bands that are narrower than itself."
-    lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], found[k][1])]
+    lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], result[k][1])]
     return Figure(
         "trajectory",
         "Trajectory",
@@ -127,16 +127,16 @@ def _points(
         names = list(moving or (trace.label for trace in choose_traces(drawing)))[:most]
     else:
         names = named(wanted, dict.fromkeys([*markers, *traces]), "point")
-    found = []
+    results = []
     for name in names:
         if name in markers:
-            found.append(_marker_path(run, name, rows))
+            results.append(_marker_path(run, name, rows))
             continue
         fixed, owners = trace_points(drawing, (traces[name],))
         errors = _errors(run, drawing, (traces[name],), _CHART_ROWS)
         path = fixed.world(take(run.dataset("trajectory/position"), rows, owners))[:, 0]
-        found.append((path, None if errors is None else errors[:, 0]))
-    return names, found
+        results.append((path, None if errors is None else errors[:, 0]))
+    return names, results
 
 
 def _marker_path(run: Run, name: str, rows: NDArray[np.intp]) -> tuple[Array, Array | None]:
@@ -155,14 +155,14 @@ def _lines(label: str, path: Array, error: Array | None) -> list[Line]:
     if error is None:
         return [Line(label, path[:, 0], path[:, 1], group=label)]
     known = int(np.sum(np.isfinite(error)))
-    found = []
+    lines = []
     if known:
         part = path[:known]
-        found.append(Line(label, part[:, 0], part[:, 1], group=label, band=band_along_path(part, error[:known])))
+        lines.append(Line(label, part[:, 0], part[:, 1], group=label, band=band_along_path(part, error[:known])))
     if known < len(path):
         part = path[max(known - 1, 0) :]
-        found.append(Line(f"{label}, error unknown", part[:, 0], part[:, 1], group=label))
-    return found
+        lines.append(Line(f"{label}, error unknown", part[:, 0], part[:, 1], group=label))
+    return lines
 
 
 def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) -> Array | None:

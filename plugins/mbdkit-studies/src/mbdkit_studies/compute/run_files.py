@@ -66,8 +66,8 @@ class RunFiles(RunStore[str]):
             if row.second_run and self._is_unchanged(row.run_id)
         }
         missing = set(self.missing(self._runs))
-        own = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
-        self._missing = [run_id for run_id in own if run_id in missing]
+        run_ids = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
+        self._missing = [run_id for run_id in run_ids if run_id in missing]
         self._again = self._to_run_again() if shard is None else []
         self._turns = self._missing_timings() if shard is None else []
         return len(self._missing) + len(self._again) + len(self._turns)

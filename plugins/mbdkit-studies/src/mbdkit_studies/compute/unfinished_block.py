@@ -106,7 +106,7 @@ class UnfinishedBlock:
 def _runs(piece: Block) -> list[BlockRun]:
     """Return the final runs of a file."""
     columns, stored = piece.columns("measures"), piece.runs
-    found = []
+    runs = []
     for row, number in enumerate(piece.numbers.tolist()):
         status, reason = str(stored["status"][row]), str(stored["status_reason"][row])
         if not (stored["data_sha256"][row] and Outcome(status, reason).is_final):
@@ -115,7 +115,7 @@ def _runs(piece: Block) -> list[BlockRun]:
         if piece.store == "hashes" and worst:  # only the largest misalignment and its joint are stored
             others = np.array(result.names.joints) != worst
             result = replace(result, misalignment_max=np.where(others, 0.0, result.misalignment_max))
-        found.append(
+        runs.append(
             BlockRun(
                 number,
                 "",
@@ -131,4 +131,4 @@ def _runs(piece: Block) -> list[BlockRun]:
                 str(stored["files"][row]),
             )
         )
-    return found
+    return runs

@@ -110,14 +110,14 @@ def groups_where(study: SampledStudy, where: Mapping[str, Label] | None) -> list
     for key in wanted:
         if key not in keys:
             raise MbdkitError(f"the study has no axis '{key}'{did_you_mean(key, keys) or f'; axes: {listed(keys)}'}")
-    found = [
+    results = [
         group
         for group in groups
         if all((group.family if key == "family" else group.axes.get(key)) == label for key, label in wanted.items())
     ]
-    if not found:
+    if not results:
         raise MbdkitError(f"the study has no runs with these labels; there are: {_told(groups)}")
-    return found
+    return results
 
 
 def one_group(study: SampledStudy, where: Mapping[str, Label] | None) -> SampleGroup:

@@ -98,11 +98,11 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
     notes: dict[str, None] = {}
     for measure in _measures(study):
         runs: tuple[Cell, ...] = (measure.group.words,) if several else ()
-        found = statistics_of_group(study, measure.group, measure.name)
-        assert found is not None  # `_measures` yields only measures with enough values
-        numbers = (found.mean, found.std, *found.quantiles.values())
+        group = statistics_of_group(study, measure.group, measure.name)
+        assert group is not None  # `_measures` yields only measures with enough values
+        numbers = (group.mean, group.std, *group.quantiles.values())
         least, most = float(np.nanmin(measure.values)), float(np.nanmax(measure.values))
-        cells: tuple[Cell, ...] = (found.runs, *(number.text() for number in numbers), least, most)
+        cells: tuple[Cell, ...] = (group.runs, *(number.text() for number in numbers), least, most)
         spreads.append((*runs, measure.quantity.axis.label, measure.quantity.axis.unit, *cells))
         if (sobol := measure.sensitivity()) is not None:
             ends = sobol.indices
@@ -193,8 +193,8 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
 def _is_logarithmic(study: Study, key: str) -> bool:
     """Return whether the axis of a variable is logarithmic, because its distribution is."""
     sample = study.spec.sample
-    given = {} if sample is None else sample.variables.get(key, {})
-    return next(iter(given), "").startswith(("log", "reciprocal"))
+    variable = {} if sample is None else sample.variables.get(key, {})
+    return next(iter(variable), "").startswith(("log", "reciprocal"))
 
 
 def _convergence(one: _Measured) -> list[Figure]:
@@ -204,8 +204,8 @@ def _convergence(one: _Measured) -> list[Figure]:
     if sample is None or whole is None or sample.n < 2 * _FEWEST:
         return []
     numbers = [count for count in 2 ** np.arange(4, 21) if count < sample.n] + [sample.n]
-    found = [(count, one.sensitivity(int(count), resamples=_RESAMPLES)) for count in numbers]
-    known = [(count, sobol.indices) for count, sobol in found if sobol is not None]
+    results = [(count, one.sensitivity(int(count), resamples=_RESAMPLES)) for count in numbers]
+    known = [(count, sobol.indices) for count, sobol in results if sobol is not None]
     chosen = np.argsort(-np.nan_to_num(whole.total), kind="stable")[:_MOST_VARIABLES]
     x = np.array([count for count, _ in known], float)
     figures = []
@@ -254,7 +254,7 @@ def _quantities(study: Study) -> list[str]:
     """Return the quantities over time from which the measures of a study are computed; if there are none, the angle of
     the last body.
     """
-    found: dict[str, None] = {}
+    results: dict[str, None] = {}
     for measure in study.spec.defined_measures():
         try:
             tree = ast.parse(measure.expression, mode="eval")
@@ -263,10 +263,10 @@ def _quantities(study: Study) -> list[str]:
         for node in ast.walk(tree):
             match node:
                 case ast.Call(func=ast.Name(id=name), args=[argument]) if name in REDUCTIONS:
-                    found[ast.get_source_segment(measure.expression, argument) or ""] = None
-    if not found:
+                    results[ast.get_source_segment(measure.expression, argument) or ""] = None
+    if not results:
         try:
             return [f"{list(study.points[0].spec.mechanism().bodies)[-1]}.angle"]
         except (MbdkitError, IndexError):
             return []
-    return list(found)
+    return list(results)

@@ -217,13 +217,13 @@ def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, lis
     """Divide runs into groups whose runs differ along the axis `along` only. Return label, method and points of each
     group; the points are in the order of the axis.
     """
-    found: dict[tuple[str, str], list[StudyPoint]] = {}
+    results: dict[tuple[str, str], list[StudyPoint]] = {}
     for point in points:
         label = ", ".join(value_words(key, point) for key in others_than(along, point))
-        found.setdefault((label, str(point.axes.get(METHOD, label))), []).append(point)
+        results.setdefault((label, str(point.axes.get(METHOD, label))), []).append(point)
     return [
         (label, group, sorted(chosen, key=lambda point: float(point.axes[along])) if along else chosen)
-        for (label, group), chosen in found.items()
+        for (label, group), chosen in results.items()
     ]
 
 
@@ -249,7 +249,7 @@ def with_slope_guides(figure: Figure) -> Figure:
     """
     if not (figure.x.log and figure.y.log and figure.x.label == "step"):
         return figure
-    found: dict[int, Guide] = {}
+    guides: dict[int, Guide] = {}
     for line in figure.lines:
         order = observed_order(line.x, line.y)
         whole = round(order.order) if order.found else 0
@@ -258,6 +258,6 @@ def with_slope_guides(figure: Figure) -> Figure:
         ends = np.array([min(order.steps), max(order.steps)])
         top = float(line.y[int(np.argmin(np.abs(line.x - ends[1])))]) / _BELOW
         guide = Guide(f"order {whole}", ends, top * (ends / ends[1]) ** whole)
-        if whole not in found or guide.y[1] < found[whole].y[1]:
-            found[whole] = guide
-    return replace(figure, guides=(*figure.guides, *(found[order] for order in sorted(found))))
+        if whole not in guides or guide.y[1] < guides[whole].y[1]:
+            guides[whole] = guide
+    return replace(figure, guides=(*figure.guides, *(guides[order] for order in sorted(guides))))

@@ -117,11 +117,11 @@ def settings(study: Study) -> str:
     parts = [count(len(study.points), "run")]
     if len(study.families) > 1:
         parts.append(count(len(study.families), "family", "families"))
-    told = [name for name in ("complete", "failed", "left-out") if states[name]]
+    names = [name for name in ("complete", "failed", "left-out") if states[name]]
     pairs = zip(study.verdicts(), study.statuses(), strict=True)
     levels = Counter(level for level, state in pairs if state == "complete")  # failed runs are rated bad, too
     verdicts = [f"{levels[level]:,} {level}" for level in ("doubtful", "bad") if levels[level]]
-    return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in told), *verdicts])
+    return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in names), *verdicts])
 
 
 def _verdict(study: Study) -> Verdict:
@@ -207,10 +207,10 @@ def _named(point: StudyPoint, units: Mapping[str, str] | None) -> tuple[Cell, ..
 
 
 def _cell(point: StudyPoint, name: str) -> Cell:
-    found = value(point, name)
-    if math.isnan(found):
+    result = value(point, name)
+    if math.isnan(result):
         return None
-    return int(found) if name in OPERATIONS else found
+    return int(result) if name in OPERATIONS else result
 
 
 def _failures(study: Study) -> Table:

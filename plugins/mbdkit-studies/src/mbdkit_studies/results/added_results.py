@@ -89,13 +89,13 @@ def _places(study: Study, points: Sequence[StudyPoint], method: str) -> dict[int
     def group(point: StudyPoint) -> tuple[object, ...]:
         return (point.family, *(item for item in point.axes.items() if item[0] != key))
 
-    found: dict[tuple[object, ...], list[float]] = {}
+    results: dict[tuple[object, ...], list[float]] = {}
     for point in study.points:
         if math.isfinite(drift := value(point, DRIFT)):
-            found.setdefault(group(point), []).append(drift)
+            results.setdefault(group(point), []).append(drift)
     places = {}
     for point in points:
-        rivals = found.get(group(point), [])
+        rivals = results.get(group(point), [])
         if math.isfinite(mine := value(point, DRIFT)) and len(rivals) > 1:
             floor = ROUND_OFF * size_at_start(point)
             places[point.number] = 1 + sum(max(drift, floor) < max(mine, floor) for drift in rivals), len(rivals)
@@ -109,7 +109,7 @@ def _row(method: str, name: str, points: Sequence[StudyPoint], places: dict[int,
     varied = {key for point in points for key, label in point.axes.items() if not isinstance(label, str)}
     only_step = all(key.startswith(("time.", "output.")) for key in varied)
     for column in (DRIFT, ERROR):
-        known = [found for point in complete if math.isfinite(found := value(point, column))]
+        known = [result for point in complete if math.isfinite(result := value(point, column))]
         ranges += [min(known, default=None), max(known, default=None)]
         steps, values = Points(points if only_step else []).along(STEP, column)
         order = observed_order(steps, values)
@@ -117,28 +117,28 @@ def _row(method: str, name: str, points: Sequence[StudyPoint], places: dict[int,
     ranked = [places[point.number] for point in points if point.number in places]
     between = sorted({place for place, _ in ranked})
     of = max((count for _, count in ranked), default=0)
-    place = f"{' to '.join(map(str, dict.fromkeys((between[0], between[-1]))))} of {of}" if ranked else None
+    text = f"{' to '.join(map(str, dict.fromkeys((between[0], between[-1]))))} of {of}" if ranked else None
     costs = [[value(point, "rhs_evaluations"), wall_time(point)] for point in complete]
     means = np.mean(costs, axis=0).tolist() if costs else [None, None]
     counted = f"{len(complete)} of {len(points)}"
-    return (method, name, counted, *ranges[:2], place, *ranges[2:], *reversed(orders), *means)
+    return (method, name, counted, *ranges[:2], text, *ranges[2:], *reversed(orders), *means)
 
 
 def _text(points: Sequence[StudyPoint], places: dict[int, tuple[int, int]], orders: Sequence[Cell]) -> str:
     """Return a text on the runs of an added method."""
     complete = [drift for point in points if math.isfinite(drift := value(point, DRIFT))]
-    told = f"{len(complete)} of {len(points)} runs are complete"
+    text = f"{len(complete)} of {len(points)} runs are complete"
     if complete:
-        told += f", with a misalignment of {_between(complete, '.1e')} m"
+        text += f", with a misalignment of {_between(complete, '.1e')} m"
     known = [float(order) for order in orders if isinstance(order, float)]
     if known:
-        told += f"; the observed order of its error is {_between(known, '.2f')}"
+        text += f"; the observed order of its error is {_between(known, '.2f')}"
     if places:
         first = sum(place == 1 for place, _ in places.values())
-        told += f"; no other method has a smaller misalignment in {first} of {len(places)} comparisons"
+        text += f"; no other method has a smaller misalignment in {first} of {len(places)} comparisons"
     if any(point.family.endswith(IN_TOLERANCES) for point in points):
-        told += "; it has tolerances in place of steps"
-    return told
+        text += "; it has tolerances in place of steps"
+    return text
 
 
 def _between(values: Sequence[float], form: str) -> str:

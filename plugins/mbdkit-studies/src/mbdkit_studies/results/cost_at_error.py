@@ -65,12 +65,12 @@ def cost_at_error(study: Study) -> Table | None:
     rows = []
     for name, points in groups.items():
         cells: list[Cell] = [name]
-        found = [value(point, ERROR) for point in points]
+        results = [value(point, ERROR) for point in points]
         works, times = [_operations(point) for point in points], [wall_time(point) for point in points]
         for target in wanted:
-            work = work_for(works, found, target)
+            work = work_for(works, results, target)
             cells += [None, None] if math.isnan(work) else [round(work), at_equal_work(works, times, work)]
-        rows.append((work_for(works, found, wanted[0]), tuple(cells)))
+        rows.append((work_for(works, results, wanted[0]), tuple(cells)))
     rows.sort(key=lambda row: (math.isnan(row[0]), row[0]))
     columns = [Column("runs")]
     for target in wanted:
@@ -96,13 +96,13 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
     known = errors[np.isfinite(errors)]
     if not known.size:
         return []
-    told = f"{known.min():.2g} to {known.max():.2g} m at the end, against the reference"
+    text = f"{known.min():.2g} to {known.max():.2g} m at the end, against the reference"
     path = np.array([value(point, "trajectory_error") / value(point, "mechanism_size") for point in study.points])
     if np.any(np.isfinite(path)):
         count = int(np.sum(path <= KNOWN_POSITION.doubtful))
         limit = f"{KNOWN_POSITION.doubtful:.0%} of the mechanism's size"
-        told += f"; {count} of {len(errors)} runs stay within {limit} of it"
-    found = [("errors", told)]
+        text += f"; {count} of {len(errors)} runs stay within {limit} of it"
+    rows = [("errors", text)]
     table = cost_at_error(study)
     if table is not None:
         target = table.columns[1].label.removeprefix("operations for ")
@@ -110,8 +110,8 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
         words = [f"{row[0]} ({row[1]})" for row in reached]
         if words:
             more = f", before {' and '.join(words[1:])}" if words[1:] else ""
-            found.append((f"fewest operations for an error of {target}", f"{words[0]}{more}"))
-    return found
+            rows.append((f"fewest operations for an error of {target}", f"{words[0]}{more}"))
+    return rows
 
 
 def _groups(study: Study) -> dict[str, list[StudyPoint]]:
@@ -120,14 +120,14 @@ def _groups(study: Study) -> dict[str, list[StudyPoint]]:
     The keys are the families and the values on the other axes, in words. Sequences in which all errors are equal are
     left out.
     """
-    found: dict[str, list[StudyPoint]] = {}
+    results: dict[str, list[StudyPoint]] = {}
     for point in study.points:
         if math.isnan(value(point, ERROR)):
             continue
         numbers = [key for key, label in point.axes.items() if key != METHOD and isinstance(label, int | float)]
         others = [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
-        found.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
-    return {name: points for name, points in found.items() if len({value(one, ERROR) for one in points}) > 1}
+        results.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
+    return {name: points for name, points in results.items() if len({value(point, ERROR) for point in points}) > 1}
 
 
 def _targets(errors: list[float]) -> list[float]:

@@ -89,12 +89,12 @@ def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[object], object
     judges = {item: study for item, study in studies.items() if study.has_verdict}
     if any(spec.verdict in (item.name, item.id) for item in judges):
         try:
-            found = installed.get("study", spec.verdict)
+            result = installed.get("study", spec.verdict)
         except SpecError as error:  # the name is ambiguous: several distributions use it
             raise spec.placed(SpecError(error.message, key="verdict")) from None
-        judge = judges[found].verdict
+        judge = judges[result].verdict
         assert judge is not None
-        return found, judge
+        return result, judge
     names = [installed.accepted(item)[0] for item in judges]
     hint, advice = did_you_mean(spec.verdict, names), installed.advice(spec.verdict)
     message = f"there is no verdict '{spec.verdict}'{hint}; verdicts: {listed(names)}{advice}"

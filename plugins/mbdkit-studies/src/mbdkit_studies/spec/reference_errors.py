@@ -70,18 +70,18 @@ def multiplier_error(run: Run, reference: Run) -> float:
         Largest error, relative to the largest multiplier of the same unit in the reference; nan if the runs have no
         common times after the start, inf if multipliers that are all zero in the reference are not zero in the run.
     """
-    own = carries_multipliers(run)
+    multipliers = carries_multipliers(run)
     mine, theirs = common_rows(run, reference)
     if not len(mine):
         return math.nan
-    found = run.array("constraints/method_multiplier" if own else "constraints/multiplier")[mine]
+    result = run.array("constraints/method_multiplier" if multipliers else "constraints/multiplier")[mine]
     right = reference.array("constraints/multiplier")
     units = run.array("constraints/multiplier_row_units")
     worst = 0.0
     for unit in dict.fromkeys(units):
         chosen = units == unit
         scale = float(np.max(np.abs(right[:, chosen]), initial=0.0))
-        off = float(np.max(np.abs(found[:, chosen] - right[theirs][:, chosen]), initial=0.0))
+        off = float(np.max(np.abs(result[:, chosen] - right[theirs][:, chosen]), initial=0.0))
         if off > 0:
             worst = max(worst, off / scale if scale > 0 else math.inf)
     return worst

@@ -51,7 +51,7 @@ class MeasureStatistics:
 
     def __str__(self) -> str:
         lines = [("mean", self.mean), ("standard deviation", self.std)]
-        lines += [(f"{100 * q:g} % quantile", found) for q, found in self.quantiles.items()]
+        lines += [(f"{100 * q:g} % quantile", quantile) for q, quantile in self.quantiles.items()]
         text = [f"{self.measure}: {self.runs} runs, {100 * self.confidence:g} % intervals"]
         return "\n".join([*text, *(f"{name:<18}  {found.text(self.unit)}" for name, found in lines)])
 
@@ -64,12 +64,12 @@ def statistics(
         raise MbdkitError("statistics need a sample: the values on the axes of a study are not drawn at random")
     if not 0 < confidence < 1:
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
-    found = statistics_of_group(study, one_group(study, where), measure, confidence)
-    if found is None:
+    group = statistics_of_group(study, one_group(study, where), measure, confidence)
+    if group is None:
         raise MbdkitError(
             f"statistics need values of '{measure}' from at least {FEWEST} complete runs that are not rated bad"
         )
-    return found
+    return group
 
 
 def statistics_of_group(

@@ -86,9 +86,9 @@ class _Condition(Compiler):
 
         It has the same length as the name if possible, so that positions in messages stay correct.
         """
-        found = f"_{len(self.aliases)}".ljust(len(name), "_")
-        self.aliases[found] = name
-        return found
+        text = f"_{len(self.aliases)}".ljust(len(name), "_")
+        self.aliases[text] = name
+        return text
 
     def rows(self) -> np.ndarray:
         """Return the rows that satisfy the condition."""

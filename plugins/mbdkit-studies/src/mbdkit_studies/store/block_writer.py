@@ -415,12 +415,12 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
     )
 
 
-def _is_alike(one: FinishedRun, other: FinishedRun) -> bool:
+def _is_alike(run: FinishedRun, other: FinishedRun) -> bool:
     """Return whether two runs share their names and layout as objects, and have no redundant joints.
 
     Runs that are alike have one structure. The contents of the objects are not compared, to save time.
     """
-    return one.names is other.names and one.layout is other.layout and one.shared is other.shared is None
+    return run.names is other.names and run.layout is other.layout and run.shared is other.shared is None
 
 
 @lru_cache(maxsize=1024)
@@ -433,6 +433,6 @@ def _worst(result: FinishedRun) -> tuple[float, str]:
     values = result.misalignment_max
     if not len(values):
         return 0.0, ""
-    place = int(values.argmax())
-    largest = float(values[place])
-    return (largest, result.names.joints[place]) if largest > 0.0 else (largest, "")
+    index = int(values.argmax())
+    largest = float(values[index])
+    return (largest, result.names.joints[index]) if largest > 0.0 else (largest, "")

@@ -42,7 +42,7 @@ def changed_axes(problem: InverseProblem) -> str | None:
     if len(columns) < 2 or len(measured.names) <= fitter.manifold.freedoms:
         return None
     rows = np.unique(np.linspace(0, len(measured.time) - 1, ROWS).astype(int))
-    target, found = measured.target.rows(rows), []
+    target, results = measured.target.rows(rows), []
     if _fits(fitter, target, start):
         return None
     at = target.values[:, columns]
@@ -54,10 +54,10 @@ def changed_axes(problem: InverseProblem) -> str | None:
         values = target.values.copy()
         values[:, columns] = changed
         if _fits(fitter, FitTarget(target.time, target.quantities, values, target.root_weight), start):
-            found.append(change)
-    if not found:
+            results.append(change)
+    if not results:
         return None
-    return f"the axes of the markers are probably wrong: the mechanism fits with {listed(found, 'or with')}"
+    return f"the axes of the markers are probably wrong: the mechanism fits with {listed(results, 'or with')}"
 
 
 def _third_axis(problem: InverseProblem, names: Sequence[str]) -> np.ndarray | None:

@@ -57,7 +57,7 @@ def glitch_doubts(result: Inverse, name: str) -> Iterator[Finding]:
     ]
     if not glitches:
         return
-    first, length, jump, axis = max(glitches, key=lambda one: one[2] / limits[one[3]])
+    first, length, jump, axis = max(glitches, key=lambda glitch: glitch[2] / limits[glitch[3]])
     rows = np.zeros(len(time), dtype=bool)
     for start, count, _, _ in glitches:
         rows[start : start + count] = True
@@ -74,7 +74,7 @@ def glitch_doubts(result: Inverse, name: str) -> Iterator[Finding]:
 def spans(time: np.ndarray, rows: np.ndarray) -> str:
     """Return the times of sequences of marked rows, (T,) or (T, ...), as text; at most four sequences."""
     marked = np.flatnonzero(np.any(rows.reshape(len(time), -1), axis=1))
-    parts = [time[one] for one in np.split(marked, np.flatnonzero(np.diff(marked) > 1) + 1)]
+    parts = [time[part] for part in np.split(marked, np.flatnonzero(np.diff(marked) > 1) + 1)]
     told = [f"{part[0]:.6g} s" if len(part) == 1 else f"{part[0]:.6g} to {part[-1]:.6g} s" for part in parts]
     more = [f"{len(told) - 4} more times"] if len(told) > 4 else []
     return f"at t = {listed([*told[:4], *more], 'and')}"
@@ -101,5 +101,5 @@ def _glitches(x: np.ndarray, is_loaded: np.ndarray) -> Iterator[tuple[int, int, 
         away, back = change[first - 1], -change[last]
         jump = np.where(away * back > 0, np.minimum(np.abs(away), np.abs(back)), 0.0)
         around = np.maximum(largest[first - 1], largest[last + AROUND + 1])
-        for one in np.flatnonzero((jump > JUMP * around) & loaded[first] & loaded[last + AROUND + 1]):
-            yield int(first[one]), length, float(jump[one])
+        for index in np.flatnonzero((jump > JUMP * around) & loaded[first] & loaded[last + AROUND + 1]):
+            yield int(first[index]), length, float(jump[index])

@@ -41,7 +41,7 @@ def misplaced_marker(result: Inverse, share: np.ndarray) -> str | None:
         return None
     rms = np.sqrt(np.nanmean(share**2, axis=0))
     rows = np.unique(np.linspace(0, len(measured.time) - 1, ROWS).astype(int))
-    found = []
+    results = []
     for point, columns in sorted(moving.items(), key=lambda one: -float(np.sum(rms[one[1]] ** 2)))[:MOST]:
         others = np.setdiff1d(np.arange(len(measured.names)), columns)
         try:
@@ -49,11 +49,11 @@ def misplaced_marker(result: Inverse, share: np.ndarray) -> str | None:
         except RunError:
             continue
         after = max(LEAST, float(np.sqrt(np.nanmean(left[:, others] ** 2))))
-        found.append((after, float(np.sqrt(np.nanmean(share[rows][:, others] ** 2))), point, columns, q))
-    found.sort(key=lambda tried: tried[0])
-    if len(found) < 2 or found[1][0] < CLEARER * found[0][0]:
+        results.append((after, float(np.sqrt(np.nanmean(share[rows][:, others] ** 2))), point, columns, q))
+    results.sort(key=lambda tried: tried[0])
+    if len(results) < 2 or results[1][0] < CLEARER * results[0][0]:
         return None
-    after, before, point, columns, q = found[0]
+    after, before, point, columns, q = results[0]
     at = measured.values[rows][:, columns]
     spread = [_spread(q[:, 3 * body : 3 * body + 3], at) for body in range(len(fitter.bodies))]
     own, least = spread[point.body], min(spread)
@@ -61,15 +61,15 @@ def misplaced_marker(result: Inverse, share: np.ndarray) -> str | None:
     if not moves_with_other and before <= ALONE * after:
         return None
     name, length = measured.names[columns[0]].removesuffix(".x"), fitter.manifold.length
-    told = (
+    text = (
         f"marker {name} of {fitter.bodies[point.body]} contradicts the others, whose residuals are "
         f"{before * length:.2g} m with it and {after * length:.2g} m without it (root mean squares"
     )
     if not moves_with_other:
-        return f"{told}; doubtful above {ALONE:g} times as much): check its place on the body."
+        return f"{text}; doubtful above {ALONE:g} times as much): check its place on the body."
     likely = [body for body, one in zip(fitter.bodies, spread, strict=True) if one < CLEARER * least]
     return (
-        f"{told}; doubtful above {ON_OTHER:g} times as much): it seems to be on {listed(likely, 'or')}, where it moves "
+        f"{text}; doubtful above {ON_OTHER:g} times as much): it seems to be on {listed(likely, 'or')}, where it moves "
         f"by {least:.2g} m relative to the body, instead of {own:.2g} m on {fitter.bodies[point.body]}."
     )
 

@@ -58,10 +58,10 @@ def cutoff_doubts(result: Inverse) -> Iterator[Finding]:
     )
     low = np.flatnonzero((excess > EXCESS) & (share > REMOVED))
     if low.size:
-        told = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
+        texts = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
         yield doubt(
             "cutoff",
             f"the cutoff of {cutoff:.3g} Hz removes a part of the motion: the accelerations that it removes are "
-            f"{listed(told, 'and')} (doubtful above {REMOVED:g}), and noise does not explain them. Choose a higher "
+            f"{listed(texts, 'and')} (doubtful above {REMOVED:g}), and noise does not explain them. Choose a higher "
             "cutoff.",
         )

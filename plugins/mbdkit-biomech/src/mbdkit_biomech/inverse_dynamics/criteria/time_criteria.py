@@ -108,11 +108,11 @@ def off_neighbours(time: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the deviations (T - 4,) of samples from the cubic polynomials through two neighbours on both sides."""
     count = len(time) - 4
     near = [slice(shift, shift + count) for shift in (0, 1, 3, 4)]
-    at, found = time[2:-2], x[2:-2].copy()
+    at, values = time[2:-2], x[2:-2].copy()
     for own in near:
         weight = np.ones(count)
         for other in near:
             if other != own:
                 weight *= (at - time[other]) / (time[own] - time[other])
-        found -= weight * x[own]
-    return found
+        values -= weight * x[own]
+    return values

@@ -55,9 +55,9 @@ def uncertain_turns(result: Inverse) -> Iterator[str]:
     off = np.abs(measured.values[0] - pose) / measured.quantities.scale
     columns = np.flatnonzero(measured.may_turn & (off > HALF_TURN)).tolist()
     if columns:
-        told = listed([f"{measured.names[index]} {off[index]:.3g} rad" for index in columns], "and")
+        text = listed([f"{measured.names[index]} {off[index]:.3g} rad" for index in columns], "and")
         yield (
-            f"the first values of columns differ by about half a turn from those of the model ({told}). If these "
+            f"the first values of columns differ by about half a turn from those of the model ({text}). If these "
             "angles have another zero than in the model, correct it with the `offset` of a named coordinate; otherwise "
             "give the bodies in the model about the angles that they have in the first row, because the numbers of "
             "full turns are not certain."

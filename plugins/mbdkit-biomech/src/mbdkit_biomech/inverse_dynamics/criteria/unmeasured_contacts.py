@@ -22,19 +22,19 @@ def unmeasured_frames(result: Inverse) -> dict[str, np.ndarray]:
     """
     problem, loads = result.problem, result.loads
     names, acts = list(problem.fitter.bodies), np.any(loads.force != 0, axis=2)
-    found: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     for body in dict.fromkeys((*problem.spec.unmeasured, *loads.bodies)):
-        own = [index for index, on in enumerate(loads.bodies) if on == body]
-        free = ~np.any(acts[:, own], axis=1)
+        indexes = [index for index, on in enumerate(loads.bodies) if on == body]
+        free = ~np.any(acts[:, indexes], axis=1)
         stated = problem.spec.loads  # not those of bodies that follow the motion
-        plates = [i for i in own if loads.names[i] in stated and stated[loads.names[i]].is_plate]
+        plates = [i for i in indexes if loads.names[i] in stated and stated[loads.names[i]].is_plate]
         if body not in problem.spec.unmeasured:
             if not plates or not np.any(acts[:, plates]):
                 continue
             free &= _around(result.motion.time, free & _stands(result, names.index(body), plates, acts))
         if free.any():
-            found[body] = free
-    return found
+            values[body] = free
+    return values
 
 
 def _stands(result: Inverse, body: int, plates: list[int], acts: np.ndarray) -> np.ndarray:
@@ -55,8 +55,8 @@ def _stands(result: Inverse, body: int, plates: list[int], acts: np.ndarray) -> 
 
 def _around(time: np.ndarray, stands: np.ndarray) -> np.ndarray:
     """Return the frames (T,) of contacts that are not too short, and those around them."""
-    found = np.zeros(len(time), dtype=bool)
+    values = np.zeros(len(time), dtype=bool)
     for first, end in np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]))).reshape(-1, 2).tolist():
         if time[end - 1] - time[first] >= CONTACT:
-            found |= (time >= time[first] - CONTACT) & (time <= time[end - 1] + CONTACT)
-    return found
+            values |= (time >= time[first] - CONTACT) & (time <= time[end - 1] + CONTACT)
+    return values

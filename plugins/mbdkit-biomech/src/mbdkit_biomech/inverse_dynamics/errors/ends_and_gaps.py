@@ -87,14 +87,14 @@ def long_gaps(result: Inverse) -> list[LongGap]:
     if independent is None or not independent.names or not np.any(interpolated):
         return []
     longest = 0.5 / max(_cutoffs(result))
-    found = []
+    gaps = []
     for column, missing in enumerate(interpolated.T):
         borders = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]])))
         for first, last in borders.reshape(-1, 2).tolist():
             start, end = float(time[first - 1]), float(time[last])
             if end - start > longest * (1 + 1e-9):
-                found.append(LongGap(column, slice(first, last), start, end, longest))
-    return found
+                gaps.append(LongGap(column, slice(first, last), start, end, longest))
+    return gaps
 
 
 def longest_period(result: Inverse) -> float:
@@ -199,14 +199,14 @@ def _end_accelerations(time: np.ndarray, coordinates: np.ndarray, how: Sequence[
     before smoothing (T, U, S): those of the cubic polynomials that fit them best over one period of the cutoff.
     """
     interval = float(time[-1] - time[0]) / (len(time) - 1)
-    found = np.zeros((2, *coordinates.shape[1:]))
-    for index, one in enumerate(how):
-        count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, one) * interval))) + 1))
+    values = np.zeros((2, *coordinates.shape[1:]))
+    for index, smoothing in enumerate(how):
+        count = min(len(time), max(FEWEST_AT_END, int(np.ceil(1 / (cutoff_of(time, smoothing) * interval))) + 1))
         for side, (rows, end) in enumerate(((slice(count), time[0]), (slice(-count, None), time[-1]))):
             cubic = np.vander((time[rows] - end) / (count * interval), 4, increasing=True)[None]
             second = 2 * pseudoinverses(cubic, NEGLIGIBLE)[0, 2] / (count * interval) ** 2
-            found[side, index] = product(second, coordinates[rows, index])
-    return found
+            values[side, index] = product(second, coordinates[rows, index])
+    return values
 
 
 def _correlation_root(acceleration: np.ndarray) -> np.ndarray:

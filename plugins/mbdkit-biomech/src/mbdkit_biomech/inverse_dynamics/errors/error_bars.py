@@ -140,8 +140,8 @@ class _Response:
             if recruiter is not None and base.recruited is not None:
                 recruiter = recruiter.with_targets(base.recruited.targets.repeated(count))
                 problem = replace(problem, recruiter=recruiter)
-            found = _outcome(forces_of(problem, base.fitted, independent, motion, strict=False))
-            yield from (_Outcome(*(part[at : at + frames] for part in found.parts)) for at in shifts)
+            outcome = _outcome(forces_of(problem, base.fitted, independent, motion, strict=False))
+            yield from (_Outcome(*(part[at : at + frames] for part in outcome.parts)) for at in shifts)
 
 
 def _outcome(result: Inverse) -> _Outcome:
@@ -183,7 +183,7 @@ def error_bars(result: Inverse) -> ResultBars | None:
     of_ends = _squares_of_changes(sensitivity, changes_at_ends(data))
     likely = response(likely_at_ends(data))
     of_lines = _squares_of_changes(sensitivity, changes_of_lines(result, data.path))
-    squares = [one + ends + lines for one, ends, lines in zip(squares, of_ends, of_lines, strict=True)]
+    squares = [square + ends + lines for square, ends, lines in zip(squares, of_ends, of_lines, strict=True)]
     uncertain, of_data = uncertain_result(result, data.random), squares[1]
     if uncertain is not None:
         squares = [square + more for square, more in zip(squares, uncertain.squares, strict=True)]
@@ -221,8 +221,8 @@ def _covariances(data: NoisyData, others: Sequence[_Other]) -> list[np.ndarray]:
     """
     totals: list[np.ndarray | float] = [0.0] * (1 + len(others))
     for noise in data.samples(data.asked.samples):
-        own = data.path.smoothed(noise).every
-        for index, change in enumerate([own, *(other.noise(noise).every - own for other in others)]):
+        every = data.path.smoothed(noise).every
+        for index, change in enumerate([every, *(other.noise(noise).every - every for other in others)]):
             totals[index] = totals[index] + products(change, np.swapaxes(change, 1, 2))
     return [np.asarray(total / data.asked.samples) for total in totals]
 
@@ -259,8 +259,8 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
             moved[order][:, column] += sign * steps[-1]
             moves.append(Smoothed(*moved))
     sides = response.each(moves)
-    found = [[part / (2 * step) for part in next(sides).minus(next(sides)).parts] for step in steps]
-    return [np.array(one) for one in zip(*found, strict=True)]
+    results = [[part / (2 * step) for part in next(sides).minus(next(sides)).parts] for step in steps]
+    return [np.array(one) for one in zip(*results, strict=True)]
 
 
 def _with_loads(
@@ -306,9 +306,9 @@ def _bounds(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.nd
     """Return the bounds, due to noise, of actuators, reaction forces, torques, positions, velocities and muscles."""
     reactions, factor = sensitivity[1], np.sqrt(quantile(1.0))
     x, y = reactions[..., 0], reactions[..., 1]
-    found = [factor * np.sqrt(square) for square in _squares(sensitivity, covariance)]
-    found[1] = _norm_bound(*(_product(a, b, covariance) for a, b in ((x, x), (y, y), (x, y))))
-    return found
+    values = [factor * np.sqrt(square) for square in _squares(sensitivity, covariance)]
+    values[1] = _norm_bound(*(_product(a, b, covariance) for a, b in ((x, x), (y, y), (x, y))))
+    return values
 
 
 def _squares(sensitivity: list[np.ndarray], covariance: np.ndarray) -> list[np.ndarray]:
@@ -410,7 +410,7 @@ def _method(
 ) -> str:
     measured = result.fitted.measured
     stated = ~np.isnan(measured.deviation)
-    told = [
+    texts = [
         f"{name} {value:.3g} {quantity.unit}{' (stated)' if given else ''}"
         for name, value, quantity, given in zip(
             measured.names, deviation, measured.quantities.quantities, stated, strict=True
@@ -440,7 +440,7 @@ def _method(
     unknown = "".join(f" Unknown (nan) in {gap}." for gap in told_gaps(result, gaps).values())
     return (
         f"Bounds that hold with a probability of {LEVEL:.0%} at each time: Gaussian noise, independent from sample "
-        f"to sample, with the standard deviations {listed(told, 'and', NAMED)}, passed through the linearised fit, "
+        f"to sample, with the standard deviations {listed(texts, 'and', NAMED)}, passed through the linearised fit, "
         f"smoothing and dynamics{of_loads}{''.join(effects)}{' by root sum of squares' if effects else ''}"
         f"{'' if factors else '; no cutoff was varied'}"
         f"{'; artefacts of the markers, correlated in time' if result.problem.source.person else ''}{ends}.{unknown}"

@@ -160,9 +160,9 @@ class NoisePath:
         The correlation is that of moving averages of white noise. Their weights are ``r(sqrt(2) l)`` at the lag l for
         the correlation r of the artefacts, which is exact for Gaussian functions.
         """
-        found = np.zeros((len(self._time), self.columns, count))
+        values = np.zeros((len(self._time), self.columns, count))
         if self._person is None:
-            return found
+            return values
         columns = list(self._person.columns)
         chosen = [columns.index(name) for name in self._names]
         for body, shifts in self._person.shifts.items():
@@ -174,8 +174,8 @@ class NoisePath:
             white = random.standard_normal((len(self._time) + len(weights) - 1, shifts.shape[1] * count))
             rows = len(self._time)
             series = sum(weight * white[lag : lag + rows] for lag, weight in enumerate(weights.tolist()))
-            found += products(shifts[chosen], np.asarray(series).reshape(rows, shifts.shape[1], count))
-        return found
+            values += products(shifts[chosen], np.asarray(series).reshape(rows, shifts.shape[1], count))
+        return values
 
 
 def _solved(directions: Directions, observed: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -257,12 +257,12 @@ def _estimated(share: np.ndarray, actual: np.ndarray, stated: np.ndarray) -> np.
     variance = np.where(known, stated, 0.0) ** 2
     if np.any(seen) and np.any(actual > 0):
         given, rest = product(share[:, known], variance[known]), share[:, seen]
-        found = np.full(int(np.sum(seen)), max(0.0, np.sum(actual - given)) / np.sum(rest))
+        result = np.full(int(np.sum(seen)), max(0.0, np.sum(actual - given)) / np.sum(rest))
         for _ in range(ITERATIONS):
-            expected = given + product(rest, found)
+            expected = given + product(rest, result)
             ratio = np.divide(actual, expected, out=np.zeros_like(actual), where=expected > 0)
-            found = found * product(rest.T, ratio) / np.sum(rest, axis=0)
-        variance[seen] = found
+            result = result * product(rest.T, ratio) / np.sum(rest, axis=0)
+        variance[seen] = result
     return np.asarray(np.where(known | seen, np.sqrt(variance), np.nan))
 
 

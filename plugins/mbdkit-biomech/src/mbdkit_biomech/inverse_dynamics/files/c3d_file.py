@@ -293,7 +293,7 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
         Position of the parameters in the file.
     """
     order = ">h" if content[first + 3 : first + 4] == bytes([_MIPS]) else "<h"
-    analog, found = 0, []
+    analog, results = 0, []
     for name, group, place, offset in _entries(content, first, order):
         end = place + offset if offset else len(content)
         if name == b"ANALOG" and group < 0:
@@ -306,10 +306,10 @@ def _require_sound_parameters(content: bytes, first: int) -> None:
             if place + 4 + count + abs(size) * math.prod(shape) > end:
                 raise ValueError("a parameter is longer than its place in the file")
             values = struct.unpack_from(order, content, place + 4 + count)[0] if size == 2 else 0
-            found.append((group, name.rstrip(b"0123456789"), values, math.prod(shape)))
-    channels = next((value for group, name, value, _ in found if (group, name) == (analog, b"USED")), 0)
+            results.append((group, name.rstrip(b"0123456789"), values, math.prod(shape)))
+    channels = next((value for group, name, value, _ in results if (group, name) == (analog, b"USED")), 0)
     for wanted in (b"SCALE", b"OFFSET"):
-        if channels > sum(count for group, name, _, count in found if (group, name) == (analog, wanted)):
+        if channels > sum(count for group, name, _, count in results if (group, name) == (analog, wanted)):
             raise ValueError(f"some of its {channels} analog channels have no {wanted.decode().lower()}")
 
 
@@ -345,19 +345,19 @@ def _in_order_of_intel(content: bytes, first: int) -> bytes:
     numbers, scale, more, rate = (struct.unpack_from(f">{kind}", content, at) for kind, at in _HEADER)
     header = b"".join(struct.pack(f"<{kind}", *given) for (kind, _), given in
                       zip(_HEADER, (numbers, scale, more, rate), strict=True))  # fmt: skip
-    found = bytearray(content)
-    found[:_BLOCK] = (content[:2] + header).ljust(_BLOCK, b"\0")
-    found[first + 3] = _INTEL
+    result = bytearray(content)
+    result[:_BLOCK] = (content[:2] + header).ljust(_BLOCK, b"\0")
+    result[first + 3] = _INTEL
     for _, group, place, offset in _entries(content, first, ">h"):
-        found[place : place + 2] = struct.pack("<h", offset)
+        result[place : place + 2] = struct.pack("<h", offset)
         if group > 0:
             size, count = struct.unpack_from("bB", content, place + 2)
             begin = place + 4 + count
             length = abs(size) * int(np.prod(list(content[place + 4 : begin]), dtype=int))
-            found[begin : begin + length] = _swapped(content[begin : begin + length], abs(size))
+            result[begin : begin + length] = _swapped(content[begin : begin + length], abs(size))
     data = _BLOCK * (more[0] - 1)
-    found[data:] = _swapped(content[data:], 4 if scale[0] < 0 else 2)
-    return bytes(found)
+    result[data:] = _swapped(content[data:], 4 if scale[0] < 0 else 2)
+    return bytes(result)
 
 
 #: Formats of the numbers in the header, and their positions in bytes.

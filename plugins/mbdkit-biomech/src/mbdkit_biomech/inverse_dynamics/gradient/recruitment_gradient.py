@@ -118,13 +118,13 @@ def _slopes(seeds: Seeds, recruited: Recruited, index: int) -> dict[str, np.ndar
     """Return the derivatives of the arrays of muscles with respect to one parameter; zeros for arrays that do not
     depend on it.
     """
-    own = recruited.contraction
-    shapes = {name: recruited.sharing.arms if name == "arms" else getattr(own, name) for name in OF_MUSCLES}
+    contraction = recruited.contraction
+    shapes = {name: recruited.sharing.arms if name == "arms" else getattr(contraction, name) for name in OF_MUSCLES}
     none: Mapping[str, np.ndarray] = {name: np.zeros_like(x) for name, x in shapes.items()} | {
-        "weights": np.zeros(own.length.shape[1])
+        "weights": np.zeros(contraction.length.shape[1])
     }
-    found = {name: seeds.get(key_of(name)) for name in none}
-    return {name: none[name] if x is None else x[..., index] for name, x in found.items()}
+    results = {name: seeds.get(key_of(name)) for name in none}
+    return {name: none[name] if x is None else x[..., index] for name, x in results.items()}
 
 
 def _change(
@@ -134,24 +134,24 @@ def _change(
     columns: tuple[np.ndarray, np.ndarray],
     slope: Mapping[str, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    own, sharing, count = recruited.contraction, recruited.sharing, recruited.activation.shape[1]
+    contraction, sharing, count = recruited.contraction, recruited.sharing, recruited.activation.shape[1]
     arms, driven, programme = sharing.arms, sharing.driven, sharing.programme
     matrix = np.zeros_like(programme.matrix)
     matrix[:, :, :count] = (
-        slope["arms"][:, driven] * own.capacity[:, None] + arms[:, driven] * slope["capacity"][:, None]
+        slope["arms"][:, driven] * contraction.capacity[:, None] + arms[:, driven] * slope["capacity"][:, None]
     )
-    passive = products(slope["arms"][:, driven], own.passive) + products(arms[:, driven], slope["passive"])
+    passive = products(slope["arms"][:, driven], contraction.passive) + products(arms[:, driven], slope["passive"])
     right = value[:, driven] - passive
     weight = np.zeros_like(programme.weight)
     weight[:count] = slope["weights"]
     shares = change_of_shares(programme, recruited.shared, recruiter.exponent, ProgrammeChange(matrix, right, weight))
     activation = shares[:, :count]
-    force = own.capacity * activation + slope["capacity"] * recruited.activation + slope["passive"]
+    force = contraction.capacity * activation + slope["capacity"] * recruited.activation + slope["passive"]
     tension = recruited.force
     beside = value - (products(arms, force) + products(slope["arms"], tension))
     beside[:, recruiter.is_taken_over(driven)] = 0.0
     pushed = products(columns[0], beside) + products(columns[1], recruited.beside)
-    pushed = pushed + products(own.pull, force) + products(slope["pull"], tension)
+    pushed = pushed + products(contraction.pull, force) + products(slope["pull"], tension)
     return activation, force, beside, pushed
 
 
@@ -159,11 +159,11 @@ def differentiated_muscles(
     recruiter: Recruiter, recruited: Recruited, change: RecruitedChange, seeds: Seeds
 ) -> Muscles:
     """Return the muscles with an additional last axis for the value and its K derivatives."""
-    own = recruited.contraction
+    contraction = recruited.contraction
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
     kinematic = {name: np.stack([slope[name] for slope in slopes], axis=-1) for name in OF_MUSCLES[:4]}
-    power = -(change.force * own.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
-    values = {name: getattr(own, name) for name in kinematic} | {
+    power = -(change.force * contraction.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
+    values = {name: getattr(contraction, name) for name in kinematic} | {
         "activation": recruited.activation,
         "force": recruited.force,
         "power": recruited.power,

@@ -158,9 +158,9 @@ class Fitter:
 
     def _following(self, target: FitTarget, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the pose of a key frame, and its distance from `start`, the pose of the previous key frame."""
-        one, q = target.rows(slice(frame, frame + 1)), start[None]
+        rows, q = target.rows(slice(frame, frame + 1)), start[None]
         for _ in range(MOST_ITERATIONS):
-            step = self._step(one, q)
+            step = self._step(rows, q)
             q = q + step
             if self._size(step)[0] < SETTLED:
                 break
@@ -239,12 +239,12 @@ class Fitter:
         """
         parts = moves.reshape(-1, 3) > MOVES * np.max(moves)
         words = ("x", "y", "angle")
-        found = [
+        texts = [
             f"{name} ({listed([word for word, moving in zip(words, part, strict=True) if moving])})"
             for name, part in zip(self.bodies, parts, strict=True)
             if np.any(part)
         ]
-        return listed(found, "and", 6)
+        return listed(texts, "and", 6)
 
 
 #: Largest number of Gauss-Newton steps that place the bodies freely. Few suffice, because they start from the fitted
@@ -282,13 +282,13 @@ def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: F
         if np.max(np.abs(step), initial=0.0) < PLACED:
             break
     residual = manifold.reactions(target.time, place, np.zeros_like(place), none).residual
-    found: np.ndarray = JointSums(mechanism).misalignment(residual)
+    values: np.ndarray = JointSums(mechanism).misalignment(residual)
     jacobian = manifold.frames(target.time, q).jacobian * manifold.scale
     seen = products(pseudoinverses(observed, NEGLIGIBLE), observed)
     hidden = np.linalg.norm(jacobian - products(jacobian, seen), axis=2) > BLIND * np.linalg.norm(jacobian, axis=2)
     names = [row.label.rpartition(".")[0] for row in mechanism.solved_rows]
     for number, name in enumerate(mechanism.joints):
-        own = [row for row, joint in enumerate(names) if joint == name]
-        if own:
-            found[np.any(hidden[:, own], axis=1), number] = np.nan
-    return found
+        rows = [row for row, joint in enumerate(names) if joint == name]
+        if rows:
+            values[np.any(hidden[:, rows], axis=1), number] = np.nan
+    return values

@@ -80,10 +80,10 @@ class PlacedGaps:
 
     def to_json(self, names: Sequence[str]) -> str:
         """Return the first rows of the gaps of each column as JSON, given the names of the columns."""
-        found: dict[str, list[int]] = {}
+        results: dict[str, list[int]] = {}
         for gap in self.gaps:
-            found.setdefault(names[gap.column], []).append(gap.first)
-        return json.dumps(found)
+            results.setdefault(names[gap.column], []).append(gap.first)
+        return json.dumps(results)
 
     def interpolated(self, missing: np.ndarray) -> np.ndarray:
         """Return the missing values, (T, K), that are not in these gaps."""
@@ -110,25 +110,25 @@ def place_gaps(fitter: Fitter, measured: Measured, q: np.ndarray) -> tuple[Measu
     beside[:-1] |= missing[1:]
     weight = np.where(beside, 0.0, np.sqrt(measured.weight))
     determined = _determined(fitter, measured.target, q, weight)
-    found = []
+    results = []
     for column in np.flatnonzero(np.any(missing, axis=0)).tolist():
         borders = np.flatnonzero(np.diff(np.concatenate([[False], missing[:, column], [False]])))
-        found += [
+        results += [
             PlacedGap(column, first, last)
             for first, last in borders.reshape(-1, 2).tolist()
             if np.all(determined[first - 1 : last + 1])
         ]
-    if not found:
+    if not results:
         return measured, q, None
-    rows = np.unique(np.concatenate([np.arange(one.first - 1, one.last + 1) for one in found]))
-    placed = PlacedGaps(rows, weight[rows], tuple(found))
+    rows = np.unique(np.concatenate([np.arange(result.first - 1, result.last + 1) for result in results]))
+    placed = PlacedGaps(rows, weight[rows], tuple(results))
     try:
         others = fitter.refined(replace(measured.target.rows(rows), root_weight=placed.root_weight), q[rows])
         predicted, values = measured.quantities.values(others), measured.values.copy()
-        for one in found:
-            known = values[[one.first - 1, one.last], one.column]
-            own = predicted[placed.of(one), one.column]
-            values[one.first : one.last, one.column] = one.filled(measured.time, own, known)
+        for result in results:
+            known = values[[result.first - 1, result.last], result.column]
+            own = predicted[placed.of(result), result.column]
+            values[result.first : result.last, result.column] = result.filled(measured.time, own, known)
         filled, poses = replace(measured, values=values), q.copy()
         poses[rows] = fitter.refined(filled.target.rows(rows), q[rows])
     except FitError:  # near a singular position; the interpolated values have a fit
@@ -140,13 +140,13 @@ def _determined(fitter: Fitter, target: FitTarget, q: np.ndarray, root_weight: n
     """Return whether the columns with positive weights (T, K) determine the poses `q` of the rows (T,)."""
     manifold = fitter.manifold
     rows = np.flatnonzero(np.any(root_weight == 0.0, axis=1))
-    found = np.zeros(len(q), dtype=bool)
+    values = np.zeros(len(q), dtype=bool)
     free = manifold.directions_at(target.time[rows], q[rows]).free
     seen = products(target.quantities.jacobian(q[rows]) * manifold.scale, free)
     if not free.shape[2] or root_weight.shape[1] < free.shape[2]:
-        return found
+        return values
     every, others = (
         singular_values(seen * weight[..., None])[:, -1] for weight in (target.root_weight, root_weight[rows])
     )
-    found[rows] = others > DETERMINED * every
-    return found
+    values[rows] = others > DETERMINED * every
+    return values

@@ -150,14 +150,14 @@ class ElasticMuscles:
         """Return the equilibrium with given tensions (M,), or with tensions nearer to `start` (M,) for muscles whose
         fibres cannot exert the given ones; see `at` for the parameters.
         """
-        found = self.at(tension, path, before, step, rate)
+        equilibrium = self.at(tension, path, before, step, rate)
         for _ in range(60):
-            is_beyond = (found.by_velocity < SLOWEST) | (found.activation > STRONGEST)
+            is_beyond = (equilibrium.by_velocity < SLOWEST) | (equilibrium.activation > STRONGEST)
             if not np.any(is_beyond & (tension > start)):
                 break
             tension = np.where(is_beyond & (tension > start), start + 0.5 * (tension - start), tension)
-            found = self.at(tension, path, before, step, rate)
-        return found
+            equilibrium = self.at(tension, path, before, step, rate)
+        return equilibrium
 
     def require_room(self, time: np.ndarray, path: np.ndarray) -> None:
         """Raise RunError if the tendon of a muscle is at least as long as its path (T, M) [m] in some frame."""
@@ -206,11 +206,11 @@ def in_equilibrium(
         If a tendon is at least as long as its path, or if the programmes of a frame do not converge.
     """
     elastic.require_room(time, path)
-    found: list[MuscleEquilibrium] = []
+    equilibriums: list[MuscleEquilibrium] = []
     tension = 0.05 * elastic.max_force
     for frame in range(len(time)):
-        before = found[-1].length if found else None
-        step = time[frame] - time[frame - 1] if found else 1.0
+        before = equilibriums[-1].length if equilibriums else None
+        step = time[frame] - time[frame - 1] if equilibriums else 1.0
         given = path[frame], before, step, rate[frame]
         least = LEAST * elastic.max_force
         own = elastic.towards(least, tension, *given)
@@ -233,6 +233,6 @@ def in_equilibrium(
                 f"the elastic tendons of the muscles have no equilibrium at t = {time[frame]:.6g} s with tensions that "
                 "are optimal; use `tendon: rigid`, or more frames per second"
             )
-        found.append(own)
+        equilibriums.append(own)
         tension = own.tension
-    return found
+    return equilibriums

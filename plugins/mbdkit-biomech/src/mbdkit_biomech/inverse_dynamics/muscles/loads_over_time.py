@@ -72,8 +72,8 @@ class _Whole:
         return np.asarray(self.exponent * np.sign(x) * elementary.pow(np.abs(x), self.exponent - 1))
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
-        own: np.ndarray = self.exponent * (self.exponent - 1) * elementary.pow(np.abs(x), self.exponent - 2)
-        return np.asarray(np.maximum(own, 1e-9))
+        values: np.ndarray = self.exponent * (self.exponent - 1) * elementary.pow(np.abs(x), self.exponent - 2)
+        return np.asarray(np.maximum(values, 1e-9))
 
 
 def share_over_time(programme: Programme, exponent: float, dynamics: ActivationDynamics, start: np.ndarray) -> Shared:
@@ -107,11 +107,11 @@ def _whole(programme: Programme, exponent: float, dynamics: ActivationDynamics) 
     frames, _, count = programme.matrix.shape
     weight = np.tile(programme.weight, frames)
     less, most = _between(programme, dynamics)
-    own = eye_array(frames * count, format="csr")
+    array = eye_array(frames * count, format="csr")
     rows, limits = [less @ diags_array(weight)], [most]
     for side, bound in ((-1.0, programme.low), (1.0, programme.high)):
         known = np.flatnonzero(np.isfinite(np.ravel(bound)))
-        rows.append(side * own[known])
+        rows.append(side * array[known])
         limits.append(side * (np.ravel(bound) / weight)[known])
     equal = block_diag(list(programme.matrix * programme.weight / programme.size[..., None]), format="csr")
     right = np.ravel(programme.right / programme.size)
@@ -225,10 +225,10 @@ class _System:
 
     def solved(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         right = np.concatenate([first, second])
-        found = self._solved(right)
+        result = self._solved(right)
         for _ in range(3):
-            found = found + self._solved(right - self._matrix @ found)
-        return found[: self._size], found[self._size :]
+            result = result + self._solved(right - self._matrix @ result)
+        return result[: self._size], result[self._size :]
 
     def _solved(self, right: np.ndarray) -> np.ndarray:
         return np.asarray(self._factors.solve(right[None])[0])
@@ -285,16 +285,16 @@ def smallest_supplement_over_time(programme: Programme, dynamics: ActivationDyna
     """
     whole = _whole(programme, 2.0, dynamics)
     rows, unknowns = whole.equal.shape
-    one = eye_array(rows)
+    array = eye_array(rows)
     cost = np.append(np.zeros(unknowns), np.ones(2 * rows))
-    found = linprog(
+    result = linprog(
         cost,
-        A_eq=csc_array(block_array([[whole.equal, one, -one]])),
+        A_eq=csc_array(block_array([[whole.equal, array, -array]])),
         b_eq=whole.right,
         A_ub=csc_array(block_array([[whole.less, csr_array((len(whole.most), 2 * rows))]])),
         b_ub=whole.most,
         bounds=[*[(None, None)] * unknowns, *[(0.0, None)] * (2 * rows)],
         method="highs",
     )
-    parts = found.x[unknowns:]
+    parts = result.x[unknowns:]
     return np.asarray((parts[:rows] - parts[rows:]).reshape(programme.right.shape) * programme.size)

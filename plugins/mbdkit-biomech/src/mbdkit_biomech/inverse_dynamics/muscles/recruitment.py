@@ -83,15 +83,15 @@ class Recruiter:
         actuators: Sequence[NamedActuator],
         targets: Targets | None = None,
     ):
-        own = names.mechanism.muscles
-        if not own:
+        muscles = names.mechanism.muscles
+        if not muscles:
             raise SpecError("needs muscles, but the model has none", key="recruitment")
         self.asked, self._actuators, self.targets = asked, actuators, targets or Targets()
-        self.muscles: Mapping[str, Muscle] = own
-        self._paths = {name: MusclePath(name, muscle, names) for name, muscle in own.items()}
+        self.muscles: Mapping[str, Muscle] = muscles
+        self._paths = {name: MusclePath(name, muscle, names) for name, muscle in muscles.items()}
         uses_fibers = asked.capacity == "full" or asked.passive
-        elastic = {name: muscle for name, muscle in own.items() if uses_fibers and muscle.tendon == "elastic"}
-        self._is_elastic = np.array([name in elastic for name in own])
+        elastic = {name: muscle for name, muscle in muscles.items() if uses_fibers and muscle.tendon == "elastic"}
+        self._is_elastic = np.array([name in elastic for name in muscles])
         for name, muscle in elastic.items():
             self._require_simple(name)
             if not muscle.tendon_length:
@@ -254,15 +254,15 @@ class Recruiter:
         """
         if not np.all(np.isfinite(shared.certificate)):
             return replace(shared, certificate=np.full_like(shared.certificate, np.inf))
-        own = [muscle.activation for muscle in self.muscles.values()]
-        fall, rise = (np.array([getattr(one, name) for one in own]) for name in ("fall", "rise"))
+        activations = [muscle.activation for muscle in self.muscles.values()]
+        fall, rise = (np.array([getattr(activation, name) for activation in activations]) for name in ("fall", "rise"))
         dynamics = ActivationDynamics.of(time, fall, rise)
-        found = share_over_time(sharing.programme, self.exponent, dynamics, shared.value)
-        if strict and not np.all(np.isfinite(found.certificate)):
+        result = share_over_time(sharing.programme, self.exponent, dynamics, shared.value)
+        if strict and not np.all(np.isfinite(result.certificate)):
             lacking = smallest_supplement_over_time(sharing.programme, dynamics)
             failed = np.any(np.abs(lacking) > 1e-9 * sharing.programme.size, axis=1)
             raise self._impossible(sharing, time, failed, lacking)
-        return found
+        return result
 
     @property
     def exponent(self) -> float:
@@ -362,22 +362,22 @@ class Recruiter:
             (T, U) values of the actuators without muscles.
         """
         which, count = self._is_elastic, len(self.muscles)
-        muscles = {name: one for (name, one), is_one in zip(self.muscles.items(), which, strict=True) if is_one}
+        muscles = {name: muscle for (name, muscle), is_one in zip(self.muscles.items(), which, strict=True) if is_one}
         elastic = ElasticMuscles(muscles, with_passive=self.asked.passive)
         capacity, passive = own.capacity.copy(), own.passive.copy()
 
         def share(frame: int, slope: np.ndarray, offset: np.ndarray) -> np.ndarray:
             capacity[frame, which], passive[frame, which] = slope, offset
-            one = slice(frame, frame + 1)
-            programme = self.programme(sharing.arms[one], sharing.driven, value[one], capacity[one], passive[one])
-            found = share_loads(programme, self.exponent)
-            solved = np.isfinite(found.certificate[0])
-            return np.asarray(np.where(solved, found.value[0, :count][which], np.nan))
+            span = slice(frame, frame + 1)
+            programme = self.programme(sharing.arms[span], sharing.driven, value[span], capacity[span], passive[span])
+            loads = share_loads(programme, self.exponent)
+            solved = np.isfinite(loads.certificate[0])
+            return np.asarray(np.where(solved, loads.value[0, :count][which], np.nan))
 
-        found = in_equilibrium(elastic, time, own.length[:, which], own.rate[:, which], share)
+        result = in_equilibrium(elastic, time, own.length[:, which], own.rate[:, which], share)
         length, rate = own.fiber_length.copy(), own.fiber_rate.copy()
         length[:, which], rate[:, which] = (
-            np.array([getattr(one, name) for one in found]) for name in ("length", "rate")
+            np.array([getattr(one, name) for one in result]) for name in ("length", "rate")
         )
         return replace(own, fiber_length=length, fiber_rate=rate, capacity=capacity, passive=passive)
 
@@ -403,14 +403,14 @@ class Recruiter:
         signed = smallest_supplement(programme.only(rows)) if lacking is None else lacking[rows]
         lacking = np.abs(signed)
         largest = np.max(lacking, axis=0)
-        told = [
+        texts = [
             f"{one.name} {most:.4g} {one.unit} (t = {time[rows[int(np.argmax(lacking[:, k]))]]:.6g} s)"
             for k, (one, most) in enumerate(zip(driven, largest, strict=True))
             if most > 1e-9 * np.max(programme.size[rows][:, k])
         ]
         times = listed([f"{time[row]:.6g}" for row in rows[:TIMES_NAMED]], "" if len(rows) > TIMES_NAMED else "and")
         more = ", ..." if len(rows) > TIMES_NAMED else ""
-        if not told:
+        if not texts:
             more += " s; use another `exponent`" + ("" if len(self._reserves) >= len(driven) else ", or reserves")
             return RunError(f"no optimal activations were found at t = {times}{more}")
         if by_frames and self.asked.minimum > 0.0:
@@ -421,7 +421,7 @@ class Recruiter:
         about = "about " if self.is_elastic else ""  # computed for the lengths of the tendons in the last iteration
         return RunError(
             f"the muscles cannot produce the motion{fast} in {len(rows)} of {counted(len(time), 'frame')}, at t = "
-            f"{times}{more} s; `recruitment.reserves` should be at least {about}{listed(told, 'and')}"
+            f"{times}{more} s; `recruitment.reserves` should be at least {about}{listed(texts, 'and')}"
         )
 
     def _too_strong(self, sharing: Sharing, time: np.ndarray, rows: np.ndarray, lacking: np.ndarray) -> RunError:

@@ -274,9 +274,9 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
     solved, lowest = np.zeros(frames, dtype=bool), programme.lowest.copy()
     whole = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]), lowest)
     for row in range(frames):
-        found = _optimal_face(whole, row, is_largest=math.isinf(exponent))
-        if found is not None:
-            (low[row], high[row], lowest[row]), solved[row] = found, True
+        result = _optimal_face(whole, row, is_largest=math.isinf(exponent))
+        if result is not None:
+            (low[row], high[row], lowest[row]), solved[row] = result, True
     split, certificate, _ = _dual_newton(whole, 2.0)
     value = split[:, :count].copy()
     value[:, signed] -= split[:, count:]
@@ -338,9 +338,9 @@ def smallest_supplement(programme: Programme) -> np.ndarray:
 
     The sum of their magnitudes, relative to the sizes of the equations, is minimised.
     """
-    found = np.zeros_like(programme.right)
+    values = np.zeros_like(programme.right)
     size = programme.size
-    for row in range(len(found)):
+    for row in range(len(values)):
         equations, unknowns = programme.matrix[row].shape
         eye = np.eye(equations)
         matrix = np.hstack([programme.matrix[row] / size[row][:, None], eye, -eye])
@@ -348,5 +348,5 @@ def smallest_supplement(programme: Programme) -> np.ndarray:
         cost = np.append(np.zeros(unknowns), np.ones(2 * equations))
         best = linprog(cost, A_eq=matrix, b_eq=programme.right[row] / size[row], bounds=bounds, method="highs")
         parts = best.x[unknowns:]
-        found[row] = (parts[:equations] - parts[equations:]) * size[row]
-    return found
+        values[row] = (parts[:equations] - parts[equations:]) * size[row]
+    return values

@@ -69,8 +69,8 @@ def change_of_shares(programme: Programme, shared: Shared, exponent: float, chan
     needed = (change.right - products(change.matrix, x)) / size
     normal = products(matrix * flexibility[:, None], np.swapaxes(matrix, 1, 2))
     inverse = pseudoinverses(normal, NEGLIGIBLE)
-    found: np.ndarray = flexibility * pulled
+    values: np.ndarray = flexibility * pulled
     for _ in range(1 + REFINEMENTS):
-        left = needed - products(matrix, found)
-        found = found + flexibility * products(np.swapaxes(matrix, 1, 2), products(inverse, left))
-    return found
+        left = needed - products(matrix, values)
+        values = values + flexibility * products(np.swapaxes(matrix, 1, 2), products(inverse, left))
+    return values

@@ -110,8 +110,8 @@ def errors_of_measures(result: Inverse) -> dict[str, float]:
     bounds are unknown.
     """
     names = [measure.name for measure in result.problem.spec.defined_measures()]
-    found = samples_of(result, names) if names else None
-    return {} if found is None else dict(zip(names, found.bounds().tolist(), strict=True))
+    samples = samples_of(result, names) if names else None
+    return {} if samples is None else dict(zip(names, samples.bounds().tolist(), strict=True))
 
 
 def sampled_measures(spec: InverseSpec, measures: Sequence[str]) -> SampledMeasures | None:
@@ -149,7 +149,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     value = _measured(result, measures)
     changed = [*_uncertain(result, measures, data.random)]
     samples = noisy, others, changed, straight
-    found = SampledMeasures(value, *(np.array(one).reshape(len(one), len(value)) for one in samples))
+    found = SampledMeasures(value, *(np.array(sample).reshape(len(sample), len(value)) for sample in samples))
     change = changes_in_gaps(result, data.path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):
         phase = data.random.uniform(0.0, 2 * np.pi, len(gaps))

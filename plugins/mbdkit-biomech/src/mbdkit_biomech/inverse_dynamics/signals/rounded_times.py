@@ -16,7 +16,7 @@ ROUNDED, EXACT = 0.51, 1e-3
 
 def grid_of(time: np.ndarray) -> float | None:
     """Return the longest interval of `GRIDS` of which all times (T,) are multiples; None if there is none."""
-    return next((one for one in GRIDS if np.max(np.abs(time / one - np.round(time / one))) < 1e-6), None)
+    return next((grid for grid in GRIDS if np.max(np.abs(time / grid - np.round(time / grid))) < 1e-6), None)
 
 
 def rounded_to(time: np.ndarray) -> float | None:

@@ -347,8 +347,8 @@ class Actuator(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> Actuator:
-        given = [name for name in ("joint", "bodies", "body") if getattr(self, name) is not None]
-        if len(given) > 1:
+        names = [name for name in ("joint", "bodies", "body") if getattr(self, name) is not None]
+        if len(names) > 1:
             raise PydanticCustomError("mbdkit", "needs only one of `joint`, `bodies` and `body`")
         if self.bodies is not None and self.bodies[0] == self.bodies[1]:
             raise SpecError(f"are both '{shown(self.bodies[0])}': an actuator acts between two bodies", key="bodies")
