@@ -59,13 +59,13 @@ class Comparison:
 
 def compare(first: Run, second: Run) -> Comparison:
     """Compare two runs. Raises MbdkitError if a run is closed. Raises SpecError if an archive is damaged."""
-    arrays, two = _arrays(first), _arrays(second)
+    left, right = _arrays(first), _arrays(second)
     # a crashed run has no hash and may lack rows, so its data count as different
     same = bool(first.data_sha256) and first.data_sha256 == second.data_sha256
     differences = {}
-    for path in sorted({*arrays, *two}):
+    for path in sorted({*left, *right}):
         with reading(path, None):
-            differences[path] = 0.0 if same else _difference(arrays.get(path), two.get(path))
+            differences[path] = 0.0 if same else _difference(left.get(path), right.get(path))
     return Comparison(
         same_data=same,
         same_spec=first.spec_json == second.spec_json,
@@ -83,12 +83,12 @@ def _arrays(run: Run) -> dict[str, h5py.Dataset]:
         return {item.name.lstrip("/"): item for item in datasets(run.file) if is_hashed(item.name)}
 
 
-def _difference(dataset: h5py.Dataset | None, two: h5py.Dataset | None) -> float:
-    if dataset is None or two is None or dataset.shape != two.shape or is_text(dataset) != is_text(two):
+def _difference(first: h5py.Dataset | None, second: h5py.Dataset | None) -> float:
+    if first is None or second is None or first.shape != second.shape or is_text(first) != is_text(second):
         return float("inf")
     largest = difference = 0.0
-    for left, right in zip(blocks(dataset), blocks(two), strict=True):
-        if is_text(dataset):
+    for left, right in zip(blocks(first), blocks(second), strict=True):
+        if is_text(first):
             if not np.array_equal(left, right):
                 return float("inf")
             continue

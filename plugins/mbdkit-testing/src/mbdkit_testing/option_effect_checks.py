@@ -107,13 +107,13 @@ def _at(law: ForceLawUnderTest, options: dict[str, object]) -> ForceLawUnderTest
     return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
 
 
-def _differ(test: ForceLawUnderTest, two: ForceLawUnderTest) -> bool:
+def _differ(first: ForceLawUnderTest, second: ForceLawUnderTest) -> bool:
     """Whether two sets of options give different values at the samples of either, or different valid ranges."""
-    if not np.array_equal(test.span, two.span):
+    if not np.array_equal(first.span, second.span):
         return True
-    places = np.concatenate([test.places, two.places])
-    rates = test.rates(places), two.rates(places)
-    return not np.array_equal(test(places), two(places), equal_nan=True) or any(
+    places = np.concatenate([first.places, second.places])
+    rates = first.rates(places), second.rates(places)
+    return not np.array_equal(first(places), second(places), equal_nan=True) or any(
         not np.array_equal(rates[0][name], rates[1][name], equal_nan=True) for name in rates[0]
     )
 
