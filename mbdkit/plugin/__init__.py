@@ -33,7 +33,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.engine.state_derivatives import Rates as Rates
     from mbdkit.mechanism.bodies import Body as Body, Element as Element, GROUND as GROUND
-    from mbdkit.mechanism.force_law import TracedLaw as TracedLaw
+    from mbdkit.mechanism.force_law import LawState as LawState, TracedLaw as TracedLaw
     from mbdkit.mechanism.joint_base import (
         FunctionJoint as FunctionJoint, Pose as Pose, PoseFunction as PoseFunction, SideForce as SideForce,
     )

@@ -108,5 +108,5 @@ def test_functions_of_items_without_a_decorator_are_served_alike():
 def test_items_pass_what_their_seams_declare():
     fields = [(kind, field) for kind in KINDS.values() for field in kind.arguments]
     pairs = [(kind.arguments[field], getattr(seams, kind.arguments[field].seam, None)) for kind, field in fields]
-    assert {item.seam for item, seam in pairs if seam is None} == {"study_spec", "study_verdict"}
+    assert {item.seam for item, seam in pairs if seam is None} == {"study_spec", "study_verdict", "step_filter"}
     assert all(item.positional == seam.arguments.positional for item, seam in pairs if seam is not None)

@@ -14,7 +14,7 @@ from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit_testing.check import check
-from mbdkit_testing.check_result import Result, passed, warned
+from mbdkit_testing.check_result import Result, passed, skipped, warned
 
 #: Modules whose names plugins may import.
 _DOOR = re.compile(r"mbdkit(\.(plugin(\.\w+)?|kernels|testing))?|mbdkit_\w+(\.seams)?")
@@ -54,9 +54,12 @@ def functions(under_test: ItemUnderTest) -> Result:
 @check("contract.imports")
 def imports(under_test: ItemUnderTest) -> Result:
     """The package of the plugin imports only names that are on doors, because all others may change at any time."""
-    spec = find_spec(_package(under_test.item))
-    folders = [] if spec is None else spec.submodule_search_locations or []
-    files = [file for folder in folders for file in Path(folder).rglob("*.py")] or [Path(str(spec and spec.origin))]
+    package = _package(under_test.item)
+    spec = find_spec(package) if package else None
+    if spec is None or spec.origin is None:
+        return skipped("its package has no files")
+    folders = spec.submodule_search_locations or []
+    files = [file for folder in folders for file in Path(folder).rglob("*.py")] or [Path(spec.origin)]
     ours = {_package(item) for item in under_test.installed.items if item.origin.distribution == MBDKIT}
     trees = {file.name: ast.parse(file.read_text(encoding="utf-8")) for file in files}
     names = {name: file for file, tree in trees.items() for name in _inner_names(tree, ours)}

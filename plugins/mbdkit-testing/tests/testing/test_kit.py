@@ -92,7 +92,7 @@ def test_one_line_makes_every_check_a_test(case: Any) -> None:
 
 
 def test_a_decorated_test_fails_where_the_check_does_and_skips_where_it_does() -> None:
-    from mbdkit_testing import ConformanceWarning, cases
+    from mbdkit_testing.pytest_suite import ConformanceWarning, cases
 
     by_name = {str(case): case for case in cases("integrator", "mbdkit:rk4")}
     with pytest.raises(pytest.skip.Exception, match="it does not iterate"):
