@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_statics.equilibrium import Equilibrium
-from mbdkit_statics.equilibrium import spec_at
+from mbdkit_statics.equilibrium import Equilibrium, spec_at
 from mbdkit_statics.mechanics_summary import equilibrium_data, equilibrium_text
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
