@@ -79,6 +79,6 @@ def test_runs_again_have_the_results_of_single_runs(
         return run
 
     monkeypatch.setattr(simulation, "run_again", run_again)
-    for spec, expected in [*zip(specs, single, strict=True)] * 2:
+    for spec, expected in [*zip(specs, single, strict=True)] * 3:
         assert result_of(spec, capfd) == expected
-    assert sum(again) > len(specs)  # of those computed twice
+    assert sum(again) > 1.5 * len(specs)  # of those computed three times

@@ -128,7 +128,7 @@ class PreparedRun:
         if not (self._is_long or spec.gradients):
             made = self._runs.run(spec)
             if made is not None:
-                self._is_long = made.stats["rhs_evaluations"] * len(made.bodies) > LONG
+                self._is_long = self._runs.work > LONG
                 return made
         made = simulate(spec, starts=self._starts)
         if made.status == "interrupted":
