@@ -16,7 +16,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.named_columns import NotRecordedError, histories_of
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.recorded_columns import FurtherKinds
-from mbdkit.archive.run_contents import ArchiveContents, RunContents
+from mbdkit.archive.run_contents import ArchiveContents, Header, RunContents
 from mbdkit.base.parts import GROUPS_OF_PARTS
 from mbdkit.quantities.array import Kind
 from mbdkit.quantities.registered_kinds import groups, kind_of_group, kind_of_word, words
@@ -58,8 +58,11 @@ class RecordedData(FurtherKinds, Extensible):
 
     def __init__(self, contents: RunContents | h5py.File):
         self._contents = contents if isinstance(contents, RunContents) else ArchiveContents(contents)
-        self._header = self._contents.header
         self._arrays: dict[str, np.ndarray] = {}
+
+    @property
+    def _header(self) -> Header:
+        return self._contents.header
 
     @cached_property
     def _names(self) -> Mapping[str, tuple[str, ...]]:

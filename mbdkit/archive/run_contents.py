@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -355,12 +355,16 @@ class NotStoredError(NotRecordedError):
         )
 
 
+_Provenance = Mapping[str, str | int | float]
+
+
 class ArrayContents(RunContents):
     """A run whose arrays are in memory, such as one read from a block of a study.
 
     - `finished`: the results; `FinishedRun.layout` lists only the arrays that are stored.
     - `spec`: spec of the run.
-    - `run_id`, `created_utc`, `provenance`: see `Origin`.
+    - `run_id`, `created_utc`, `provenance`: see `Origin`; run_id and provenance may be functions, which are called when
+      the header is needed.
     - `mechanism`: the mechanism; None for that of `spec`.
     - `store`: which arrays the study stores of each run; empty if it stores all.
     - `measured`: values of the measures in the spec.
@@ -372,9 +376,9 @@ class ArrayContents(RunContents):
         finished: FinishedRun,
         spec: RunSpec | PlainSpec,
         *,
-        run_id: str = "",
+        run_id: str | Callable[[], str] = "",
         created_utc: str = "",
-        provenance: Mapping[str, str | int | float] = MappingProxyType({}),
+        provenance: _Provenance | Callable[[], _Provenance] = MappingProxyType({}),
         mechanism: StoredMechanism | None = None,
         store: str = "",
         measured: MeasuredValues | None = None,
@@ -386,18 +390,25 @@ class ArrayContents(RunContents):
         self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
         self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
+        self._identified = run_id, created_utc, provenance
+
+    @cached_property
+    def header(self) -> Header:  # type: ignore[override]
+        """See `RunContents`."""
+        finished, (run_id, created_utc, provenance) = self._finished, self._identified
         attributes = {
             "format_version": layout.FORMAT_VERSION,
             "status": finished.status,
             "status_reason": finished.reason,
-            "run_id": run_id,
+            "run_id": run_id() if callable(run_id) else run_id,
             "created_utc": created_utc,
-            "spec": spec.canonical_json(),
-            "spec_sha256": spec.sha256(),
+            "spec": self._spec.canonical_json(),
+            "spec_sha256": self._spec.sha256(),
             "data_sha256": finished.data_sha256,
         }
+        entries = provenance() if callable(provenance) else provenance
         assembly = {"assembly": finished.assembly} if finished.assembly else {}
-        self.header = Header.of(attributes, {**provenance, **assembly}, finished, finished.shared)
+        return Header.of(attributes, {**entries, **assembly}, finished, finished.shared)
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:

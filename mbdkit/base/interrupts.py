@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from types import FrameType
 
 #: Signals within this time [s] count as one: `timeout` sends SIGTERM twice, and a closing terminal sends several
@@ -101,7 +102,7 @@ def _raise_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _watch_second_sigterm() -> Callable[[], None]:
-    """Start a thread that ends the process on a second SIGTERM; return a function that ends the thread.
+    """Let a second SIGTERM end the process, by a thread that all calls share; return a function that stops watching.
 
     Python calls its signal handlers between two instructions of the main thread. While compiled code runs, such as a
     force law with an endless loop, there is no next instruction. Compiled code releases the interpreter lock, so this
@@ -109,30 +110,36 @@ def _watch_second_sigterm() -> Callable[[], None]:
     """
     if sys.platform == "win32":
         return lambda: None
-    reading, writing = os.pipe()
-    os.set_blocking(writing, False)
+    writing = _watched_pipe(os.getpid())
     before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    if before != -1:  # set by a thread that is already running, or by the calling program
+    if before != -1:  # this process is watched already, or the calling program has its own
         signal.set_wakeup_fd(before, warn_on_full_buffer=False)
-        os.close(reading)
-        os.close(writing)
         return lambda: None
-    # `threading.Thread.start` waits until the thread runs, which takes milliseconds on a busy machine.
-    _thread.start_new_thread(_end_by_second_sigterm, (reading,))
 
     def close() -> None:
         signal.set_wakeup_fd(-1)
-        os.close(writing)
+        os.write(writing, b"\0")  # signals until now do not count in later calls
 
     return close
+
+
+@lru_cache(maxsize=1)
+def _watched_pipe(process: int) -> int:
+    """Return the end of a pipe to which Python writes the numbers of signals; a thread of this process reads them."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    # `threading.Thread.start` waits until the thread runs, which takes milliseconds on a busy machine.
+    _thread.start_new_thread(_end_by_second_sigterm, (reading,))
+    return writing
 
 
 def _end_by_second_sigterm(source: int) -> None:
     first: float | None = None
     while number := os.read(source, 1):
-        if number[0] == signal.SIGTERM:
+        if number[0] == 0:
+            first = None
+        elif number[0] == signal.SIGTERM:
             if first is None:
                 first = time.monotonic()
             elif time.monotonic() - first >= TOGETHER:
                 os._exit(INTERRUPTED)
-    os.close(source)

@@ -8,6 +8,7 @@ checked. `mbdkit.engine.native.kernel` defines the layout of the block.
 from __future__ import annotations
 
 import ctypes
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -65,4 +66,9 @@ class RepeatedCall:
         self._numbers = (ctypes.c_double * len(words)).from_buffer(self._words)
         self._results: Any = self._numbers if self.kernel.results == (float,) else self._words
         self._address = ctypes.addressof(self._words)
-        self._call = _CALL(address_of(self.kernel.symbol))
+        self._call = _machine_code(self.kernel)
+
+
+@cache
+def _machine_code(kernel: Kernel) -> Any:
+    return _CALL(address_of(kernel.symbol))

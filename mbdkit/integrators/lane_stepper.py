@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import StepEvidence, Timetable
 from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots, load_stage_pivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
-from mbdkit.integrators.lanes.lane_mechanisms import fill_lane
+from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
 from mbdkit.integrators.lanes.lane_run import new_lane_run
 from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
@@ -111,12 +112,17 @@ class LaneStepper:
         mechanisms = [start.mechanism for start in starts]
         topologies = [one.topology for one in mechanisms]
         if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
-            for lane, topology in enumerate(topologies):
-                fill_lane(c.top, lane, topology)
+            lane = 0
+            for _, alike in groupby(topologies, key=id):  # idle lanes repeat the first run
+                count = len(same := [*alike])
+                fill_lanes(c.top, slice(lane, lane + count), same[0])
+                lane += count
             self._topologies = [*topologies]
         _put(c.q, [start.q0 for start in starts])
         _put(c.v, [start.v0 for start in starts])
-        limits = [guard_limits(one, table.guards) for one, table in zip(mechanisms, tables, strict=True)]
+        pairs = [(start.mechanism, table.guards) for start, table in zip(starts, tables, strict=True)]
+        limits_of = {pair: guard_limits(*pair) for pair in dict.fromkeys(pairs)}
+        limits = [limits_of[pair] for pair in pairs]
         _put(c.squared_misalignment, [limit.squared_misalignment for limit in limits])
         _put(c.energy_share, [limit.energy_jump for limit in limits])
         for name in ("start", "end"):
@@ -166,7 +172,7 @@ class LaneStepper:
         time, q, v, z, energy, *observed, worst, iterations = (
             by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
         )
-        for lane, guards in enumerate(self._guards):
+        for lane, guards in enumerate(self._guards[:count]):
             for name in ("kinetic", "jump", "jump_time"):
                 getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
         evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
@@ -228,6 +234,9 @@ def _counted(counters: Counters, counts: Sequence[float]) -> Counters:
 
 def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
     """Copy one array for each lane into an array of lanes."""
+    if all(array is arrays[0] for array in arrays):
+        lanes[...] = arrays[0][..., None]
+        return
     for lane, array in enumerate(arrays):  # faster than `stack`, which checks the shapes
         lanes[..., lane] = array
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from typing import Any, Literal, cast
 
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
@@ -16,11 +17,19 @@ Stage = Literal["spec", "start", "rows", "end", "data"]
 
 def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
     """Yield the criteria of a stage for the result of a spec, or for any spec, in their order."""
-    for item in registry().of_kind(CriterionItem.kind):
-        criterion = cast(CriterionItem, item.plugin)
-        is_examined = criterion.stage == stage and kind in criterion.of
-        if is_examined and (spec is None or not criterion.elements or criterion.examines(spec.mechanism().elements)):
-            yield item, criterion
+    elements: Any = None
+    for item, criterion in _criteria(registry(), stage, kind):
+        if spec is not None and criterion.elements:
+            elements = elements if elements is not None else spec.mechanism().elements
+            if not criterion.examines(elements):
+                continue
+        yield item, criterion
+
+
+@lru_cache(maxsize=16)
+def _criteria(registry: Registry, stage: Stage, kind: str) -> list[tuple[Registered, CriterionItem]]:
+    pairs = [(item, cast(CriterionItem, item.plugin)) for item in registry.of_kind(CriterionItem.kind)]
+    return [(item, criterion) for item, criterion in pairs if criterion.stage == stage and kind in criterion.of]
 
 
 def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:

@@ -67,8 +67,9 @@ def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradie
     are none.
     """
     contents = partial(
-        ArrayContents, finished, spec, run_id=spec.run_id(), created_utc=created_utc, provenance=provenance(spec)
-    )
+        ArrayContents, finished, spec, run_id=spec.run_id, created_utc=created_utc,
+        provenance=partial(provenance, spec),
+    )  # fmt: skip
     if not spec.measures:
         return Run(contents())
     return Run(contents(measured=_taken(spec, Run(contents())), gradients=gradients))

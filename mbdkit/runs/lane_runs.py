@@ -205,7 +205,9 @@ class LaneRuns:
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
             spec.integrator, spec.measures, spec.inputs,
         )  # fmt: skip
-        if self._settings is None or any(a is not b for a, b in zip(settings, self._settings[0], strict=True)):
+        if self._settings is None or any(
+            a is not b and a != b for a, b in zip(settings, self._settings[0], strict=True)
+        ):
             self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
         return self._settings[1]
 

@@ -20,7 +20,7 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.integrators.lanes.lane_batch import BatchState, advance_explicit, new_lane_batch
-from mbdkit.integrators.lanes.lane_mechanisms import fill_lane, suits_lanes, topology_of
+from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes, suits_lanes, topology_of
 from mbdkit.integrators.lanes.lane_run import LaneRun, new_lane_run
 from mbdkit.integrators.run.run_plan import guard_limits
 from mbdkit.integrators.run.step_guards import new_guard_state
@@ -134,7 +134,7 @@ class SimulationBatch:
         return runs
 
     def _fill(self, run: LaneRun, lane: int, mechanism: CompiledMechanism) -> None:
-        fill_lane(run.top, lane, mechanism.topology)
+        fill_lanes(run.top, slice(lane, lane + 1), mechanism.topology)
         run.w.source[: mechanism.size - 3, lane] = mechanism.topology.mass[:-1].ravel()
 
     def close(self) -> None:

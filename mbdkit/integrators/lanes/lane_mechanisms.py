@@ -44,10 +44,10 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     )
 
 
-def fill_lane(top: Topology, lane: int, topology: Topology) -> None:
-    """Copy the numbers of a mechanism into one lane; integers are the same for all lanes."""
-    for name, lanes in zip(Topology._fields, top, strict=True):
+def fill_lanes(top: Topology, lanes: slice, topology: Topology) -> None:
+    """Copy the numbers of a mechanism into some lanes; integers are the same for all lanes."""
+    for name, values in zip(Topology._fields, top, strict=True):
         if name in BY_LANE:
-            lanes[lane] = getattr(topology, name)
-        elif isinstance(lanes, Lanes):
-            lanes[..., lane] = getattr(topology, name)
+            values[lanes] = getattr(topology, name)
+        elif isinstance(values, Lanes):
+            values[..., lanes] = getattr(topology, name)[..., None]

@@ -9,9 +9,7 @@ from typing import Unpack
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.errors import SpecError
-from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
@@ -19,9 +17,8 @@ from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.runs.finish import run_in_memory
 from mbdkit.runs.given_start import GivenStart
-from mbdkit.runs.lane_runs import LaneRuns
+from mbdkit.runs.short_runs import ShortRuns
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import RunSource, Sections, load_spec
 from mbdkit.spec.reading import variable_path
@@ -61,7 +58,8 @@ class PreparedRun:
     def __init__(self, spec: RunSpec):
         self.spec = spec
         self._varied = VariedSpecs(spec.canonical_json())
-        self._lanes = LaneRuns(Starts(), ())
+        self._runs = ShortRuns()
+        self._starts = self._runs.lanes.starts
         self._is_long = False
         self._given: tuple[RunSpec, GivenStart] | None = None
         self.in_use = UseLock("another thread is using this prepared run; give each thread its own `mbdkit.prepare`")
@@ -70,7 +68,7 @@ class PreparedRun:
     def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
-        return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
+        return spec_started_at(spec, initial, self._starts) if initial else spec
 
     @one_thread_at_a_time
     def start_with(
@@ -89,7 +87,7 @@ class PreparedRun:
         """
         spec = self.spec_with(parameters) if parameters else self.spec
         if self._given is None or self._given[0] is not spec:
-            self._given = spec, GivenStart(spec.mechanism(), spec, self._lanes.starts)
+            self._given = spec, GivenStart(spec.mechanism(), spec, self._starts)
         given = self._given[1]
         if not initial:
             return given.start.mechanism, given.start.q0, given.start.v0
@@ -128,24 +126,14 @@ class PreparedRun:
         """
         spec = self.spec_with(parameters, initial)
         if not (self._is_long or spec.gradients):
-            made = self._vectorized(spec)
+            made = self._runs.run(spec)
             if made is not None:
+                self._is_long = self._runs.work > LONG
                 return made
-        made = simulate(spec, starts=self._lanes.starts)
+        made = simulate(spec, starts=self._starts)
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made
-
-    def _vectorized(self, spec: RunSpec) -> Run | None:
-        """Return a run, computed by the vectorized loop as in an ensemble; None if it cannot be vectorized."""
-        created = utc_now()
-        with one_thread_of_linear_algebra():
-            member = self._lanes.members([spec])[0]
-            finished = None if member is None else next(self._lanes.finished([member]))[0][1]
-            if finished is None:
-                return None
-            self._is_long = finished.stats["rhs_evaluations"] * len(finished.names.bodies) > LONG
-            return run_in_memory(finished, spec, created)
 
     def _path_of(self, name: str) -> Path:
         path = variable_path(name)
