@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from typing import Any, Literal, cast
 
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry
 from mbdkit.registry.use import use
@@ -14,13 +15,20 @@ from mbdkit.trust.finding import Finding
 Stage = Literal["spec", "start", "rows", "end", "data"]
 
 
-def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
-    """Yield the criteria of a stage for the result of a spec, or for any spec, in their order."""
-    for item in registry().of_kind(CriterionItem.kind):
-        criterion = cast(CriterionItem, item.plugin)
-        is_examined = criterion.stage == stage and kind in criterion.of
-        if is_examined and (spec is None or not criterion.elements or criterion.examines(spec.mechanism().elements)):
-            yield item, criterion
+@lru_cache(maxsize=64)
+def _criteria_of(known: Registry, stage: Stage, kind: str) -> tuple[tuple[Registered, CriterionItem], ...]:
+    """Return the criteria of a stage for specs of a kind, in their order."""
+    pairs = [(item, cast(CriterionItem, item.plugin)) for item in known.of_kind(CriterionItem.kind)]
+    return tuple((item, one) for item, one in pairs if one.stage == stage and kind in one.of)
+
+
+def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> list[tuple[Registered, CriterionItem]]:
+    """Return the criteria of a stage for the result of a spec, or for any spec, in their order."""
+    known = _criteria_of(registry(), stage, kind)
+    if spec is None or not any(criterion.elements for _, criterion in known):
+        return list(known)
+    elements = spec.mechanism().elements
+    return [(item, criterion) for item, criterion in known if criterion.examines(elements)]
 
 
 def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:
