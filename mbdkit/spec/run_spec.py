@@ -485,7 +485,8 @@ class RunSpec(ModelSpec):
 
     def _accept(self, mechanism: Mechanism) -> None:
         mechanism.is_of_run = True
-        kinds = [kind for key, kind in element_kinds().items() if mechanism.elements.get(key)]
+        elements = mechanism.elements
+        kinds = [kind for key, kind in element_kinds().items() if elements.get(key)]
         mechanism.treatments = tuple(
             ChosenTreatment(kind.key_in_model, getattr(self, kind.section)) for kind in kinds if kind.section
         )

@@ -279,14 +279,14 @@ def _block_run(
 ) -> BlockRun:
     """Return the data that the block stores for one run."""
     spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
-    run = BlockRun(member.point.number, member.base, member.values, ended.status, ended.reason)
+    begin = member.point.number, member.base, member.values, ended.status, ended.reason
     if isinstance(spec, Outcome):
-        return run
-    run = replace(run, spec_sha256=spec.sha256(), run_id=spec.run_id())
+        return BlockRun(*begin)
+    begin = *begin, spec.sha256(), spec.run_id()
     if isinstance(result, Outcome):
-        return run
-    return replace(
-        run,
+        return BlockRun(*begin)
+    return BlockRun(
+        *begin,
         plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
         measures=None if isinstance(measured, Outcome) else measured,
