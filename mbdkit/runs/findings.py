@@ -37,11 +37,12 @@ def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> list[tuple[Re
 
 def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
-    return [
-        finding
-        for item, criterion in criteria(stage, examined[0], kind)
-        for finding in use(item, lambda own=criterion: [*as_findings(own, own.find()(*examined))])  # type: ignore[misc]
-    ]
+    found: list[Finding] = []
+    for item, criterion in criteria(stage, examined[0], kind):
+        results = use(item, lambda: [*criterion.find()(*examined)])  # noqa: B023
+        if results:
+            found += use(item, lambda: [*as_findings(criterion, results)])  # noqa: B023
+    return found
 
 
 def as_findings(criterion: CriterionItem, results: Iterable[str | Finding]) -> Iterator[Finding]:
