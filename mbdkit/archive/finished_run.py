@@ -188,8 +188,8 @@ class ArrayHash:
         for before, key, is_text in self._lines(tuple([arrays[key].shape for _, _, key, _ in self._arrays])):
             digest = digests.get(key)
             if digest is None:
-                digest = sha256(text_bytes(arrays[key])).hexdigest() if is_text else self.digest(arrays[key])
-                digests[key] = digest
+                values = arrays[key]
+                digests[key] = digest = sha256(text_bytes(values) if is_text else values.data).hexdigest()
             parts += before, digest
         return sha256("".join([*parts, "\n" * bool(parts), self._rest]).encode()).hexdigest()
 

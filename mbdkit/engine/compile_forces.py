@@ -402,10 +402,11 @@ def expression_lowering(handle: Never, lowering: Lowering, /) -> object:
 
 def acting_kinds(mechanism: Mechanism) -> list[ElementKind]:
     """Return the kinds of plugins of which a mechanism has elements that act, in their order."""
+    elements = mechanism.elements
     return [
         kind
         for key, kind in element_kinds().items()
-        if mechanism.elements.get(key) and (mechanism.is_of_run or not kind.acts.only_in_runs)
+        if elements.get(key) and (mechanism.is_of_run or not kind.acts.only_in_runs)
     ]
 
 

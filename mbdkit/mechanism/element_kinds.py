@@ -187,12 +187,14 @@ def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: Elem
     `elements`: elements by key in the model and name. `mechanism`: the mechanism, or its data. `prefix`: beginning of
     the key of the error.
     """
-    for key, kind in element_kinds().items():
+    further = element_kinds()
+    for key, kind in () if further.keys().isdisjoint(elements) else further.items():
         if elements.get(key) and kind.check_elements is not None:
             element_check.of(kind.check_elements)(elements[key], mechanism, prefix)
-    for name, item in joint_kinds().items() if elements.get("joints") else ():
-        joints = {key: joint for key, joint in elements["joints"].items() if cast(Joint, joint).type == name}
-        if joints and (check := cast(JointKind, item.plugin).check_elements) is not None:
+    types = {cast(Joint, joint).type for joint in elements.get("joints", {}).values()}
+    for name, item in joint_kinds().items() if types else ():
+        if name in types and (check := cast(JointKind, item.plugin).check_elements) is not None:
+            joints = {key: joint for key, joint in elements["joints"].items() if cast(Joint, joint).type == name}
             element_check.of(check)(joints, mechanism, prefix)
 
 

@@ -127,8 +127,10 @@ class Mechanism(ElementMethods, HtmlView):
         """The joints, forces, markers, and elements of further kinds, if there are any: for each kind, the elements by
         name.
         """
-        own = {kind: getattr(self, kind) for kind in ELEMENTS}
-        return own | {kind: elements for kind in element_kinds() if (elements := self.__dict__.get(kind))}
+        own, further = {kind: getattr(self, kind) for kind in ELEMENTS}, element_kinds()
+        if further.keys().isdisjoint(self.__dict__):
+            return own
+        return own | {kind: elements for kind in further if (elements := self.__dict__.get(kind))}
 
     def __getattr__(self, name: str) -> Any:
         """Return the elements of a kind that a plugin adds, the method that adds one, or another attribute of a

@@ -82,9 +82,10 @@ class NamedElements:
             element = self._with_points(element, key)
         if kind == "beams":
             self._add_beam(name, element)
-        new = {kind: {name: element}}
-        check_coordinates(new.get("coordinates", {}), self.joints, self.bodies, self.markers)
-        check_elements(new, self, "model.")
+        if kind == "coordinates":
+            check_coordinates({name: element}, self.joints, self.bodies, self.markers)
+        elif kind == "joints" or kind in further:
+            check_elements({kind: {name: element}}, self, "model.")
         getattr(self, kind)[name] = element
 
     def hold(self, *bodies: str, tolerance: float = 1e-12) -> None:

@@ -28,9 +28,9 @@ def use(item: Registered, work: Callable[[], T], of: type | tuple[type, ...] = o
     PluginError
         If the target of the item is missing, or its code raises another error or returns an object of another class.
     """
-    name = f"the {KINDS[item.kind].label()} '{item.id}'"
     if item.origin.distribution == MBDKIT:
         return work()
+    name = f"the {KINDS[item.kind].label()} '{item.id}'"
     try:
         with blaming(f"{name} failed", MbdkitError):
             result = work()

@@ -15,30 +15,34 @@ from mbdkit.trust.finding import Finding
 Stage = Literal["spec", "start", "rows", "end", "data"]
 
 
-def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> Iterator[tuple[Registered, CriterionItem]]:
-    """Yield the criteria of a stage for the result of a spec, or for any spec, in their order."""
-    elements: Any = None
-    for item, criterion in _criteria(registry(), stage, kind):
-        if spec is not None and criterion.elements:
-            elements = elements if elements is not None else spec.mechanism().elements
-            if not criterion.examines(elements):
-                continue
-        yield item, criterion
+@lru_cache(maxsize=64)
+def _criteria_of(known: Registry, stage: Stage, kind: str) -> tuple[tuple[Registered, CriterionItem], ...]:
+    """Return the criteria of a stage for specs of a kind, in their order."""
+    pairs = [(item, cast(CriterionItem, item.plugin)) for item in known.of_kind(CriterionItem.kind)]
+    return tuple((item, one) for item, one in pairs if one.stage == stage and kind in one.of)
 
 
-@lru_cache(maxsize=16)
-def _criteria(registry: Registry, stage: Stage, kind: str) -> list[tuple[Registered, CriterionItem]]:
-    pairs = [(item, cast(CriterionItem, item.plugin)) for item in registry.of_kind(CriterionItem.kind)]
-    return [(item, criterion) for item, criterion in pairs if criterion.stage == stage and kind in criterion.of]
+def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> list[tuple[Registered, CriterionItem]]:
+    """Return the criteria of a stage for the result of a spec, or for any spec, in their order."""
+    known = _criteria_of(registry(), stage, kind)
+    if spec is None or not any(criterion.elements for _, criterion in known):
+        return list(known)
+    elements = spec.mechanism().elements
+    return [
+        (item, criterion)
+        for item, criterion in known
+        if not criterion.elements or (criterion.elements in elements and criterion.examines(elements))
+    ]
 
 
 def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
-    return [
-        finding
-        for item, criterion in criteria(stage, examined[0], kind)
-        for finding in use(item, lambda own=criterion: [*as_findings(own, own.find()(*examined))])  # type: ignore[misc]
-    ]
+    found: list[Finding] = []
+    for item, criterion in criteria(stage, examined[0], kind):
+        results = use(item, lambda: [*criterion.find()(*examined)])  # noqa: B023
+        if results:
+            found += use(item, lambda: [*as_findings(criterion, results)])  # noqa: B023
+    return found
 
 
 def as_findings(criterion: CriterionItem, results: Iterable[str | Finding]) -> Iterator[Finding]:

@@ -42,7 +42,7 @@ from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges, has_ranges, steps_are_rows
-from mbdkit.runs.preparation import make_method, recorded_arrays, timetable
+from mbdkit.runs.preparation import guards_of, make_method, recorded_arrays, timetable
 from mbdkit.runs.recorded_states import recorded_states
 from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec.run_spec import RunSpec
@@ -161,6 +161,7 @@ class LaneRuns:
         self.starts, self._pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
+        self._table: tuple[tuple[object, ...], Timetable] | None = None
 
     def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
         """Prepare runs for vectorization; None for a run that has to be computed alone.
@@ -215,7 +216,7 @@ class LaneRuns:
         """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
         spec, method = run.spec, run.method
         size = size or start.mechanism.length
-        table = timetable(spec, size)
+        table = self._timetable(run, size)
         # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
@@ -223,6 +224,17 @@ class LaneRuns:
         pivots = self._pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, found, self._topology_of(start.mechanism))
+
+    def _timetable(self, run: _Compiled, size: float) -> Timetable:
+        """Return the timetable of a run.
+
+        Apart from the limits of its states, it is that of the run before if only initial states differ.
+        """
+        spec = run.spec
+        depends = run.compiled, spec.time, spec.output, spec.limits, spec.integrator, spec.events, spec.inputs
+        if self._table is None or any(a is not b for a, b in zip(depends, self._table[0], strict=True)):
+            self._table = depends, timetable(spec, None)
+        return replace(self._table[1], guards=guards_of(spec, size))
 
     def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
         if self._topology is None or self._topology[0] is not mechanism:
@@ -250,11 +262,12 @@ class LaneRuns:
                     None if run is None else _with_functionals(run, members[place], self._measures)
                     for place, run in zip(some, group.finished([members[place] for place in some]), strict=True)
                 ]
-                apart = sum(run.stats["finish_s"] for run in results if run is not None)
+                all_stats: list[Any] = [run.stats for run in results if run is not None]
+                apart = sum(stats["finish_s"] for stats in all_stats)
                 spent = time.perf_counter() - begin - apart, time.process_time() - cpu
-                seconds = dict(zip(("wall_s", "cpu_s"), (one / len(some) for one in spent), strict=True))
-                timed = [None if run is None else replace(run, stats={**run.stats, **seconds}) for run in results]
-                yield list(zip(some, timed, strict=True))
+                for stats in all_stats:
+                    stats.update(wall_s=spent[0] / len(some), cpu_s=spent[1] / len(some))
+                yield list(zip(some, results, strict=True))
 
     def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
         group = self._groups.pop(key, None) or _Group(first)

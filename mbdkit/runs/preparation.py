@@ -215,10 +215,6 @@ def timetable(
     the ends of all steps are available. `integrands`, `share`: see `stops_of`.
     """
     stops, limits = stops_of(spec, all_knots=all_knots, integrands=integrands, share=share), spec.limits
-    guards = Guards()
-    if size is not None:
-        jump = math.inf if limits.energy_jump is None else limits.energy_jump
-        guards = Guards(limits.misalignment * size, limits.misalignment, jump)
     table = Timetable(
         start=spec.time.start,
         end=spec.time.final,
@@ -229,7 +225,7 @@ def timetable(
         max_steps=limits.max_steps,
         nodes=nodes,
         single=bool(spec.events),
-        guards=guards,
+        guards=Guards() if size is None else guards_of(spec, size),
         stops=stops.times,
         stop_margins=stops.margins,
         impacts=tuple(stops.impacts),
@@ -238,6 +234,13 @@ def timetable(
     )
     reacts = spec.reacting is not None
     return replace(table, single=table.single or reacts or not rows_are_ends(table)) if ends else table
+
+
+def guards_of(spec: RunSpec, size: float) -> Guards:
+    """Return the limits on the states of a run; `size` of the mechanism [m]."""
+    limits = spec.limits
+    jump = math.inf if limits.energy_jump is None else limits.energy_jump
+    return Guards(limits.misalignment * size, limits.misalignment, jump)
 
 
 @dataclass(frozen=True, eq=False)

@@ -180,6 +180,7 @@ class RunSpec(ModelSpec):
     _watched: Any = PrivateAttr(default=None)
     _settings: Any = PrivateAttr(default=None)
     _schedules: Any = PrivateAttr(default=())
+    _claims: Any = PrivateAttr(default=None)
     _around_model: tuple[str, str] | None = PrivateAttr(default=None)
     """The canonical JSON before and after the value of `model`; None until it is needed."""
 
@@ -410,12 +411,16 @@ class RunSpec(ModelSpec):
     @property
     def claims(self) -> Claims:
         """The capabilities that the integrator claims with these options."""
+        known: Claims | None = self._private["_claims"]
+        if known is not None:
+            return known
         with blaming(f"{self.integrator_item.id} failed to return its claims"):
             claims: Any = self.integrator_plugin.claims(self.integrator)
         if not isinstance(claims, Claims):
             raise PluginError(
                 f"{self.integrator_item.id} returned its claims as {type(claims).__name__}, not as Claims"
             )
+        self._claims = claims
         return claims
 
     @property
@@ -480,7 +485,8 @@ class RunSpec(ModelSpec):
 
     def _accept(self, mechanism: Mechanism) -> None:
         mechanism.is_of_run = True
-        kinds = [kind for key, kind in element_kinds().items() if mechanism.elements.get(key)]
+        elements = mechanism.elements
+        kinds = [kind for key, kind in element_kinds().items() if elements.get(key)]
         mechanism.treatments = tuple(
             ChosenTreatment(kind.key_in_model, getattr(self, kind.section)) for kind in kinds if kind.section
         )

@@ -48,10 +48,13 @@ def pendulums(count: int = 12, **options: Any) -> mbdkit.Study:
     return mbdkit.ensemble(BASE, {"model.angles.0": angles, "time.step": [0.01, 0.02] * (count // 2)}, **options)
 
 
-@pytest.mark.parametrize(("runs", "size"), [(10, 64), (100, 64), (600, 75), (1000, 125), (10_000, 1000)])
-def test_small_studies_have_several_blocks_for_several_processes(runs: int, size: int) -> None:
-    angles = np.linspace(-1.0, 1.0, runs).tolist()
-    spec = load_study_spec({"mbdkit_study": 1, "base": BASE, "store": "summary", "axes": [{"model.angles.0": angles}]})
+@pytest.mark.parametrize(
+    ("runs", "size"), [(10, 64), (100, 64), (600, 75), (1000, 125), (10_000, 1000), (100_000, 3125), (200_000, 4000)]
+)
+def test_studies_have_several_blocks_for_several_processes(runs: int, size: int) -> None:
+    first, second = (np.linspace(-1.0, 1.0, count).tolist() for count in (min(runs, 1000), max(1, runs // 1000)))
+    axes = [{"model.angles.0": first}, {"model.angles.1": second}]
+    spec = load_study_spec({"mbdkit_study": 1, "base": BASE, "store": "summary", "axes": axes})
     blocks = StudyBlocks.of(spec, PlannedPoints(spec))
     assert (blocks.size, blocks.count) == (size, -(-runs // size))
 

@@ -27,6 +27,8 @@ from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.terminal import say
+from mbdkit.engine.consistent_start import Starts
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -180,8 +182,8 @@ def compute_block(
     # entered here, because entering it for each vector of runs would take time
     with _Mark(files.block(block)) as mark, _collecting_new_objects_only(), one_thread_of_linear_algebra():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
-        members = [_member(plan.points[place], varied, skip, mark) for place in plan.blocks.places(block)]
-        runs = _taken_over(unfinished.saved(), members)
+        places, saved, lanes = plan.blocks.places(block), unfinished.saved(), LaneRuns(Starts(), plan.expressions)
+        runs: dict[int, BlockRun] = {}
         pending: list[tuple[_Member, FinishedRun | Outcome]] = []
 
         def add() -> None:
@@ -190,12 +192,17 @@ def compute_block(
             unfinished.add(new)
             runs.update({run.number: run for run in new})
 
-        for some in _results(plan, [member for member in members if member.point.number not in runs], mark, notify):
-            pending += some
-            if len(pending) >= CHUNK or unfinished.is_due:
-                add()
-        add()
-        write_block(files.block(block), heading, [runs[member.point.number] for member in members])
+        # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
+        for first in range(0, len(places), CHUNK):
+            members = [_member(plan.points[place], varied, skip, mark) for place in places[first : first + CHUNK]]
+            runs |= _taken_over(saved, members)
+            missing = [member for member in members if member.point.number not in runs]
+            for some in _results(missing, lanes, plan.expressions, mark, notify):
+                pending += some
+                if unfinished.is_due:
+                    add()
+            add()
+        write_block(files.block(block), heading, [runs[place + 1] for place in places])
         unfinished.remove()
     return sum(run.status == "failed" for run in runs.values())
 
@@ -243,14 +250,19 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
 
 
 def _results(
-    plan: StudyPlan, members: Sequence[_Member], mark: _Mark, notify: Callable[[str], None]
+    members: Sequence[_Member],
+    lanes: LaneRuns,
+    measures: Sequence[str],
+    mark: _Mark,
+    notify: Callable[[str], None],
 ) -> Iterator[list[tuple[_Member, FinishedRun | Outcome]]]:
     """Yield members with their results as soon as these are known."""
     computed = [member for member in members if isinstance(member.spec, RunSpec)]
     results = simulate_in_any_order(
         [member.spec for member in computed if isinstance(member.spec, RunSpec)],
         begun=lambda place: mark.note(computed[place].point.number),
-        measures=plan.expressions,
+        measures=measures,
+        lanes=lanes,
     )
     for some in results:
         for _, result in some:
@@ -279,14 +291,15 @@ def _block_run(
 ) -> BlockRun:
     """Return the data that the block stores for one run."""
     spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
-    run = BlockRun(member.point.number, member.base, member.values, ended.status, ended.reason)
+    begin = member.point.number, member.base, member.values, ended.status, ended.reason
     if isinstance(spec, Outcome):
-        return run
-    run = replace(run, spec_sha256=spec.sha256(), run_id=spec.run_id())
+        return BlockRun(*begin)
+    hashes = spec.sha256(), spec.run_id()
     if isinstance(result, Outcome):
-        return run
-    return replace(
-        run,
+        return BlockRun(*begin, *hashes)
+    return BlockRun(
+        *begin,
+        *hashes,
         plugins=_plugins_json(tuple(plugins_of(spec).items())),
         result=kept(result, store),
         measures=None if isinstance(measured, Outcome) else measured,

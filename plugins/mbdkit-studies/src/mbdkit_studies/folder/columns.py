@@ -109,8 +109,9 @@ def _hexadecimal(values: np.ndarray) -> np.ndarray:
 
 def _coded(values: Sequence[str] | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the distinct texts in order of appearance, and for each row the index of its text among them."""
-    numbers: dict[str, int] = {}
-    codes = np.fromiter((numbers.setdefault(str(value), len(numbers)) for value in values), np.int64, len(values))
+    texts = list(map(str, values))
+    numbers = {text: number for number, text in enumerate(dict.fromkeys(texts))}
+    codes = np.fromiter(map(numbers.__getitem__, texts), np.int64, len(texts))
     return np.array(list(numbers) or [""], object), codes
 
 
