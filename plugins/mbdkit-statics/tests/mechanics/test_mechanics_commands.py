@@ -101,3 +101,12 @@ def test_wrong_input_is_a_sentence_and_exit_status_2(arguments, words, mbdkit, i
     assert len(result.stderr.strip().splitlines()) == 1
     assert result.stdout == ""
     assert not list(in_tmp_path.iterdir())
+
+
+def test_specs_without_integrator_and_time_are_analysed(mbdkit, in_tmp_path):
+    # expected: frequency of a rod of 1 m that hangs from its end
+    text = SMALL.partition("integrator:")[0]
+    Path("still.yaml").write_text(text, encoding="utf-8")
+    for command in ("equilibrium", "modes"):
+        assert mbdkit(command, "still.yaml").exit_code == 0
+    assert "driver" in mbdkit("kinematics", "still.yaml").stderr
