@@ -20,8 +20,8 @@ _LIKE_OPERANDS = frozenset({"abs", "min", "max"})
 def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = False) -> Unit | None:
     """Return the unit of an expression; None if it cannot be derived.
 
-    It cannot be derived if all parameters are pure numbers or angles, and usually not from powers that are not whole numbers, or if other
-    parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
+    It cannot be derived if all parameters are pure numbers or angles, and usually not from powers that are not whole
+    numbers, or if other parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
 
     `units`: units of the parameters that have one, by name. `of_time`: whether the name ``t`` is the time. Raises
     SpecError if quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min,
