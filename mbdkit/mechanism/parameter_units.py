@@ -21,7 +21,8 @@ def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = 
     """Return the unit of an expression; None if it cannot be derived.
 
     It cannot be derived if all parameters are pure numbers or angles, and usually not from powers that are not whole
-    numbers, or if other parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
+    numbers, or if other parameters have no unit. In functions of time, numbers as factors may have any unit: in
+    ``A*t/0.5``, 0.5 is a time.
 
     `units`: units of the parameters that have one, by name. `of_time`: whether the name ``t`` is the time. Raises
     SpecError if quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min,
