@@ -84,7 +84,9 @@ class FrameErrors(RunErrors):
         value = plus_minus(float(size[row, joint]), error)
         bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
         least = f"; less its expected excess, {size[row, joint] - bias:.4g} N" if bias else ""
-        return f"largest {self.force_in} {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
+        return (
+            f"largest {self.force_in} {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
+        )
 
 
 def _why_no_error_bars(spec: Mapping[str, Any]) -> str:
