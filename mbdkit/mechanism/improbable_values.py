@@ -197,15 +197,15 @@ def improbable_preloads(mechanism: Mechanism) -> Iterator[str]:
     moments = {"": weight * size}  # [N m]
     springs = {}
     for name, force in mechanism.forces.items():
+        arm = 1.0 if isinstance(force, TorsionSpring | Torque) else size
         if isinstance(force, SpringDamper | TorsionSpring):
-            key, unit, arm = ("free_length", "N", size) if force.is_line else ("free_angle", "N m", 1.0)
+            key, unit = ("free_length", "N") if force.is_line else ("free_angle", "N m")
             relaxed = force.model_copy(update={key: "start"}).placed(mechanism.bodies, "").linear.free
             load = abs(force.stiffness * (relaxed - force.linear.free))
             springs[name] = key, load, unit
             moments[name] = load * arm
         elif isinstance(force, Torque | PointForce):
-            constant = math.hypot(*(value for value in force.load.values if isinstance(value, float)))
-            moments[name] = constant * (1.0 if isinstance(force, Torque) else size)
+            moments[name] = arm * math.hypot(*(value for value in force.load.values if isinstance(value, float)))
     for name, (key, load, unit) in springs.items():
         others = max(moment for other, moment in moments.items() if other != name)
         if moments[name] > STRONGEST * others > 0.0 and key not in mechanism.forces[name].model_fields_set:

@@ -89,7 +89,7 @@ def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) ->
         (["Zeit (s),hip", "0.0,1"], "in `motion.time`, such as `time: Zeit"),
         (
             ["t,1_ground_force_vx", "0.0,1"],
-            "`force: [1_ground_force_vx, 1_ground_force_vy]`, `point: [1_ground_force_px",
+            "`force: [1_ground_force_vx, 1_ground_force_vy], point: [1_ground_force_px",
         ),
         ([",,", ",,,"], "t.csv: this table is empty"),
         (["PK\x03\x04"], "this is a workbook or an archive, not a text; save the table as .csv"),

@@ -195,6 +195,8 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     mechanism = prepared.spec.mechanism()
     outside = dynamic.laws_out_of_range(p.t0, found.q, p.v0 * 0.0)
     forces, warnings = _internal_forces(prepared, found) if mechanism.beams else ({}, ())
+    is_noted = {FRICTION: has_friction(prepared), UNDAMPED: stability.is_undamped, CORNER: stability.is_corner}
+    notes = (note for note, holds in is_noted.items() if holds)
     return Equilibrium(
         time=p.t0,
         bodies=p.bodies,
@@ -216,10 +218,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(found.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=(
-            *(*outside, *warnings, *[FRICTION] * has_friction(prepared)),
-            *(*[UNDAMPED] * stability.is_undamped, *[CORNER] * stability.is_corner),
-        ),
+        warnings=(*outside, *warnings, *notes),
     )
 
 

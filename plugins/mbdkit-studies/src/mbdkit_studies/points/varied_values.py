@@ -191,13 +191,11 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     a, b = (kept[place][body, column] for place in (first, last))
     moved = [kept[place][body, column] + changes[place][body, column] for place in (first, last)]
     key = path_text(("model", "bodies", list(free[0].mechanism().bodies)[body], *KEYS[column]))
-    why = "the joints connect it with other initial values; vary all values that belong together, or use expressions "
-    why += "of one parameter"
-    if not has_freedom:
-        why = "joints and drivers leave the mechanism no freedom; vary its dimensions or the motions of its drivers"
+    linked = "the joints connect it with other initial values; vary all that belong together, by one parameter"
+    fixed = "joints and drivers leave the mechanism no freedom; vary its dimensions or the motions of its drivers"
     text = (
         f"the runs vary {key} from {a:.4g} to {b:.4g}, but the start after assembly from {moved[0]:.4g} to "
-        f"{moved[1]:.4g}, because {why}"
+        f"{moved[1]:.4g}, because {linked if has_freedom else fixed}"
     )
     return [text]
 

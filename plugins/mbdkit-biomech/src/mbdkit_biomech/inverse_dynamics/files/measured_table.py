@@ -132,13 +132,9 @@ class MeasuredTable:
             remark = f" ({self.remark})" if self.remark else ""
             if heading == "time" and names:
                 remark += f"; name the column with the times in `{key}`, such as `time: {names[0]}`"
-            if forces := [name for name in names if name.endswith("ground_force_vx")]:
-                pairs = (str([forces[0][:-2] + kind + axis for axis in "xy"]).replace("'", "") for kind in "vp")
-                remark += (
-                    "; the forces of OpenSim are `force: {}`, `point: {}`; `plates` are those of C3D files".format(
-                        *pairs
-                    )
-                )
+            if start := next((name[:-2] for name in names if name.endswith("ground_force_vx")), ""):
+                force, point = (f"[{start}{kind}x, {start}{kind}y]" for kind in "vp")
+                remark += f"; for forces of OpenSim, write `force: {force}, point: {point}`; `plates` are of C3D files"
             with suppress(SpecError):  # a text that is almost a number with a unit
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"

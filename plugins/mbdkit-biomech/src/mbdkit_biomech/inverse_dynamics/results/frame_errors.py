@@ -78,15 +78,14 @@ class FrameErrors(RunErrors):
         assert errors is not None
         error = float(errors[joint])
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""
+        label = f"largest {self.force_in} {run.joint_names[joint]}"
         if not math.isfinite(error):
             known = f"{size[row, joint]:.4g} N at {run.time[row]:.4f} s, error unknown"
-            return f"largest {self.force_in} {run.joint_names[joint]} {known}{loads}"
+            return f"{label} {known}{loads}"
         value = plus_minus(float(size[row, joint]), error)
         bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
         least = f"; less its expected excess, {size[row, joint] - bias:.4g} N" if bias else ""
-        return (
-            f"largest {self.force_in} {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
-        )
+        return f"{label} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
 
 
 def _why_no_error_bars(spec: Mapping[str, Any]) -> str:
