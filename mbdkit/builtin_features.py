@@ -72,9 +72,9 @@ def builtin_features() -> list[Feature]:
             criteria=("improbable-inertias", "improbable-frictions"),
         ),
         CriterionItem(
-            name="improbable-sizes", summary="Improbable beams, lengths and masses, often in another unit.", order=90,
+            name="improbable-sizes", summary="Improbable beams, lengths, preloads and masses.", order=90,
             stage="spec", find=Target("mbdkit.runs.run_criteria:improbable_sizes"), of=frozenset({"mechanism", "run"}),
-            criteria=("improbable-beams", "improbable-lengths", "improbable-bodies", "improbable-people"),
+            criteria=tuple(f"improbable-{what}" for what in ("beams", "lengths", "preloads", "bodies", "people")),
         ),
         CriterionItem(
             name="long-step", summary="A step that is longer than the run.", order=100, stage="spec",

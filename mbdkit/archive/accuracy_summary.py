@@ -39,6 +39,9 @@ class RunErrors:
     A kind of specs whose runs have other errors names a class derived from this one, `SpecKind.errors`.
     """
 
+    force_in = "force in"
+    """Words for the force of a joint, before its name."""
+
     def __init__(self, run: Run):
         self.run = run
 

@@ -235,7 +235,9 @@ def largest_forces(run: Run) -> list[Headline]:
     force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
     errors = _errors(run, "reaction_error", force)
     missed = run.errors.missed("joints.force", run.joint_names, force)
-    return _as_measured(run, "joints.force", largest_of("force in", run, run.joint_names, force, "N", errors, missed))
+    return _as_measured(
+        run, "joints.force", largest_of(run.errors.force_in, run, run.joint_names, force, "N", errors, missed)
+    )
 
 
 def largest_torques(run: Run) -> list[Headline]:

@@ -53,6 +53,7 @@ def _needed(provenance: Mapping[str, object]) -> Iterator[Needed]:
         ("spec-kind", "spec_kind"),
         ("quantity", "quantities"),
         ("joint-kind", "joint_kinds"),
+        ("element-kind", "element_kinds"),
     )
     for kind, key in kinds:
         names = (key, f"{key}_distribution", f"{key}_version", f"{key}_group")

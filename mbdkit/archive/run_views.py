@@ -47,6 +47,9 @@ class StatedErrors(Protocol):
     def excluded(self) -> str:
         """Error that the estimates do not include; empty if there is none."""
 
+    force_in: str
+    """Words for the force of a joint, before its name."""
+
     @property
     def without_suspicion(self) -> str:
         """Clause for a run whose verdict has no reasons."""

@@ -11,12 +11,14 @@ import ast
 import math
 import re
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import read_unit
 from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
 from mbdkit.expressions.program import MAX_DEPTH, Instruction, Program, depth_of, execute
 
@@ -43,6 +45,18 @@ OPERATORS: dict[type[ast.operator], str] = {
 TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
+
+
+#: Pattern of a number with a unit in an expression.
+_WITH_UNIT = re.compile(
+    r"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*((?!e\d)[A-Za-z%](?:[A-Za-z%*/^ ]*[A-Za-z%])?)"
+)
+
+
+def _has_unit(match: re.Match[str]) -> bool:
+    with suppress(SpecError):
+        return bool(read_unit(match[1]))
+    return False
 
 
 class ExpressionError(SpecError):
@@ -167,6 +181,9 @@ class Compiler:
             return ast.parse(self.source, mode="eval").body
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
+            if match := next(filter(_has_unit, _WITH_UNIT.finditer(self.source)), None):
+                how = f"make '{match[0].strip()}' a parameter and write its name, or convert it to SI units"
+                self.refuse(f"numbers in expressions have no units; {how}", match.start())
             self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested") from None

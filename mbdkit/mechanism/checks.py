@@ -131,7 +131,7 @@ def line_of_undefined_direction(force: Element) -> SpringDamper | Law | None:
     """Return the element if it is a force along the line between two points whose direction is undefined where the
     points coincide, otherwise None. The force of a spring-damper whose stiffness or free length is zero vanishes there.
     """
-    if isinstance(force, SpringDamper) and force.stiffness * force.free_length == 0:
+    if isinstance(force, SpringDamper) and 0.0 in force.linear[::2]:
         return None
     return _line(force)
 

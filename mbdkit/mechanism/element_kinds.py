@@ -144,7 +144,8 @@ def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str,
         what = f"the force element '{name}' of the kind of elements '{kind.name}'"
         for attribute in ("law_id", "force_law", "pathway"):
             if not hasattr(force, attribute):
-                raise PluginError(f"{what} has no `{attribute}`, which an element with a force law has")
+                advice = "; give the kind `acts=ElementForces(...)` with `forces` or `lower`" if own is None else ""
+                raise PluginError(f"{what} has no `{attribute}`, which an element with a force law has{advice}")
         if isinstance(force, FromTo) and force.points is None:
             raise PluginError(f"{what} has no `points`, the points in the frames of the bodies")
     return cast("Mapping[str, LawForce]", forces)

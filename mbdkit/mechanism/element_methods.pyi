@@ -327,7 +327,7 @@ class ElementMethods(NamedElements):
     def spring_damper(
         self, name: str, a: str, b: str, *, points: Sequence[Sequence[float]] | None = None,
         from_: Sequence[float] | None = None, to: Sequence[float] | None = None, stiffness: float = 0.0,
-        damping: float = 0.0, free_length: float = 0.0
+        damping: float = 0.0, free_length: float | Literal["start"] = 0.0
     ) -> None:
         """Add a linear spring and damper between a point of `a` and a point of `b`.
 
@@ -355,11 +355,13 @@ class ElementMethods(NamedElements):
         damping
             Damping [N s/m].
         free_length
-            Length at which the spring exerts no force [m].
+            Length at which the spring exerts no force [m]; or `start`, the length for the given initial positions
+            of the bodies (before assembly).
         """
 
     def torsion_spring(
-        self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0, free_angle: float = 0.0
+        self, name: str, a: str, b: str, *, stiffness: float = 0.0, damping: float = 0.0,
+        free_angle: float | Literal["start"] = 0.0
     ) -> None:
         """Add a linear torsion spring and damper between `a` and `b`, acting on angle_b - angle_a.
 
@@ -381,7 +383,8 @@ class ElementMethods(NamedElements):
         damping
             Damping [N m s/rad].
         free_angle
-            Relative angle at which the spring exerts no torque [rad].
+            Relative angle at which the spring exerts no torque [rad]; or `start`, that for the given initial angles
+            of the bodies (before assembly).
         """
 
     def law(

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal, NamedTuple
+import math
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self, cast
 
 from pydantic import Field, SerializeAsAny
 
-from mbdkit.mechanism.bodies import GROUND, AtPoint, Element
+from mbdkit.mechanism.bodies import GROUND, AtPoint, Body, Element
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, LinePathway
 from mbdkit.mechanism.state_values import Value, ValuePair, of_state, of_time
@@ -64,9 +66,18 @@ class SpringDamper(LinePathway):
     """Stiffness [N/m]."""
     damping: NotNegative = 0.0
     """Damping [N s/m]."""
-    free_length: NotNegative = 0.0
-    """Length at which the spring exerts no force [m]."""
+    free_length: NotNegative | Literal["start"] = 0.0
+    """Length at which the spring exerts no force [m]; or `start`, the length for the given initial positions of the
+    bodies (before assembly)."""
     pathway_key: ClassVar[str] = ""
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with its points in the frames of the bodies, and with the free length in metres."""
+        placed = super().placed(bodies, key)
+        if self.free_length != "start":
+            return placed
+        a, b = (point if name == GROUND else bodies[name].to_global(point) for _, name, point in placed.attachments())
+        return placed.model_copy(update={"free_length": math.dist(a, b)})
 
     @property
     def pathway(self) -> SpringDamper:
@@ -76,7 +87,7 @@ class SpringDamper(LinePathway):
     @property
     def linear(self) -> LinearForce:
         """The parameters of the linear force law."""
-        return LinearForce(self.stiffness, self.damping, self.free_length)
+        return LinearForce(self.stiffness, self.damping, cast(float, self.free_length))
 
 
 class TorsionSpring(AnglePathway):
@@ -91,9 +102,17 @@ class TorsionSpring(AnglePathway):
     """Stiffness [N m/rad]."""
     damping: NotNegative = 0.0
     """Damping [N m s/rad]."""
-    free_angle: Number = 0.0
-    """Relative angle at which the spring exerts no torque [rad]."""
+    free_angle: Number | Literal["start"] = 0.0
+    """Relative angle at which the spring exerts no torque [rad]; or `start`, that for the given initial angles of the
+    bodies (before assembly)."""
     pathway_key: ClassVar[str] = ""
+
+    def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
+        """Return the element with the free angle in radians."""
+        if self.free_angle != "start":
+            return self
+        a, b = (0.0 if name == GROUND else bodies[name].angle for name in self.bodies)
+        return self.model_copy(update={"free_angle": b - a})
 
     @property
     def pathway(self) -> TorsionSpring:
@@ -103,7 +122,7 @@ class TorsionSpring(AnglePathway):
     @property
     def linear(self) -> LinearForce:
         """The parameters of the linear force law."""
-        return LinearForce(self.stiffness, self.damping, self.free_angle)
+        return LinearForce(self.stiffness, self.damping, cast(float, self.free_angle))
 
 
 class Torque(Element):

@@ -9,7 +9,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.extent import size_if_below, smaller_units
-from mbdkit.mechanism.forces import SpringDamper
+from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_radii
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -48,6 +48,9 @@ THINNEST = 1e4
 #: Free lengths in cm are too large by a factor of 100. In all packaged examples, free lengths are at most 1.3 times the
 #: length at the start.
 LONGEST = 10.0
+
+#: The force of a spring at the start is improbable if its moment exceeds that of each other load so many times.
+STRONGEST = 10.0
 
 #: Lengths of elements (`Element.lengths_to_check`), and the deflection at the start of a one-sided spring along a
 #: coordinate, are improbable if they exceed this many sizes of the mechanism.
@@ -182,6 +185,33 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
             yield (
                 f"the {key.replace('_', ' ')} of {value:g} m at {where} is improbable: at the start, the mechanism has "
                 f"a size of {size:.3g} m{also}; {_ADVICE} {proposals}"
+            )
+
+
+def improbable_preloads(mechanism: Mechanism) -> Iterator[str]:
+    """Yield a sentence without a full stop for each spring whose free length or angle is not given, and whose force at
+    the start exceeds all other loads by far; none if there is neither weight nor another load.
+    """
+    size = size_if_below(mechanism, math.inf) if mechanism.forces else 0.0
+    weight = math.hypot(*mechanism.gravity) * sum(body.mass for body in mechanism.bodies.values())
+    moments = {"": weight * size}  # [N m]
+    springs = {}
+    for name, force in mechanism.forces.items():
+        arm = 1.0 if isinstance(force, TorsionSpring | Torque) else size
+        if isinstance(force, SpringDamper | TorsionSpring):
+            key, unit = ("free_length", "N") if force.is_line else ("free_angle", "N m")
+            relaxed = force.model_copy(update={key: "start"}).placed(mechanism.bodies, "").linear.free
+            load = abs(force.stiffness * (relaxed - force.linear.free))
+            springs[name] = key, load, unit
+            moments[name] = load * arm
+        elif isinstance(force, Torque | PointForce):
+            moments[name] = arm * math.hypot(*(value for value in force.load.values if isinstance(value, float)))
+    for name, (key, load, unit) in springs.items():
+        others = max(moment for other, moment in moments.items() if other != name)
+        if moments[name] > STRONGEST * others > 0.0 and key not in mechanism.forces[name].model_fields_set:
+            yield (
+                f"spring '{name}' begins with {load:.3g} {unit}, more than {STRONGEST:g} times as much as all weights "
+                f"and other constant loads; if it is relaxed at the start, write `{key}: start`, otherwise `{key}: 0`"
             )
 
 

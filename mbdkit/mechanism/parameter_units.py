@@ -20,8 +20,9 @@ _LIKE_OPERANDS = frozenset({"abs", "min", "max"})
 def unit_of_expression(text: str, units: Mapping[str, Unit], *, of_time: bool = False) -> Unit | None:
     """Return the unit of an expression; None if it cannot be derived.
 
-    It cannot be derived if no parameter has a unit, and usually not from powers that are not whole numbers, or if other
-    parameters have no unit. In functions of time, numbers as factors may have any unit: in ``A*t/0.5``, 0.5 is a time.
+    It cannot be derived if all parameters are pure numbers or angles, and usually not from powers that are not whole
+    numbers, or if other parameters have no unit. In functions of time, numbers as factors may have any unit: in
+    ``A*t/0.5``, 0.5 is a time.
 
     `units`: units of the parameters that have one, by name. `of_time`: whether the name ``t`` is the time. Raises
     SpecError if quantities of different kinds are added or subtracted, or if a frequency, such as one in Hz or 1/min,
@@ -51,7 +52,9 @@ def _is_time(node: ast.AST) -> bool:
 
 
 def _has_units(tree: ast.expr, units: Mapping[str, Unit]) -> bool:
-    return any(isinstance(node, ast.Name) and node.id in units for node in ast.walk(tree))
+    """Return whether a tree contains a parameter with a dimension; angles and shares are pure numbers."""
+    return any(isinstance(node, ast.Name) and node.id in units and any(units[node.id].exponents)
+               for node in ast.walk(tree))  # fmt: skip
 
 
 def outside_pure_functions(node: ast.AST) -> Iterator[ast.AST]:

@@ -251,7 +251,8 @@ class _NumberCompiler(Compiler):
         if isinstance(node, ast.Name):
             hint = did_you_mean(node.id, ["pi", *FUNCTIONS, *self.known])
             text = f"; parameters: {listed(self.known)}" if self.known else "; the spec has no `parameters`"
-            self.refuse(f"there is no parameter '{node.id}'{hint or text}", node)
+            alone = f"should be a number, not the text '{node.id}': " if node.id == self.source else ""
+            self.refuse(f"{alone}there is no parameter '{node.id}'{hint or text}", node)
         return super().operand(node)
 
 
@@ -335,7 +336,9 @@ def _replacements(
             if kind == "function of time":
                 _check_unit(text, values, details["loc"], path, data, root, plugins, of_time=True)
             yield path, text, kind
-        elif details["type"] == "float_type" and _is_expression(text, values):
+        elif details["type"] == "float_type" and (
+            _is_expression(text, values) or (path[-1] == details["loc"][-1] and _is_name(text))
+        ):  # in unions, such a text may be meant as another alternative
             _check_unit(text, values, details["loc"], path, data, root, plugins)
             yield path, text, "number"
         elif details["type"] == "int_type" and _is_expression(text, values):
@@ -422,6 +425,10 @@ def _is_expression(text: object, values: Values) -> bool:
     if not isinstance(text, str) or _NUMBER.fullmatch(text):
         return False
     return bool(re.search(r"[-+*/(]", text)) or text.strip() in {"pi", *values}
+
+
+def _is_name(text: object) -> bool:
+    return isinstance(text, str) and text.isidentifier() and text.lower() not in {"inf", "infinity", "nan"}
 
 
 def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
+from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
@@ -17,6 +18,7 @@ from mbdkit.engine.native.machine_code import code_id
 from mbdkit.mechanism.joint_kinds import joint_kinds
 from mbdkit.quantities.registered_kinds import kinds_of_others
 from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec import RunSpec
@@ -94,7 +96,7 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
     own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _is_of(spec, kind)]
     own += [] if spec.step_control_item is None else [("step_control", spec.step_control_item)]
     items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
-    return _plugins(items, spec) | _quantities(spec) | _joints(spec)
+    return _plugins(items, spec) | _of_elements(spec)
 
 
 def _is_of(spec: RunSpec, kind: Registered) -> bool:
@@ -111,27 +113,25 @@ def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
         versions[f"{kind}_distribution"] = item.origin.distribution
         versions[f"{kind}_version"] = item.origin.version
         versions[f"{kind}_entry_point"] = item.origin.entry_point
-    if laws := spec.force_law_items:
-        versions["force_laws"] = ", ".join(item.id for item in laws)
-        for part in ("distribution", "version", "entry_point"):
-            versions[f"force_laws_{part}"] = ", ".join(getattr(item.origin, part) for item in laws)
-    return versions
+    return versions | _entries("force_laws", spec.force_law_items)
 
 
-def _joints(spec: RunSpec) -> dict[str, str]:
-    """Return the plugins of other distributions whose types of joints a run has, and their versions."""
-    types = {getattr(joint, "type", "") for joint in spec.mechanism().joints.values()}
-    items = [item for name, item in joint_kinds().items() if name in types and item.origin.distribution != MBDKIT]
-    entries = {"joint_kinds": [item.id for item in items]}
+def _entries(key: str, items: Sequence[Registered]) -> dict[str, str]:
+    """Return the names and origins of items under keys that begin with `key`; nothing without items."""
+    names = {key: ", ".join(item.id for item in items)}
     for part in ("distribution", "version", "entry_point"):
-        entries[f"joint_kinds_{part}"] = [getattr(item.origin, part) for item in items]
-    return {key: ", ".join(texts) for key, texts in entries.items() if texts}
+        names[f"{key}_{part}"] = ", ".join(getattr(item.origin, part) for item in items)
+    return names if items else {}
 
 
-def _quantities(spec: RunSpec) -> dict[str, str]:
-    """Return the plugins of other distributions whose quantities a run records, with their groups and versions."""
-    items = kinds_of_others(spec.mechanism)
-    entries = {"quantities": [item.id for item in items.values()], "quantities_group": list(items)}
-    for part in ("distribution", "version", "entry_point"):
-        entries[f"quantities_{part}"] = [getattr(item.origin, part) for item in items.values()]
-    return {key: ", ".join(texts) for key, texts in entries.items() if texts}
+def _of_elements(spec: RunSpec) -> dict[str, str]:
+    """Return the plugins of other distributions whose elements, joints and quantities a run has, and their versions."""
+    mechanism = spec.mechanism()
+    types = {getattr(joint, "type", "") for joint in mechanism.joints.values()}
+    joints = [item for name, item in joint_kinds().items() if name in types and item.origin.distribution != MBDKIT]
+    kinds = [item for item in registry().of_kind("element-kind") if item.origin.distribution != MBDKIT]
+    kinds = [item for item in kinds if mechanism.elements.get(cast(ElementKind, item.plugin).key_in_model)]
+    quantities = kinds_of_others(spec.mechanism)
+    groups = {"quantities_group": ", ".join(quantities)} if quantities else {}
+    recorded = _entries("quantities", list(quantities.values()))
+    return _entries("joint_kinds", joints) | _entries("element_kinds", kinds) | recorded | groups

@@ -17,6 +17,7 @@ from mbdkit.mechanism.improbable_values import (
     improbable_beams,
     improbable_frictions,
     improbable_lengths,
+    improbable_preloads,
 )
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -179,6 +180,7 @@ def improbable_sizes(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[F
     mechanism = spec.mechanism()
     yield from _improbable("beams", improbable_beams(mechanism))
     yield from _improbable("lengths", improbable_lengths(mechanism))
+    yield from _improbable("preloads", improbable_preloads(mechanism))
     yield from _improbable("bodies", improbable_bodies(mechanism))
     yield from _improbable("people", improbable_people(spec.model))
 

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
 
 from mbdkit.base.errors import SpecError
@@ -92,8 +93,18 @@ def load_spec(source: object, assignments: Iterable[str] = (), **sections: objec
 spec_loader(load_spec)
 
 
-def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], sections: Mapping[str, object]) -> S:
-    """Return a validated spec of the kind with this name, which is of the class `kind`, from any source."""
+def loaded(
+    name: str,
+    kind: type[S],
+    source: object,
+    overrides: Iterable[str],
+    sections: Mapping[str, object],
+    defaults: Mapping[str, object] = MappingProxyType({}),
+) -> S:
+    """Return a validated spec of the kind with this name, which is of the class `kind`, from any source.
+
+    `defaults`: sections that are added if they are missing.
+    """
     if isinstance(source, kind) and not sections and not tuple(overrides):
         source.mechanism()
         return source
@@ -102,6 +113,7 @@ def loaded(name: str, kind: type[S], source: object, overrides: Iterable[str], s
     document.keywords = frozenset(sections)
     if error := refused(document.data, name):
         raise document.place(error)
+    document.data = {**defaults, **document.data}
     for assignment in overrides:
         document.assign(assignment)
     files = document.files

@@ -193,20 +193,22 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     `evidence`: the numbers from which the run is judged. `accuracy`: estimated errors; None if they were not estimated,
     so that the verdict is ``unknown`` at best.
     """
-    findings = [
+    causes: list[tuple[Level, str]] = [
         *_ending(evidence),
         *(("bad", fault) for fault in evidence.faults),
-        *(("doubtful", warning) for warning in evidence.warnings),  # often the causes of the following
-        *_joints(evidence),
+        *(("doubtful", warning) for warning in evidence.warnings),
+    ]
+    effects = [
         *_energies(evidence),
+        *_joints(evidence),
         *_branches(evidence),
         *(() if accuracy is None else _errors(evidence, accuracy)),
     ]
+    findings = [*causes, *sorted(effects, key=lambda item: -LEVELS.index(item[0]))]
     best: Level = "unknown" if accuracy is None else "good"
     level = max((best, *(level for level, _ in findings)), key=LEVELS.index)
-    worst_first = sorted(findings, key=lambda item: -LEVELS.index(item[0]))
     accepted = (f"Accepted by the spec: {doubt}" for doubt in evidence.accepted)
-    return Judgement(level, (*(reason for _, reason in worst_first), *accepted))
+    return Judgement(level, (*(reason for _, reason in findings), *accepted))
 
 
 Found = Iterator[tuple[Level, str]]

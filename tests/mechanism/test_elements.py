@@ -10,6 +10,7 @@ import mbdkit
 from mbdkit import Mechanism, SpecError
 from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
+from mbdkit.mechanism.improbable_values import improbable_preloads
 from mbdkit.mechanism.joints import Distance, Driver, Prismatic, Revolute, Weld
 from mbdkit.mechanism.values import Table
 
@@ -185,3 +186,22 @@ def test_the_name_of_a_law_as_a_type_gets_the_way_to_write_it() -> None:
     model = {"bodies": {"a": {"mass": 1}}, "forces": {"g": {"type": "gas-spring", "pathway": pathway}}}
     with pytest.raises(SpecError, match=r"no type 'gas-spring', but a force law.*`type: law, law: gas-spring`"):
         Mechanism.from_spec(model)
+
+
+def test_springs_are_relaxed_at_the_start_or_their_improbable_preload_is_said() -> None:
+    def doubts(**keys: object) -> list[str]:
+        m = Mechanism()
+        rotor = m.body("rotor", mass=1.0, inertia=0.01)
+        shank = m.body("shank", mass=3.0, inertia=0.05, position=(0.0, -0.2), angle=-math.pi / 2)
+        m.torsion_spring("sea", rotor, shank, stiffness=300.0, **keys)  # 300 pi/2 = 471 N m; 4 kg at 0.2 m: 8 N m
+        m.spring_damper("strap", rotor, shank, points=((0, 0), (0, 0)), stiffness=1e3, free_length="start")
+        assert m.forces["strap"].free_length == pytest.approx(0.2)
+        if keys.get("free_angle") == "start":
+            assert m.forces["sea"].free_angle == -math.pi / 2
+        return list(improbable_preloads(m))
+
+    assert not doubts(free_angle="start")
+    assert not doubts(free_angle=0.0)
+    (sentence,) = doubts()
+    assert sentence.startswith("spring 'sea' begins with 471 N m")
+    assert "write `free_angle: start`" in sentence

@@ -91,3 +91,23 @@ def test_parameters_depend_on_each_other_in_any_order() -> None:
     links = {f"p{i}": f"p{i + 1} + 1" for i in range(1500)}
     assert parameter_values({**links, "p1500": 1})["p0"] == 1501
     assert parameter_values({"a": "max(b, 2)*c", "c": "-b", "b": "sqrt(16)"}) == {"a": -16, "c": -4, "b": 4}
+
+
+def test_angles_are_pure_numbers_in_expressions() -> None:
+    spec = {**SPEC, "parameters": SPEC["parameters"] | {"start": "30 deg"}}
+    body = load_spec(spec, ["model.bodies.crank.position=[0.4*sin(start), start/2]"]).mechanism().bodies["crank"]
+    assert body.position == pytest.approx((0.2, math.pi / 12))
+    with pytest.raises(SpecError, match=r"mass: .*deg"):
+        load_spec(spec, ["model.bodies.crank.mass=start"])
+
+
+@pytest.mark.parametrize("text", ["wrong", "2*wrong"])
+def test_misspelled_parameters_get_the_same_hint_alone_and_in_expressions(text: str) -> None:
+    with pytest.raises(SpecError, match=r"mass: .*there is no parameter 'wrong'; parameters: half, crank, speed"):
+        load_spec(SPEC, [f"model.bodies.crank.mass={text}"])
+
+
+@pytest.mark.parametrize("text", ["crank/2 - 100 mm", "2*(100 mm)", "crank + 100 mm"])
+def test_a_unit_within_an_expression_is_named(text: str) -> None:
+    with pytest.raises(SpecError, match="numbers in expressions have no units; make '100 mm' a parameter"):
+        load_spec(SPEC, [f"model.bodies.crank.position=[{text}, 0]"])

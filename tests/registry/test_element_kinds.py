@@ -177,3 +177,10 @@ for model in (m, "linked.yaml"):
         assert (done.returncode, "bug" in done.stderr) == (status, False), done.stderr
         assert sentence in done.stderr
         assert not (tmp_path / "wrong.h5").exists()
+    without = LINKS.replace(', acts=ElementForces(forces=Target("link_kit:forces"))', "")
+    install_module(tmp_path / "other", "link-kit", without)
+    done = python("-m", "mbdkit", "run", "linked.yaml", path=(tmp_path / "other",), cwd=tmp_path)
+    assert "give the kind `acts=ElementForces(...)` with `forces` or `lower`" in done.stderr
+    assert python("-m", "mbdkit", "run", "linked.yaml", path=(site,), cwd=tmp_path).returncode == 0
+    done = python("-m", "mbdkit", "rerun", "linked.h5", path=(), cwd=tmp_path)
+    assert "the element kind 'link-kit:link' is not installed here" in done.stderr

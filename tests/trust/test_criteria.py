@@ -87,10 +87,10 @@ def test_energy_errors_of_a_mechanism_at_rest_are_bad_above_rounding() -> None:
     assert judge(replace(SOUND, kinetic=0.0, balance=1e-6)).level == "bad"
 
 
-def test_the_worst_reason_comes_first_and_then_warnings_which_may_be_the_cause_of_others() -> None:
+def test_warnings_which_may_be_the_cause_of_others_come_first_and_then_the_worst_reason() -> None:
     verdict = judge(replace(SOUND, misalignment=3e-4, balance=1.0, warnings=("a corner",)))
     assert verdict.level == "bad"
-    assert [reason.split()[0] for reason in verdict.reasons] == ["The", "a", "Joint"]
+    assert [reason.split()[0] for reason in verdict.reasons] == ["a", "The", "Joint"]
     assert LEVELS[-1] == "bad"
 
 

@@ -112,7 +112,7 @@ def test_errors_in_a_long_gap_are_unknown_and_a_peak_there_is_doubted(monkeypatc
     assert "where they are known" in str(run.accuracy)
     assert "from t = 0.85 to 1.15 s, where errors are unknown" in run.summary()
     assert "(its error is unknown: it depends on a gap that is longer than the smoothing can bridge)" in run.summary()
-    assert "N at 1.1" in run.summary().partition("largest force in hip ")[2]
+    assert "N at 1.1" in run.summary().partition("largest joint force without muscles in hip ")[2]
     assert "s, error unknown" in run.summary()
     # a peak far from the gap is known, because what the gap may hide does not reach it
     angle = 0.6 + 0.5 * np.cos(1.5 * (TIME - 0.5))

@@ -86,10 +86,15 @@ def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) ->
         (["time,hip,knee", *ROWS, "mean,0.5,1"], "t.csv:5: column 'time': 'mean' is not a number; write nan for"),
         (["time left hip", "0.0 1", "0.5 2"], "there are 3 headings and 2 columns of numbers; separate the cells"),
         (["t,hip", "0.0,1"], "no column 'time'; its columns: t, hip; name the column with the times in `motion.time`"),
+        (["Zeit (s),hip", "0.0,1"], "in `motion.time`, such as `time: Zeit"),
+        (
+            ["t,1_ground_force_vx", "0.0,1"],
+            "`force: [1_ground_force_vx, 1_ground_force_vy], point: [1_ground_force_px",
+        ),
         ([",,", ",,,"], "t.csv: this table is empty"),
         (["PK\x03\x04"], "this is a workbook or an archive, not a text; save the table as .csv"),
     ],
-    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "delimiters", "workbook"],
+    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "other-time", "opensim", "delimiters", "workbook"],
 )
 def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(SpecError) as refused:

@@ -25,7 +25,7 @@ from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.quantities.states import States
 from mbdkit.runs.coarse_beams import CoarseBeams
 from mbdkit.spec.loading import RunSource, Sections
-from mbdkit_statics.equilibrium_search import Rest, rest
+from mbdkit_statics.equilibrium_search import FRICTION, Rest, has_friction, rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import at_rest, in_statics
 from mbdkit_statics.stability import stability_of
@@ -195,6 +195,8 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     mechanism = prepared.spec.mechanism()
     outside = dynamic.laws_out_of_range(p.t0, result.q, p.v0 * 0.0)
     forces, warnings = _internal_forces(prepared, result) if mechanism.beams else ({}, ())
+    is_noted = {FRICTION: has_friction(prepared), UNDAMPED: stability.is_undamped, CORNER: stability.is_corner}
+    notes = (note for note, holds in is_noted.items() if holds)
     return Equilibrium(
         time=p.t0,
         bodies=p.bodies,
@@ -216,7 +218,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         beams=forces,
         displacement=(result.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
-        warnings=(*outside, *warnings, *[UNDAMPED] * stability.is_undamped, *[CORNER] * stability.is_corner),
+        warnings=(*outside, *warnings, *notes),
     )
 
 

@@ -53,6 +53,11 @@ MOST_SADDLES = 10  #: Largest number of saddle points from which a search contin
 #: Smaller magnitudes are attributed to round-off.
 SADDLE = 1e-9
 
+FRICTION = (
+    "friction holds nothing in an equilibrium, because its force vanishes without slip; to hold a body, give the "
+    "force of friction as a load, or run the mechanism until it comes to rest"
+)
+
 
 @dataclass(frozen=True)
 class Rest:
@@ -79,6 +84,12 @@ class Rest:
     z: np.ndarray
 
 
+def has_friction(prepared: PreparedMechanism) -> bool:
+    """Return whether an element of the mechanism has dry friction."""
+    every = (element for elements in prepared.spec.mechanism().elements.values() for element in elements.values())
+    return any(max(element.friction_coefficients, default=0.0) > 0.0 for element in every)
+
+
 def rest(prepared: PreparedMechanism) -> Rest:
     """Return the static equilibrium; raises SpecError if none is found.
 
@@ -93,12 +104,14 @@ def rest(prepared: PreparedMechanism) -> Rest:
         found = search.run()
     if found is not None:
         return found
+    friction = f" ({FRICTION})" if has_friction(prepared) else ""
     here = search.x
     worst = int(np.argmax(np.abs(here)))
     name, unit = prepared.equations.bodies[worst // 3], "rad/s^2" if worst % 3 == 2 else "m/s^2"
     raise prepared.error(
         f"no static equilibrium was found from this start in {search.tried} steps: in the last position body {name!r} "
         f"still accelerates by {abs(here[worst]):.3g} {unit}; start closer to an equilibrium, or hold that body"
+        f"{friction}"
     )
 
 

@@ -12,15 +12,14 @@ from mbdkit.base.errors import RunError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.stabilization import NONE
 from mbdkit.integrators.interface import Nodes
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import build
-from mbdkit.spec.loading import load_spec
+from mbdkit.spec.loading import loaded
 from mbdkit.spec.run_spec import RunSpec
 
-#: Sections that a run spec requires, for a `Mechanism` without a spec; most of these analyses do not use them.
-UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}}
+#: Sections that a run spec requires, where they are not given; most of these analyses do not use them.
+UNUSED = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 0.01}}
 
 
 @dataclass(frozen=True)
@@ -31,17 +30,14 @@ class PreparedMechanism(AssembledMechanism):
 
     @classmethod
     def of(cls, source: object, overrides: Iterable[str] = (), **sections: object) -> PreparedMechanism:
-        """Prepare a mechanism from any source that `mbdkit.run` accepts; for a `Mechanism`, no other sections are
-        needed.
+        """Prepare a mechanism from any source that `mbdkit.run` accepts; no `integrator` and `time` are needed.
 
         Raises
         ------
         SpecError
             If the input is wrong, or the joints cannot be closed.
         """
-        if isinstance(source, Mechanism):
-            sections = UNUSED | sections
-        spec = load_spec(source, overrides, **sections)
+        spec = loaded("run", RunSpec, source, overrides, sections, defaults=UNUSED)
         workspace, _ = build(spec)
         workspace = replace(workspace, stabilization=NONE)  # Baumgarte terms would change the equations
         return cls(spec, workspace, EquationsOfMotion(workspace))

@@ -101,3 +101,30 @@ def test_wrong_input_is_a_sentence_and_exit_status_2(arguments, words, mbdkit, i
     assert len(result.stderr.strip().splitlines()) == 1
     assert result.stdout == ""
     assert not list(in_tmp_path.iterdir())
+
+
+def test_specs_without_integrator_and_time_are_analysed(mbdkit, in_tmp_path):
+    # expected: frequency of a rod of 1 m that hangs from its end
+    text = SMALL.partition("integrator:")[0]
+    Path("still.yaml").write_text(text, encoding="utf-8")
+    for command in ("equilibrium", "modes"):
+        assert mbdkit(command, "still.yaml").exit_code == 0
+    assert "driver" in mbdkit("kinematics", "still.yaml").stderr
+
+
+def test_friction_of_a_body_at_rest_is_explained(mbdkit, in_tmp_path):
+    text = """\
+mbdkit: 1
+model:
+  name: mechanism
+  bodies: {block: {mass: 1 kg, inertia: 0.1}}
+  joints:
+    slide: {type: prismatic, bodies: [ground, block], at: [0, 0], axis: [1, 0], friction: {coefficient: 0.5, length: 1}}
+  forces: {push: {type: force, body: block, point: [0, 0], value: [2, 0]}}
+"""
+    Path("block.yaml").write_text(text, encoding="utf-8")
+    assert "friction holds nothing in an equilibrium" in mbdkit("equilibrium", "block.yaml").stderr
+    Path("block.yaml").write_text(text.replace("[2, 0]", "[0, 0]"), encoding="utf-8")
+    done = mbdkit("equilibrium", "block.yaml")
+    assert done.exit_code == 0
+    assert "friction holds nothing in an equilibrium" in done.stdout

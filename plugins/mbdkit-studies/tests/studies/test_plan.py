@@ -213,6 +213,19 @@ def test_varied_initial_values_that_assembly_changes_are_told(axis: dict[str, li
     assert not told or "angular_velocity from 1 to 2, but the start after assembly from 0.25 to 0.5" in warnings[0]
 
 
+def test_varied_starts_without_freedom_are_not_advised_to_vary_together() -> None:
+    bodies = ["ground", "rod"]
+    pin = {"type": "revolute", "bodies": bodies, "points": [[0, 0], [-0.5, 0]]}
+    motor = {"type": "driver", "bodies": bodies, "coordinate": "angle", "motion": "t"}
+    rod = {"mass": 1.0, "inertia": 0.1, "position": [0.5, 0.0], "angle": 0.0, "angular_velocity": 1.0}
+    model = {"name": "mechanism", "bodies": {"rod": rod}, "joints": {"pin": pin, "motor": motor}}
+    base = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    study = {"mbdkit_study": 1, "base": base, "axes": [{"model.bodies.rod.angle": [0.1, 0.2]}]}
+    (warning,) = plan_study(load_study_spec(study)).warnings()
+    assert "no freedom; vary its dimensions or the motions of its drivers" in warning
+    assert "together" not in warning
+
+
 MASS = "model.bodies.rod.mass"
 
 

@@ -170,10 +170,12 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     given = np.array([_given(spec) for spec in free])
     if not np.any(np.ptp(given, axis=0)):
         return []
-    starts, changes, kept = Starts(), [], []
+    starts, changes, kept, has_freedom = Starts(), [], [], True
     for spec, values in zip(free, given, strict=True):
         with suppress(SpecError):  # the run reports this error itself
-            start = RunSetup.of(spec, starts).start
+            setup = RunSetup.of(spec, starts)
+            start, compiled = setup.start, setup.workspace.mechanism
+            has_freedom = compiled.coordinates > int(np.sum(compiled.topology.rows))
             now = np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)])
             changes.append(now - values)
             kept.append(values)
@@ -189,10 +191,11 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     a, b = (kept[place][body, column] for place in (first, last))
     moved = [kept[place][body, column] + changes[place][body, column] for place in (first, last)]
     key = path_text(("model", "bodies", list(free[0].mechanism().bodies)[body], *KEYS[column]))
+    linked = "the joints connect it with other initial values; vary all that belong together, by one parameter"
+    fixed = "joints and drivers leave the mechanism no freedom; vary its dimensions or the motions of its drivers"
     text = (
         f"the runs vary {key} from {a:.4g} to {b:.4g}, but the start after assembly from {moved[0]:.4g} to "
-        f"{moved[1]:.4g}, because the joints connect it with other initial values; vary all values that belong "
-        f"together, or use expressions of one parameter"
+        f"{moved[1]:.4g}, because {linked if has_freedom else fixed}"
     )
     return [text]
 

@@ -130,7 +130,11 @@ class MeasuredTable:
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
             remark = f" ({self.remark})" if self.remark else ""
-            remark += f"; name the column with the times in `{key}`" if heading == "time" else ""
+            if heading == "time" and names:
+                remark += f"; name the column with the times in `{key}`, such as `time: {names[0]}`"
+            if start := next((name[:-2] for name in names if name.endswith("ground_force_vx")), ""):
+                force, point = (f"[{start}{kind}x, {start}{kind}y]" for kind in "vp")
+                remark += f"; for forces of OpenSim, write `force: {force}, point: {point}`; `plates` are of C3D files"
             with suppress(SpecError):  # a text that is almost a number with a unit
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"

@@ -21,6 +21,11 @@ from mbdkit.base.text import listed
 class FrameErrors(RunErrors):
     """What is known of the errors of a run of inverse dynamics."""
 
+    def __init__(self, run: Run):
+        super().__init__(run)
+        if not run.spec.get("recruitment"):  # a resultant, which is no contact force
+            self.force_in = "joint force without muscles in"
+
     @property
     def are_estimated(self) -> bool:
         """Whether there are error bars."""
@@ -73,13 +78,14 @@ class FrameErrors(RunErrors):
         assert errors is not None
         error = float(errors[joint])
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""
+        label = f"largest {self.force_in} {run.joint_names[joint]}"
         if not math.isfinite(error):
             known = f"{size[row, joint]:.4g} N at {run.time[row]:.4f} s, error unknown"
-            return f"largest force in {run.joint_names[joint]} {known}{loads}"
+            return f"{label} {known}{loads}"
         value = plus_minus(float(size[row, joint]), error)
         bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
         least = f"; less its expected excess, {size[row, joint] - bias:.4g} N" if bias else ""
-        return f"largest force in {run.joint_names[joint]} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
+        return f"{label} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
 
 
 def _why_no_error_bars(spec: Mapping[str, Any]) -> str:

@@ -313,7 +313,9 @@ class Load(Section):
                     raise SpecError("cannot be given with `plates`, from which it follows", key=key)
             return self
         if self.force is None and self.torque is None:
-            raise PydanticCustomError("mbdkit", "needs `force` (two columns) or `torque` (a column)")
+            raise PydanticCustomError(
+                "mbdkit", "needs `force` (two columns), `torque` (a column) or, for a person, `plates` (numbers)"
+            )
         if self.point is not None and self.force is None:
             raise SpecError("is a point of application, but there is no `force`", key="point")
         return self
