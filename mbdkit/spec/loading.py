@@ -213,7 +213,7 @@ def _document(source: Any) -> Document:
 def _named(source: str | Path) -> Document:
     if source == "-":
         return read_stdin()
-    names = example_names()
+    names = [*_examples()]
     if not source:
         raise SpecError(f"the name of the spec is empty: give a file or an example; examples: {listed(names)}")
     path = Path(source)
