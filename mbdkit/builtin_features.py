@@ -15,6 +15,22 @@ from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 
+_EXAMPLES = {
+    "Pendulums and springs": "pendulum double-pendulum spring-pendulum chain",
+    "Linkages": "four-bar slider-crank quick-return crank-press watt-six-bar n-four-bar",
+    "Flexible beams": "flexible-slider-crank leaf-spring spin-up-beam flying-spaghetti roll-up",
+    "Vehicles": "double-wishbone car-axis",
+    "Control": "pd-leg delayed-balance series-elastic-knee",
+    "People and their devices": "gravity-balanced-arm limit-stop",
+}
+
+_PAGES = {
+    "Start": "first-steps mini spec",
+    "Model": "mechanism beams events control",
+    "Analyse": "methods capabilities measures environments coupling",
+    "Trust and extend": "trust reliability performance files plugins joints elements kernels changes",
+}
+
 
 def builtin_features() -> list[Feature]:
     """Return the items of mbdkit itself, apart from models, methods, laws and commands."""
@@ -24,7 +40,7 @@ def builtin_features() -> list[Feature]:
         order=900,
         phrase="a run spec",
         command="mbdkit run",
-        heading="RUN",
+        heading="Runs",
         load=Target("mbdkit.spec.loading:load_spec"),
         validate=Target("mbdkit.cli.runs:validate_run"),
         run_kind="forward",
@@ -117,6 +133,6 @@ def builtin_features() -> list[Feature]:
     return [
         run,
         *criteria,
-        *Example.folder(_HERE / "models" / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "models" / "examples", _EXAMPLES),
+        *GuidePage.folder(_HERE / "guide", _PAGES),
     ]

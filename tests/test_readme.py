@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mbdkit.cli import app
-from mbdkit.guide.pages import find_page
+from mbdkit.guide.pages import find_page, pages
 from tests.first_party import PACKAGES
 from tests.printed_code import fenced_blocks, run_blocks
 
@@ -46,6 +46,19 @@ def test_a_section_begins_with_its_one_command(title: str) -> None:
     assert first.code.startswith(SHELL)
     assert len(first.code.splitlines()) <= 3
     assert all(line.endswith("&&") for line in first.code.splitlines()[:-1])
+
+
+def test_its_table_and_the_guide_have_the_same_groups() -> None:
+    _, *sections = re.split(r"^\| \*\*(.+?)\*\* \|  \|$", README.partition("\n## Test")[0], flags=re.MULTILINE)
+    linked = {
+        name: set(re.findall(r"/guide/([\w-]+)\.md\)", text))
+        for name, text in zip(sections[::2], sections[1::2], strict=True)
+    }
+    shown: dict[str, set[str]] = {}
+    for page in pages().values():
+        shown.setdefault(page.group, set()).add(page.topic)
+    assert list(linked) == list(shown)
+    assert linked == shown
 
 
 def test_it_links_every_page_of_the_guide() -> None:

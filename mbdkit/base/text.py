@@ -13,13 +13,13 @@ _HARMFUL = re.compile(
 )
 
 
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the known name closest to `word`, or an empty string."""
+def did_you_mean(word: str, known: Iterable[str], most: int = 1) -> str:
+    """Return ``" (did you mean 'x'?)"`` for the known names closest to `word`, at most `most`, or an empty string."""
     if len(word) > 300:
         return ""
     names = {name.casefold(): name for name in known}
-    close = difflib.get_close_matches(word.casefold(), names, n=1, cutoff=0.6)
-    return f" (did you mean '{names[close[0]]}'?)" if close else ""
+    close = difflib.get_close_matches(word.casefold(), names, n=most, cutoff=0.6)
+    return f" (did you mean {listed([repr(names[key]) for key in close], 'or')}?)" if close else ""
 
 
 def listed(names: Iterable[str], last: str = "", most: int | None = None) -> str:
@@ -117,6 +117,16 @@ def csv_cell(text: str) -> str:
     """
     text = shown(text)
     return f"'{text}" if text[:1] in _FORMULAS else text
+
+
+def grouped_table(rows: Iterable[tuple[str, str, str]]) -> str:
+    """Return rows of a group, a name and a text in aligned columns, below the groups, in the order of first rows."""
+    groups: dict[str, list[tuple[str, str]]] = {}
+    for group, name, text in rows:
+        groups.setdefault(group, []).append((name, text))
+    lines = table([row for members in groups.values() for row in members], "  ").splitlines()
+    blocks = [f"{group}\n" + "\n".join(lines.pop(0) for _ in members) for group, members in groups.items()]
+    return "\n\n".join(blocks)
 
 
 def table(rows: Sequence[Sequence[str]], indent: str = "") -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mbdkit.base.terminal import show
-from mbdkit.base.text import table
+from mbdkit.base.text import grouped_table
 from mbdkit.cli.common_options import PLAIN, Debug, output_to
 
 examples_app = typer.Typer(
@@ -18,7 +18,7 @@ examples_app = typer.Typer(
 
 @examples_app.callback(invoke_without_command=True)
 def examples(context: typer.Context, debug: Debug = False) -> None:
-    """List the packaged examples, specs and notebooks.
+    """List the packaged examples, specs and notebooks, by purpose.
 
     Run a spec by its name with `mbdkit run`, `mbdkit inverse` for inverse dynamics, or
     `mbdkit design` for designs, or copy a spec or a notebook to edit it.
@@ -26,17 +26,18 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from mbdkit.spec.example_notebooks import notebook_names, notebook_title
-    from mbdkit.spec.loading import example_names, read_source  # no validation, because it would import plugins
+    from mbdkit.spec.loading import example_groups, example_names, read_source  # no validation, which imports plugins
     from mbdkit.spec.spec_kinds import spec_kinds
 
-    rows: list[tuple[str, str]] = []
+    rows: list[tuple[str, str, str]] = []
     for kind in sorted(spec_kinds(), key=lambda kind: bool(kind.marker)):  # run specs first
-        if not kind.heading:
-            continue
-        titles = ((name, read_source(name).data["title"]) for name in example_names(kind.name))
-        rows += [(kind.heading, "TITLE"), *titles]
-        rows.append(("", ""))
-    show(table([*rows, ("NOTEBOOK", "TITLE"), *((name, notebook_title(name)) for name in notebook_names())]))
+        names = set(example_names(kind.name)) if kind.heading else set()
+        for name, group in example_groups().items():
+            if name in names:
+                heading = kind.heading if kind.marker else group or kind.heading
+                rows.append((f"{heading} ({kind.command})", name, read_source(name).data["title"]))
+    rows += [("Notebooks (mbdkit examples copy)", name, notebook_title(name)) for name in notebook_names()]
+    show(grouped_table(rows))
 
 
 @examples_app.command("copy")
@@ -55,15 +56,14 @@ def examples_copy(
     """
     from mbdkit.base.errors import SpecError
     from mbdkit.base.files import check_suffix, replacing
-    from mbdkit.base.text import did_you_mean, listed
     from mbdkit.spec import example_names, example_text
     from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
-    from mbdkit.spec.loading import example_files
+    from mbdkit.spec.loading import example_files, nearest_examples
 
     notebooks = notebook_names()
     known = [*example_names(), *notebooks]
     if name not in known:
-        raise SpecError(f"there is no example '{name}'{did_you_mean(name, known)}; examples: {listed(known)}")
+        raise SpecError(f"there is no example '{name}'{nearest_examples(name, known)}")
     path = output if output is not None else Path(f"{name}.{'ipynb' if name in notebooks else 'yaml'}")
     if name in notebooks:
         check_suffix(path, (".ipynb", ".py"), "a notebook")
@@ -103,7 +103,7 @@ def guide(
 
     topic = " ".join(words or ())
     if not topic:
-        show(table([("TOPIC", "CONTENTS"), *((page.topic, page.summary) for page in pages().values())]))
+        show(grouped_table((page.group, page.topic, page.summary) for page in pages().values()))
     elif topic not in pages() and (hits := search(topic)):
         for hit in hits[:HITS]:
             show(f"{hit.topic}: {hit.heading}\n    {hit.line}")

@@ -11,13 +11,19 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import GuidePage
 from mbdkit.registry.manager import registry
 
+#: Groups of pages in the order of lists; groups of plugins follow.
+GROUPS = ("Start", "Model", "Analyse", "Persons", "Trust and extend")
+
 
 @dataclass(frozen=True)
 class Page:
-    """A page of the guide. `topic`: name of the page: its file name without ``.md``. `text`: the page, as Markdown."""
+    """A page of the guide. `topic`: name of the page: its file name without ``.md``. `text`: the page, as Markdown.
+    `group`: heading of the list that has it.
+    """
 
     topic: str
     text: str
+    group: str
 
     @property
     def summary(self) -> str:
@@ -29,9 +35,11 @@ class Page:
 
 
 def pages() -> dict[str, Page]:
-    """Return all pages by topic, in alphabetical order."""
-    files = {item.name: cast(GuidePage, item.plugin).file for item in registry().of_kind("guide-page")}
-    return {topic: Page(topic, files[topic].read_text(encoding="utf-8")) for topic in sorted(files)}
+    """Return all pages by topic: by group, then in the order of their items."""
+    items = [cast(GuidePage, item.plugin) for item in registry().of_kind("guide-page")]
+    order = list(dict.fromkeys([*GROUPS, *(item.group for item in items)]))
+    items.sort(key=lambda item: order.index(item.group))
+    return {item.name: Page(item.name, item.file.read_text(encoding="utf-8"), item.group or "More") for item in items}
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 from mbdkit.base.errors import PluginError
 from mbdkit.registry.item import Item, described
@@ -161,51 +161,68 @@ class SpecKind(Feature):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class Example(Feature):
-    """A packaged example: a spec, or a notebook, that users run and copy by its name.
+class PackagedFile(Feature):
+    """Base of items that are files, which users read by their names.
 
     Parameters
     ----------
     file
-        The file. Tables and other files that the spec reads lie in the same folder.
+        The file.
+    group
+        Heading under which lists of such items show it; empty for none.
+    """
+
+    phrase: ClassVar[str] = ""
+    suffix: ClassVar[str] = ""
+
+    file: Path
+    group: str = ""
+
+    @classmethod
+    def folder(cls, folder: Path, groups: str | Mapping[str, str] = "", suffix: str | None = None) -> list[Self]:
+        """Return the items in a folder, which are named like their files.
+
+        `groups`: their group; or their names, separated by spaces, by their group, in the order of lists. `suffix`:
+        that of the files.
+        """
+        names = groups if isinstance(groups, Mapping) else {}
+        group_of = {name: group for group, members in names.items() for name in members.split()}
+        places = {name: place for place, name in enumerate(group_of, 1)}
+        default = groups if isinstance(groups, str) else ""
+        return [
+            cls(
+                name=path.stem, summary=cls.phrase.format(path.stem), file=path,
+                group=group_of.get(path.stem, default), order=places.get(path.stem, 500),
+            )
+            for path in sorted(folder.glob(f"*{suffix or cls.suffix}"))
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Example(PackagedFile):
+    """A packaged example: a spec, or a notebook, that users run and copy by its name.
+
+    Tables and other files that the spec reads lie in the folder of its file. ``mbdkit examples`` lists specs of runs by
+    their group.
     """
 
     kind: ClassVar[str] = "example"
     key: ClassVar[str] = "example"
-
-    file: Path
-
-    @classmethod
-    def folder(cls, folder: Path, suffix: str = ".yaml") -> list[Example]:
-        """Return the examples in a folder, which are named like their files."""
-        return [
-            cls(name=path.stem, summary=f"packaged example {path.stem}", file=path)
-            for path in sorted(folder.glob(f"*{suffix}"))
-        ]
+    phrase: ClassVar[str] = "packaged example {}"
+    suffix: ClassVar[str] = ".yaml"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class GuidePage(Feature):
-    """A page of ``mbdkit guide``, whose name is its topic.
+class GuidePage(PackagedFile):
+    """A page of ``mbdkit guide``, as Markdown, whose name is its topic.
 
-    Parameters
-    ----------
-    file
-        The page, as Markdown.
+    Groups of mbdkit's own pages are Start, Model, Analyse, Persons, and Trust and extend.
     """
 
     kind: ClassVar[str] = "guide-page"
     key: ClassVar[str] = "page"
-
-    file: Path
-
-    @classmethod
-    def folder(cls, folder: Path) -> list[GuidePage]:
-        """Return the pages in a folder, whose topics are the names of the files."""
-        return [
-            cls(name=path.stem, summary=f"page {path.stem} of the guide", file=path)
-            for path in sorted(folder.glob("*.md"))
-        ]
+    phrase: ClassVar[str] = "page {} of the guide"
+    suffix: ClassVar[str] = ".md"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

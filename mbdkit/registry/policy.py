@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from importlib.metadata import PathDistribution
 from typing import NamedTuple
 
 from mbdkit.base.distributions import normalized_name, own_version
@@ -52,6 +53,8 @@ ALLOW, DISABLE, STRICT = "MBDKIT_PLUGINS", "MBDKIT_DISABLE_PLUGINS", "MBDKIT_STR
 
 _REQUIREMENT = re.compile(r"mbdkit\s*(\[.*\]\s*)?\(?[<>=!~]", re.IGNORECASE)  # one with a version
 
+_STATED = re.compile(rf"^Requires-Dist:\s*{_REQUIREMENT.pattern}", re.IGNORECASE | re.MULTILINE)
+
 _YES, _NO = {"1", "true", "yes", "on"}, {"", "0", "false", "no", "off"}
 
 
@@ -79,7 +82,10 @@ def check_requirement(distribution: object) -> None:
     """Raise PluginError if a distribution requires another version of mbdkit than the installed one."""
     stated: list[str] = []
     with suppress(Exception):  # metadata that cannot be read, which state nothing
-        stated += filter(_REQUIREMENT.match, getattr(distribution, "requires", None) or ())
+        # most distributions state no version, and their metadata need not be parsed
+        text = distribution.read_text("METADATA") if isinstance(distribution, PathDistribution) else None
+        if text is None or _STATED.search(text):
+            stated += filter(_REQUIREMENT.match, getattr(distribution, "requires", None) or ())
     if not stated:
         return
     from packaging.requirements import Requirement

@@ -23,10 +23,6 @@ from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
-from mbdkit.runs.accuracy.chosen_method import Choice
-from mbdkit.runs.accuracy.companion import Budget
-from mbdkit.runs.accuracy.pilot_run import Replay
-from mbdkit.runs.accuracy.run_estimates import estimate_accuracy, estimated_errors
 from mbdkit.runs.conclusion import NO_STEPS, EndedRun, conclude, log_end
 from mbdkit.runs.finish import finish
 from mbdkit.runs.preparation import plugin_failure
@@ -39,6 +35,8 @@ from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
+    from mbdkit.runs.accuracy.chosen_method import Choice
+    from mbdkit.runs.accuracy.pilot_run import Replay
 
 #: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
@@ -84,6 +82,7 @@ class SimulatedRun:
         self.deadline = math.inf
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
+        self.replay: Replay | None = None
         self.cause: BaseException | None = None
         self.accuracy: Accuracy | None = None
         #: Gradients of the measures as JSON; empty if there are none.
@@ -113,9 +112,9 @@ class SimulatedRun:
         if self.stepper is not None:
             self.advance(self.stepper, reporter, wall, self.checkpoints(wall, cpu))
         self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-        if isinstance(self.stepper, Replay):  # the steps have been computed by the pilot, before this run
-            self.timings["wall_s"] += self.stepper.wall
-            self.timings["cpu_s"] += self.stepper.cpu
+        if self.replay is not None:  # the steps have been computed by the pilot, before this run
+            self.timings["wall_s"] += self.replay.wall
+            self.timings["cpu_s"] += self.replay.cpu
         begin = time.perf_counter()
         if (python := self.workspace.python) is not None:
             python.stop_calling()
@@ -154,10 +153,12 @@ class SimulatedRun:
 
     def start(self) -> None:
         """Create the stepper of the method, or note why this fails in `failure`."""
-        self.stepper = self.watch = None
+        self.stepper = self.watch = self.replay = None
         table, final = self.record.table, self.choice.final if self.choice is not None else None
         if final is not None and final.is_run and not (table.nodes or table.single):
-            self.stepper = Replay(final)
+            from mbdkit.runs.accuracy.pilot_run import Replay
+
+            self.stepper = self.replay = Replay(final)
             return
         try:
             stepper = self.record.setup.stepper(table)
@@ -296,6 +297,9 @@ class SimulatedRun:
     def check_accuracy(self, progress: Progress | None) -> None:
         """Estimate the errors of the recorded rows if the spec asks for it."""
         if (rows := self.record.kept) is not None:
+            from mbdkit.runs.accuracy.companion import Budget
+            from mbdkit.runs.accuracy.run_estimates import estimate_accuracy
+
             budget = Budget(self.spec.limits.wall_time, lambda: self.interrupted)
             steps = self.stepper.counters.steps if self.stepper is not None else 0
             self.accuracy = estimate_accuracy(
@@ -322,6 +326,11 @@ class SimulatedRun:
             self.gradients = higher_layers.gradients_json(spec)
         doubts, accuracy = Doubts.of(findings, spec.accept), self.accuracy
         notes = () if memory is None else memory.remarks()  # on the treatment of elements, which question no result
+        errors = None
+        if accuracy is not None:
+            from mbdkit.runs.accuracy.run_estimates import estimated_errors
+
+            errors = estimated_errors(record, accuracy, self.tried, self.failure, totals)
         if record.integrals is not None:
             self.timings["integrals_s"] = record.integrals_s
         ended = EndedRun(
@@ -334,7 +343,7 @@ class SimulatedRun:
             counters=Counters() if stepper is None else stepper.counters,
             pivotings=self.workspace.pivotings + record.recorder.workspace.pivotings,
             timings=self.timings,
-            errors=None if accuracy is None else estimated_errors(record, accuracy, self.tried, self.failure, totals),
+            errors=errors,
             finer=spec.finer,
         )
         worst = np.zeros(len(self.workspace.mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs

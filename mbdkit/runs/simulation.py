@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.part_file import check_target
@@ -28,7 +28,6 @@ from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, Choice, choose_method, other_method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
 from mbdkit.runs.preparation import (
@@ -45,6 +44,9 @@ from mbdkit.runs.simulated_run import SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
 from mbdkit.trust.finding import Finding
+
+if TYPE_CHECKING:
+    from mbdkit.runs.accuracy.chosen_method import Choice
 
 _Start = tuple[Workspace, AssembledState]
 
@@ -233,6 +235,8 @@ def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | 
 
     If no attempt reaches the accuracy, the best one is returned, and its verdict says so.
     """
+    from mbdkit.runs.accuracy.chosen_method import choose_method
+
     check_jumps(spec)
     workspace, _ = build(spec)
     choice = choose_method(spec, workspace, progress)
@@ -257,6 +261,8 @@ def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | 
 
 
 def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, attempts: int) -> Choice | None:
+    from mbdkit.runs.accuracy.chosen_method import MOST_ATTEMPTS, other_method
+
     choice = simulation.choice
     assert spec.accuracy is not None
     assert choice is not None

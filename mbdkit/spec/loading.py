@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias, TypedDict, TypeVar, cast
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files_read import recording
 from mbdkit.base.plain_data import copied
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.text import did_you_mean
 from mbdkit.engine.formulation import FormulationName
 from mbdkit.mechanism.element_kinds import element_files, element_kinds
 from mbdkit.mechanism.mechanism import Mechanism
@@ -159,6 +159,16 @@ def _kinds(known: Registry) -> dict[str, str]:
     return kinds
 
 
+def example_groups() -> dict[str, str]:
+    """Return the group of each packaged example, in the order of lists; empty for none."""
+    return {item.name: cast(Example, item.plugin).group for item in registry().of_kind("example")}
+
+
+def nearest_examples(name: str, known: Iterable[str]) -> str:
+    """Return the end of a message on an unknown example: the nearest names, and the command that lists all."""
+    return f"{did_you_mean(name, known, most=3)}; `mbdkit examples` lists all"
+
+
 def example_text(name: str) -> str:
     """Return the text of the spec of a packaged example, including comments.
 
@@ -166,7 +176,7 @@ def example_text(name: str) -> str:
     """
     files = _examples()
     if name not in files:
-        raise SpecError(f"there is no example '{name}'{did_you_mean(name, files)}; examples: {listed([*files])}")
+        raise SpecError(f"there is no example '{name}'{nearest_examples(name, files)}")
     return files[name].read_text("utf-8")
 
 
@@ -225,9 +235,9 @@ def _document(source: Any) -> Document:
 def _named(source: str | Path) -> Document:
     if source == "-":
         return read_stdin()
-    names = example_names()
+    names = [*_examples()]
     if not source:
-        raise SpecError(f"the name of the spec is empty: give a file or an example; examples: {listed(names)}")
+        raise SpecError(f"the name of the spec is empty: give a file or an example{nearest_examples('', ())}")
     path = Path(source)
     if str(source) in names and not os.path.isfile(path):
         document = read_text(example_text(str(source)), f"{source} (packaged example)")
@@ -235,8 +245,7 @@ def _named(source: str | Path) -> Document:
         return document
     if not exists(path):
         raise SpecError(
-            f"there is no such file, and no packaged example with this name{did_you_mean(str(source), names)}; "
-            f"examples: {listed(names)}",
+            f"there is no such file, and no packaged example with this name{nearest_examples(str(source), names)}",
             file=str(source)[:200],
         )
     return read_file(path)

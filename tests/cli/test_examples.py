@@ -16,6 +16,21 @@ def test_examples_are_listed_with_their_titles(mbdkit):
         assert read_source(name).data["title"] in result.stdout
 
 
+def test_examples_are_listed_by_purpose_with_the_command_that_runs_them(mbdkit):
+    blocks = [block.splitlines() for block in mbdkit("examples").stdout.split("\n\n")]
+    group_of = {line.split()[0]: head for head, *lines in blocks for line in lines}
+    assert group_of["four-bar"] == "Linkages (mbdkit run)"
+    assert group_of["walking"] == "Inverse dynamics (mbdkit inverse)"
+    assert not [name for name in example_names("run") if group_of[name].startswith("Runs")]
+
+
+def test_an_unknown_example_is_answered_with_near_names_and_not_with_all(mbdkit):
+    said = mbdkit("run", "pendulm").stderr
+    assert "did you mean 'pendulum', " in said
+    assert "`mbdkit examples` lists all" in said
+    assert "watt-six-bar" not in said
+
+
 @pytest.mark.parametrize("name", example_names("run"))
 def test_a_copy_is_the_example_with_its_comments(name, mbdkit, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

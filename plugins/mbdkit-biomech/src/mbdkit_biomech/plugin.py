@@ -72,7 +72,7 @@ def mbdkit_items() -> Iterable[Item]:
             "`mbdkit inverse`",
             run_instead="this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section "
             "`motion`, and neither `integrator` nor a step",
-            heading="INVERSE DYNAMICS",
+            heading="Inverse dynamics",
             load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:load_inverse_spec"),
             validate=Target("mbdkit_biomech.commands:validate_inverse"),
             schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_schema:inverse_schema"),
@@ -305,6 +305,6 @@ def mbdkit_items() -> Iterable[Item]:
             of=frozenset({"inverse"}),
             criteria=("plane", "centers", "lengths", "plates", "misfit"),
         ),
-        *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", "People and their devices"),
+        *GuidePage.folder(_HERE / "guide", "Persons"),
     ]

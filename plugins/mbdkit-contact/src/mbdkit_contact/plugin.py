@@ -205,6 +205,6 @@ def mbdkit_items() -> Iterable[Item]:
             undecided=undecided,
             supports=supports,
         ),
-        *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", "Contacts"),
+        *GuidePage.folder(_HERE / "guide", "Model"),
     ]

@@ -26,7 +26,7 @@ def mbdkit_items() -> Iterable[Item]:
             marker="mbdkit_design",
             command="mbdkit design",
             given_instead="this is a design spec, which `mbdkit design` solves",
-            heading="DESIGN",
+            heading="Designs",
             load=Target("mbdkit_design.design_loading:load_design_spec"),
             validate=Target("mbdkit_design.commands:validate_design"),
             schema=Target("mbdkit_design.design_schema:design_schema"),
@@ -51,5 +51,5 @@ def mbdkit_items() -> Iterable[Item]:
             report=Target("mbdkit_design.design_report:design_report"),
         ),
         *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *GuidePage.folder(_HERE / "guide", "Analyse"),
     ]

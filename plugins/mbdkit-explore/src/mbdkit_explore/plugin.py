@@ -22,5 +22,5 @@ def mbdkit_items() -> Iterable[Item]:
             order=150,
             target=Target("mbdkit_explore.commands:explore"),
         ),
-        *GuidePage.folder(Path(__file__).parent / "guide"),
+        *GuidePage.folder(Path(__file__).parent / "guide", "Start"),
     ]

@@ -21,5 +21,5 @@ def mbdkit_items() -> Iterable[Item]:
             of="mbdkit_gradients.gradient:Gradient",
             make=Target("mbdkit_gradients.views:gradient_view"),
         ),
-        *GuidePage.folder(Path(__file__).parent / "guide"),
+        *GuidePage.folder(Path(__file__).parent / "guide", "Analyse"),
     ]

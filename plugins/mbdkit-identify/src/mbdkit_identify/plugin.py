@@ -22,7 +22,7 @@ def mbdkit_items() -> Iterable[Item]:
             marker="mbdkit_identify",
             command="mbdkit identify",
             given_instead="this is the spec of an identification, which `mbdkit identify` solves",
-            heading="IDENTIFICATIONS",
+            heading="Identifications",
             load=Target("mbdkit_identify.loading:load_identify_spec"),
             validate=Target("mbdkit_identify.commands:validate_identify"),
             schema=Target("mbdkit_identify.identify_schema:identify_schema"),
@@ -48,5 +48,5 @@ def mbdkit_items() -> Iterable[Item]:
             make=Target("mbdkit_identify.report:identification_view"),
         ),
         *(item for item in Example.folder(_HERE / "examples") if "." not in item.name),  # without their bases
-        *GuidePage.folder(_HERE / "guide"),
+        *GuidePage.folder(_HERE / "guide", "Analyse"),
     ]

@@ -31,6 +31,6 @@ def mbdkit_items() -> Iterable[Item]:
             references=Target("mbdkit_paper.hinged_beam:REFERENCES"),
         ),
         *STUDIES,
-        *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", "Problems with published results"),
+        *GuidePage.folder(_HERE / "guide", "Trust and extend"),
     ]

@@ -25,7 +25,7 @@ def mbdkit_items() -> Iterable[Item]:
             phrase="a spec of a prediction",
             marker="mbdkit_predict",
             command="mbdkit predict",
-            heading="PREDICTIONS",
+            heading="Predictions",
             load=Target("mbdkit_predict.predict_loading:load_predict_spec"),
             validate=Target("mbdkit_predict.commands:validate_predict"),
             run_kind="predicted",
@@ -113,5 +113,5 @@ def mbdkit_items() -> Iterable[Item]:
             make=Target("mbdkit_predict.report_section:section"),
         ),
         *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *GuidePage.folder(_HERE / "guide", "Analyse"),
     ]

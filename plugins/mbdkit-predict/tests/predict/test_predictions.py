@@ -141,7 +141,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"controls": {PUSH: {"bounds": [1, -1]}}}, 'controls."forces.push.value[0]".bounds', "is above"),
         ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
         ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
-        ({"base": "blok"}, "base", "examples: andrews-squeezer, "),
+        ({"base": "blok"}, "base", "`mbdkit examples` lists all"),
         ({"durration": 1.0}, "durration", "(did you mean 'duration'?); known here: base, overrides, title"),
         ({"phases": [{"duration": 1.0}]}, "duration", "each of the `phases` has its own"),
         ({"duration": None}, "duration", "is missing"),

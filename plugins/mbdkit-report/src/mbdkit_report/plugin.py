@@ -105,6 +105,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=200,
             make=Target("mbdkit_report.pages.answer_section:standard_sections"),
         ),
-        *Example.folder(_HERE / "examples", ".py"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", suffix=".py"),
+        *GuidePage.folder(_HERE / "guide", {"Start": "notebooks", "Analyse": "plots"}),
     ]

@@ -46,5 +46,5 @@ def mbdkit_items() -> Iterable[Item]:
             of="mbdkit_statics.modes:Modes",
             make=Target("mbdkit_statics.views:modes_view"),
         ),
-        *GuidePage.folder(Path(__file__).parent / "guide"),
+        *GuidePage.folder(Path(__file__).parent / "guide", "Analyse"),
     ]

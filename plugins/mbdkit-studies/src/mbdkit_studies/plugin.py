@@ -59,5 +59,5 @@ def mbdkit_items() -> Iterable[Item]:
             of="mbdkit_studies.study:Study",
             make=Target("mbdkit_studies.report.study_report:study_view"),
         ),
-        *GuidePage.folder(Path(__file__).parent / "guide"),
+        *GuidePage.folder(Path(__file__).parent / "guide", "Analyse"),
     ]

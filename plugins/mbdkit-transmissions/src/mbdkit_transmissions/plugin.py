@@ -100,6 +100,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=1030,
             text=Target("mbdkit_transmissions.rolling_summary:needed_friction"),
         ),
-        *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", "Gears, cams and slots"),
+        *GuidePage.folder(_HERE / "guide", "Model"),
     ]

@@ -167,6 +167,6 @@ def mbdkit_items() -> Iterable[Item]:
             criteria=("cuff-loads", "cuff-slip"),
             elements="cuffs",
         ),
-        *Example.folder(_HERE / "examples"),
-        *GuidePage.folder(_HERE / "guide"),
+        *Example.folder(_HERE / "examples", "People and their devices"),
+        *GuidePage.folder(_HERE / "guide", "Persons"),
     ]

@@ -13,7 +13,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
-from mbdkit.spec.loading import example_names, exists, read_source
+from mbdkit.spec.loading import example_names, exists, nearest_examples, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text
 from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader
 from mbdkit_studies.spec.sample_section import comparable
@@ -271,7 +271,7 @@ def base_source(base: str, folder: FilePath, key: str, owner: str) -> str | File
         if base == "-" or not exists(path):
             raise SpecError(
                 f"there is no file '{base}' in the folder of the {owner}, and no packaged example with this "
-                f"name{did_you_mean(base, names)}; examples: {listed(names)}",
+                f"name{nearest_examples(base, names)}",
                 key=key,
             )
         return path
