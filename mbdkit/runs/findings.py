@@ -39,7 +39,7 @@ def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding
     """Return what all criteria of a stage find in the objects that are examined; see `CriterionItem`."""
     found: list[Finding] = []
     for item, criterion in criteria(stage, examined[0], kind):
-        results = use(item, lambda: [*criterion.find()(*examined)])  # noqa: B023
+        results = use(item, lambda: [*criterion.find()(*examined)])  # type: ignore[operator]  # noqa: B023
         if results:
             found += use(item, lambda: [*as_findings(criterion, results)])  # noqa: B023
     return found
