@@ -33,7 +33,7 @@ class ShortRuns:
 
     def __init__(self) -> None:
         self.lanes = LaneRuns(Starts(), ())
-        self.work = 0  #: Evaluations times bodies of the latest run.
+        self.work: float = 0  #: Evaluations times bodies of the latest run.
         self._members: dict[tuple[type, str], LaneMember | None] = {}  # None for a spec that was run once
 
     def run(self, spec: RunSpec, accepts: Callable[[LaneMember], bool] = lambda _: True) -> Run | None:
