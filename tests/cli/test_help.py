@@ -116,7 +116,24 @@ def test_quiet_has_no_bar_on_a_terminal_either(monkeypatch):
         assert advance is None
 
 
-def test_the_shell_completes_commands(mbdkit_process, monkeypatch):
-    for name, value in {"_MBDKIT_COMPLETE": "complete_bash", "COMP_WORDS": "mbdkit re", "COMP_CWORD": "1"}.items():
-        monkeypatch.setenv(name, value)
-    assert mbdkit_process().stdout.split() == ["report", "rerun"]
+@pytest.mark.parametrize(
+    ("words", "completed"),
+    [
+        ("re", "report rerun"),
+        ("run pend", "pendulum"),
+        ("examples copy first", "first-run"),
+        ("guide mecha", "mechanics mechanism"),
+        ("plot run.h5 --kind rea", "reactions"),
+        ("plot run.h5 --joint J", "J1"),
+        ("plot missing.h5 --joint J", ""),
+    ],
+)
+def test_the_shell_completes_commands_examples_topics_and_names(
+    words, completed, mbdkit_process, monkeypatch, in_tmp_path
+):
+    if "run.h5" in words:
+        package.run("pendulum", archive="run.h5")
+    monkeypatch.setenv("_MBDKIT_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"mbdkit {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    assert mbdkit_process().stdout.split() == completed.split()
