@@ -10,6 +10,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 
 from mbdkit.base import terminal
+from mbdkit.cli.completion import EXAMPLES
 
 Spec = TypeVar("Spec")
 Command = Callable[..., None]
@@ -31,17 +32,16 @@ def set_key(example: str) -> Any:
     )
 
 
-_RUN_SPEC: Any = typer.Argument(
-    metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example such as knee."
-)
+def _spec(packaged: str) -> Any:
+    return typer.Argument(
+        metavar="SPEC", autocompletion=EXAMPLES, help=f"A YAML, TOML or JSON file, - for stdin, or {packaged}."
+    )
+
+
+_RUN_SPEC: Any = _spec("a packaged example such as knee")
 SpecName = Annotated[str, _RUN_SPEC]
 SpecNameOrNone = Annotated[str | None, _RUN_SPEC]
-AnySpecName = Annotated[
-    str,
-    typer.Argument(
-        metavar="SPEC", help="A YAML, TOML or JSON file, - for stdin, or a packaged example or study, such as knee."
-    ),
-]
+AnySpecName = Annotated[str, _spec("a packaged example or study, such as knee")]
 Archive = Annotated[Path, typer.Argument(metavar="FILE.h5", help="A run archive.")]
 Archives = Annotated[list[Path], typer.Argument(metavar="FILE.h5", help="Run archives.")]
 Set = Annotated[list[str] | None, set_key("time.step=0.005")]
@@ -154,10 +154,9 @@ class SpecCommand:
         key
             Example of an assignment.
         """
-        files = f"A YAML, TOML or JSON file, - for stdin, or {packaged}."
 
         def called(
-            spec: Annotated[str, typer.Argument(metavar="SPEC", help=files)],
+            spec: Annotated[str, _spec(packaged)],
             output: Annotated[Path | None, output_to("FILE.h5", f"{result}; by default ./SPEC.h5.")] = None,
             assignments: Annotated[list[str] | None, set_key(key)] = None,
             overwrite: Overwrite = False,

@@ -10,6 +10,8 @@ import typer
 from mbdkit.base.terminal import show
 from mbdkit.base.text import grouped_table
 from mbdkit.cli.common_options import PLAIN, Debug, output_to
+from mbdkit.cli.completion import completing
+from mbdkit.registry.target import Target
 
 examples_app = typer.Typer(
     help="List the packaged examples, or copy one.", add_completion=False, **{**PLAIN, "no_args_is_help": False}
@@ -40,9 +42,14 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     show(grouped_table(rows))
 
 
+_NAMES = completing(Target("mbdkit.spec:example_names"), Target("mbdkit.spec.example_notebooks:notebook_names"))
+
+
 @examples_app.command("copy")
 def examples_copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of an example, from `mbdkit examples`.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", autocompletion=_NAMES, help="Name of an example, from `mbdkit examples`.")
+    ],
     output: Annotated[
         Path | None, output_to("FILE", "The file; by default ./NAME.yaml, or ./NAME.ipynb for a notebook.")
     ] = None,
@@ -83,13 +90,15 @@ def examples_copy(
         show(target)
 
 
+_TOPICS = completing(Target("mbdkit.guide.pages:pages"))
+
 HITS = 12  #: Largest number of sections that a search of the guide prints.
 
 
 def guide(
     words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="TOPIC", help="Name of a page, or words to search for; by default, pages are listed."),
+        typer.Argument(metavar="TOPIC", autocompletion=_TOPICS, help="A page, or words to search for."),
     ] = None,
     debug: Debug = False,
 ) -> None:

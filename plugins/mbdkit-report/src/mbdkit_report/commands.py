@@ -12,11 +12,14 @@ import typer
 
 from mbdkit.base.terminal import say, show
 from mbdkit.cli.common_options import Archive, Archives, Debug, Overwrite, Quiet, grouped, output_to
+from mbdkit.cli.completion import completing, names_in_archive
+from mbdkit.registry.target import Target
 from mbdkit_report.plot.plot_kinds import plot_kinds
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
+_KINDS = completing(Target("mbdkit_report.plot.plot_kinds:plot_kinds"))
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in plot_kinds().items()) + "."
 
 
@@ -29,23 +32,25 @@ def _check_kind(kind: str) -> str:
 _Names = list[str] | None
 
 
-def _several(flag: str, metavar: str, what: str) -> object:
-    return typer.Option(flag, metavar=metavar, help=f"{what}; may be repeated.")
+def _several(flag: str, metavar: str, kinds: str, what: str, *groups: str) -> object:
+    return typer.Option(
+        flag, metavar=metavar, autocompletion=names_in_archive(*groups),
+        help=f"With {kinds}: draw {what}; may be repeated.",
+    )  # fmt: skip
 
 
 @dataclass
 class Selection:
     """The contents of a plot, by the names of the options of `mbdkit_report.plot.comparison.compare`."""
 
-    joints: Annotated[_Names, _several("--joint", "J", "With drift, reactions or torques: draw this joint")] = None
-    elements: Annotated[_Names, _several("--element", "F", "With forces or torques: draw this force element")] = None
+    joints: Annotated[_Names, _several("--joint", "J", "drift, reactions or torques", "this joint", "joints")] = None
+    elements: Annotated[_Names, _several("--element", "F", "forces or torques", "this force element", "forces")] = None
     points: Annotated[
-        _Names, _several("--point", "P", "With trajectory: draw this marker, body, joint or free end")
+        _Names,
+        _several("--point", "P", "trajectory", "this marker, body, joint or free end", "markers", "bodies", "joints"),
     ] = None
-    beams: Annotated[_Names, _several("--beam", "B", "With beams: draw this beam")] = None
-    times: Annotated[
-        list[float] | None, _several("--time", "T", "With beams: draw values along beams at this time")
-    ] = None
+    beams: Annotated[_Names, _several("--beam", "B", "beams", "this beam", "beams")] = None
+    times: Annotated[list[float] | None, _several("--time", "T", "beams", "values along beams at this time")] = None
     components: Annotated[
         str | None,
         typer.Option(
@@ -61,7 +66,9 @@ class Selection:
 def plot(
     archives: Archives,
     *,
-    kind: Annotated[str, typer.Option("--kind", metavar="KIND", callback=_check_kind, help=_KINDS_HELP)] = "trajectory",
+    kind: Annotated[
+        str, typer.Option("--kind", metavar="KIND", callback=_check_kind, autocompletion=_KINDS, help=_KINDS_HELP)
+    ] = "trajectory",
     selection: Selection,
     size: Annotated[
         str | None,
