@@ -81,10 +81,16 @@ def lines() -> Iterator[str]:
         definition = _definition(home, name)
         yield f"{face}.{name}{_described(definition)}"
         if isinstance(definition, ast.ClassDef):
-            yield from sorted(f"    {line}" for line in _members(definition))
+            yield from sorted({f"    {line}" for line in _members(definition, home)})
 
 
-def _members(definition: ast.ClassDef) -> Iterator[str]:
+def _members(definition: ast.ClassDef, module: str) -> Iterator[str]:
+    """Yield the members of a class, with those of its bases that are on no door."""
+    public = {name for _, name, _ in entries()}
+    for base in definition.bases:
+        inherited = _definition(module, base.id) if isinstance(base, ast.Name) and base.id not in public else None
+        if isinstance(inherited, ast.ClassDef):
+            yield from _members(inherited, module)
     for node in definition.body:
         if isinstance(node, ast.FunctionDef) and (node.name == "__init__" or not node.name.startswith("_")):
             yield f"{node.name}{_described(node)}"
