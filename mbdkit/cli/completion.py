@@ -13,7 +13,12 @@ Complete = Callable[[typer.Context, str], list[str]]
 
 def completing(*words: Any) -> Complete:
     """Return a completion with the words that the functions at these targets return."""
-    return lambda ctx, incomplete: sorted(w for own in words for w in own()() if w.startswith(incomplete))
+
+    def complete(ctx: typer.Context, incomplete: str) -> list[str]:
+        """Return the words that begin like the incomplete one."""
+        return sorted(word for target in words for word in target()() if word.startswith(incomplete))
+
+    return complete
 
 
 def names_in_archive(*groups: str) -> Complete:
@@ -32,4 +37,4 @@ def names_in_archive(*groups: str) -> Complete:
     return complete
 
 
-EXAMPLES = completing(Target("mbdkit.spec:example_names"))
+EXAMPLES = completing(Target("mbdkit.spec:example_names"))  #: Completion with the names of packaged examples.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 
@@ -10,21 +9,12 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import Starts
-from mbdkit.measures.take import check_measures
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.finish import run_in_memory
 from mbdkit.runs.lane_runs import LaneMember, LaneRuns
 from mbdkit.spec.run_spec import RunSpec
 
-#: Runs with more steps times bodies are computed by the ordinary loop.
-#:
-#: With a single run in the vectorized loop, the steps take up to twice as long, but the preparation 1 to 3 ms less.
-MANY = 4_000
-
-#: Runs of a kind are left to the ordinary loop after this number of consecutive ones that do not suit.
-TRIES = 4
-
-#: Largest number of kinds of runs that a process remembers, and of prepared specs.
+#: Largest number of prepared specs that are remembered.
 MOST_KINDS = 32
 
 
@@ -67,40 +57,3 @@ class ShortRuns:
         if len(self._members) > MOST_KINDS:
             self._members.pop(next(iter(self._members)))
         return member
-
-
-_LOCK = threading.Lock()
-_RUNS = ShortRuns()
-_TRIES: dict[tuple[object, ...], int] = {}  #: How many runs of a kind are tried here before they are left alone.
-
-
-def run_again(spec: RunSpec, report: Callable[[LaneMember], None]) -> Run | None:
-    """Return a short run that differs from an earlier one of this process in numbers only, None for another run.
-
-    The results are bitwise equal to those of `mbdkit.runs.simulation.simulate`. Runs with controlled steps may become
-    long and are left to that function, which Ctrl-C can end early; `report` is called with the prepared run.
-    """
-    names = tuple([tuple(elements) for elements in spec.mechanism().elements.values()])
-    kind = spec.model_item.id, spec.integrator_item.id, spec.time.count, tuple(spec.mechanism().bodies), names
-    tries = _TRIES.pop(kind, 0)
-    _TRIES[kind] = tries or TRIES  # at the end; the kind used least recently is discarded first
-    if len(_TRIES) > MOST_KINDS:
-        _TRIES.pop(next(iter(_TRIES)))
-    if tries <= 0 or spec.gradients or not _LOCK.acquire(blocking=False):
-        return None
-
-    def accepts(member: LaneMember) -> bool:
-        mechanism = member.start.mechanism
-        is_long = member.table.interval is not None or member.table.steps * len(mechanism.bodies) > MANY
-        if is_long or member.method.traits.tolerances is not None or mechanism.states:
-            return False  # first-order states: the method may not support them
-        check_measures(spec)
-        _TRIES[kind] = TRIES
-        report(member)
-        return True
-
-    _TRIES[kind] = tries - 1 or -1
-    try:
-        return _RUNS.run(spec, accepts)
-    finally:
-        _LOCK.release()

@@ -39,7 +39,6 @@ from mbdkit.runs.preparation import (
 )
 from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
-from mbdkit.runs.short_runs import run_again
 from mbdkit.runs.simulated_run import SimulatedRun
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import RunSource, Sections
@@ -110,11 +109,6 @@ def run(
     spec = load_spec(source, (), **sections)
     path = None if archive is None else Path(archive)
     is_shown = progress is None and in_notebook()
-    if path is None and progress is None and not is_shown and not _LOG.isEnabledFor(logging.INFO):
-        result = run_again(spec, lambda member: _log(member.findings))
-        if result is not None:
-            warn_on_stderr(result.warnings)
-            return result
     with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar, calls_allowed(call):
         result = simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
     warn_on_stderr(result.warnings)

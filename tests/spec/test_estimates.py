@@ -76,7 +76,8 @@ def test_a_parameter_with_another_value_is_no_estimate(spec: Path) -> None:
         (["parameters.from=strange.h5"], "parameters.from", "no expression contains a parameter of strange.h5"),
         (["model.bodies.block.mass=lost"], "parameters.from", "of 'lost' (the data do not determine it)"),
         (["model.bodies.block.mass=2*absent"], "model.bodies.block.mass", "there is no parameter 'absent'"),
-        (["estimates={values: {a: 1}, covariance: [[1, 2]]}", "parameters={}"], "estimates.covariance", "1 rows of 1"),
+        (["estimates={values: {a: 1}, covariance: [[1, 2]]}", "parameters={mass: 1, stiffness: 1}"],
+         "estimates.covariance", "1 rows of 1"),
     ],
 )  # fmt: skip
 def test_wrong_files_and_names_are_refused(spec: Path, changes: list[str], key: str, message: str) -> None:
