@@ -98,6 +98,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
         (spec.stabilized.kind != "none", f"their stabilization is {spec.stabilized.kind}"),
         (bool(spec.events), "they have events"),
         (bool(spec.inputs), "their inputs are set by tables"),
+        (spec.impacts == "allow", "their drivers may have impacts"),
         (spec.is_to_be_chosen, "`accuracy` chooses a method or step for each of them"),
         (spec.estimates_errors, "their errors are estimated"),
         (spec.limits.wall_time is not None, "their wall time is limited"),
@@ -204,7 +205,7 @@ class LaneRuns:
         """
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
-            spec.integrator, spec.measures, spec.inputs,
+            spec.integrator, spec.measures, spec.inputs, spec.impacts,
         )  # fmt: skip
         if self._settings is None or any(
             a is not b and a != b for a, b in zip(settings, self._settings[0], strict=True)

@@ -214,3 +214,9 @@ def test_a_start_with_given_values_closes_all_joints_and_is_that_of_the_spec_of_
 def test_wrong_numbers_are_refused(parameters: Any, initial: Any, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         mbdkit.prepare(DOUBLE).run(parameters, initial)
+
+
+def test_prepared_runs_may_allow_impacts() -> None:
+    changes = {"integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}, "impacts": "allow"}
+    single = mbdkit.run("pendulum", **changes)
+    assert mbdkit.prepare("pendulum", **changes).run({}).data_sha256 == single.data_sha256
