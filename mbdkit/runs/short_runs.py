@@ -1,9 +1,8 @@
-"""Short runs in memory, computed with the loops, mechanisms and settings that earlier runs have left."""
+"""Short runs of a prepared spec in memory, computed with the loops and mechanisms that its earlier runs have left."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import utc_now
@@ -26,12 +25,12 @@ class ShortRuns:
         self.work: float = 0  #: Evaluations times bodies of the latest run.
         self._members: dict[tuple[type, str], LaneMember | None] = {}  # None for a spec that was run once
 
-    def run(self, spec: RunSpec, accepts: Callable[[LaneMember], bool] = lambda _: True) -> Run | None:
-        """Return the run of a spec; None if it cannot be vectorized, or if its preparation fails or is not accepted."""
+    def run(self, spec: RunSpec) -> Run | None:
+        """Return the run of a spec; None if it cannot be vectorized, or if its preparation fails."""
         created = utc_now()
         with one_thread_of_linear_algebra():
             member = self._member(spec)
-            if member is None or not accepts(member):
+            if member is None:
                 return None
             finished = next(self.lanes.finished([member]))[0][1]
             if finished is None:
