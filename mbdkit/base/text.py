@@ -12,13 +12,39 @@ _HARMFUL = re.compile(
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"  # reverse or hide text
 )
 
+#: Names of this package for what other programs and textbooks call by another name.
+SYNONYMS = {
+    name: meant.split()
+    for names, meant in {
+        "pin hinge rotational": "revolute",
+        "slider translational sliding": "prismatic point-on-line",
+        "fixed rigid": "weld",
+        "rod link": "distance",
+        "motor actuator": "driver",
+        "world base frame": "ground",
+        "k": "stiffness",
+        "c d": "damping",
+        "l0 rest_length length": "free_length",
+        "m": "mass",
+        "j izz moment_of_inertia": "inertia",
+        "dt h timestep step_size": "step",
+        "duration t_end tend tfinal": "end",
+        "rk45 ode45": "dopri5",
+        "lsoda": "scipy-lsoda",
+    }.items()
+    for name in names.split()
+}
+
 
 def did_you_mean(word: str, known: Iterable[str], most: int = 1) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the known names closest to `word`, at most `most`, or an empty string."""
+    """Return ``" (did you mean 'x'?)"`` for the known names that are meant by `word` elsewhere, or else for at most
+    `most` that are closest to it; an empty string if there are none.
+    """
     if len(word) > 300:
         return ""
     names = {name.casefold(): name for name in known}
-    close = difflib.get_close_matches(word.casefold(), names, n=most, cutoff=0.6)
+    close = [name for name in SYNONYMS.get(word.casefold(), []) if name in names]
+    close = close or difflib.get_close_matches(word.casefold(), names, n=most, cutoff=0.6)
     return f" (did you mean {listed([repr(names[key]) for key in close], 'or')}?)" if close else ""
 
 
