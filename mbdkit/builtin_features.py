@@ -25,7 +25,7 @@ _EXAMPLES = {
 }
 
 _PAGES = {
-    "Start": "first-steps mini spec",
+    "Start": "first-steps mini spec glossary",
     "Model": "mechanism beams events control",
     "Analyse": "methods capabilities measures environments coupling",
     "Trust and extend": "trust reliability performance files plugins joints elements kernels changes",

@@ -92,8 +92,6 @@ def examples_copy(
 
 _TOPICS = completing(Target("mbdkit.guide.pages:pages"))
 
-HITS = 12  #: Largest number of sections that a search of the guide prints.
-
 
 def guide(
     words: Annotated[
@@ -106,7 +104,7 @@ def guide(
 
     Pages are Markdown. A pager helps with long ones, as in
     `mbdkit guide spec | less`. Words that are not the name of a page
-    are searched for, as in `mbdkit guide gas spring`.
+    are searched for, as in `mbdkit guide how do I add a spring`.
     """
     from mbdkit.guide.pages import find_page, pages, search
 
@@ -114,9 +112,7 @@ def guide(
     if not topic:
         show(grouped_table((page.group, page.topic, page.summary) for page in pages().values()))
     elif topic not in pages() and (hits := search(topic)):
-        for hit in hits[:HITS]:
+        for hit in hits:
             show(f"{hit.topic}: {hit.heading}\n    {hit.line}")
-        if len(hits) > HITS:
-            show(f"and {len(hits) - HITS} more sections")
     else:
         show(find_page(topic).text.rstrip("\n"))
