@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -153,6 +154,7 @@ class Figure:
     marks: tuple[Mark, ...] = ()
     guides: tuple[Guide, ...] = ()
     equal: bool = False
+    NEAR: ClassVar[float] = 0.008  #: Lines closer than this share of the chart hide each other.
 
     def __post_init__(self) -> None:
         if self.y.log:
@@ -162,6 +164,36 @@ class Figure:
     def needs_key(self) -> bool:
         """Whether the lines need a legend: there are several lines, or a single one that the title does not name."""
         return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
+
+    def coincide(self, first: Line, second: Line) -> bool:
+        """Return whether the second of two lines would hide most of the first one: half of its points are closer to it
+        than `NEAR` times the extent of the chart.
+        """
+        if "points" in (first.kind, second.kind):
+            return False
+        (ax, ay), (bx, by) = (self._on_page(line) for line in (first, second))
+        if not len(ax) or not len(bx):
+            return False
+        if not self.equal:
+            away = np.abs(np.interp(ax, bx, by, left=np.inf, right=np.inf) - ay)
+        else:
+            few = np.linspace(0, len(ax) - 1, 60).astype(int)
+            away = np.min(np.hypot(ax[few, None] - bx, ay[few, None] - by), axis=1)
+        return float(np.median(away)) < self.NEAR * self._extent
+
+    def _on_page(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coordinates of the visible points of a line, and their logarithms on logarithmic axes."""
+        seen = self.visible(line)
+        return tuple(  # type: ignore[return-value]
+            np.log10(values[seen]) if axis.log else values[seen]
+            for values, axis in ((line.x, self.x), (line.y, self.y))
+        )
+
+    @cached_property
+    def _extent(self) -> float:
+        values = [self._on_page(line) for line in self.lines]
+        spans = [np.ptp(np.concatenate(coordinate)) for coordinate in zip(*values, strict=True)]
+        return float(max(spans) if self.equal else spans[1])
 
     def visible(self, line: Line) -> np.ndarray:
         """Return a mask (K,) of the points of a line that can be drawn: finite, and positive on logarithmic axes."""

@@ -81,10 +81,7 @@ def composition(mechanism: Mechanism) -> str:
 
 def drawing(shown: NamedPose) -> Illustration:
     """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
-    elements = shown.mechanism
-    names = list(shown.drawing.links)
-    if elements is not None:
-        names += [*elements.joints, *own_forces(elements), *elements.markers]
+    names = [name.text for name in shown.drawing.names]
     description = "Drawing of the mechanism"
     caption = f"The mechanism at t = {shown.times[0]:.6g} s."
     if names_shown(shown):

@@ -5,6 +5,7 @@ const token = new URLSearchParams(location.search).get("token");
 const element = id => document.getElementById(id);
 const [verdict, headlines, curves, key, spec] = ["verdict", "headlines", "curves", "key", "spec"].map(element);
 const ghost = new Stage(element("ghost")), stage = new Stage(element("stage"));
+ghost.named = false;
 const [inputs, fields] = ["range", "number"].map(type => [...document.querySelectorAll(`input[type=${type}]`)]);
 const short = value => String(Number(value.toPrecision(4)));
 let shown = reference, ghostView, begin = performance.now(), asked = false, changed = false;
