@@ -101,6 +101,10 @@ def builtin_features() -> list[Feature]:
             find=Target("mbdkit.runs.corners:overshoots_and_corners"), criteria=("corners", "overshoots"),
         ),
         CriterionItem(
+            name="method-evidence", summary="Methods of others that failed their checks, or have changed since.",
+            order=115, stage="spec", find=Target("mbdkit.runs.method_evidence:method_evidence"),
+        ),
+        CriterionItem(
             name="moved-start", summary="Positions and angles that assembly changes by far.", order=120, stage="start",
             find=Target("mbdkit.runs.run_criteria:moved_start"),
         ),

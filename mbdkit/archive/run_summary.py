@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive import result_seams
+from mbdkit.archive import layout, result_seams
 from mbdkit.archive.accuracy_summary import asked_sentence, limit_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
@@ -73,6 +73,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
         ("integrator", _method(spec) if "integrator" in spec else ""),
+        ("evidence", str(run.provenance.get(layout.EVIDENCE, ""))),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),

@@ -227,7 +227,7 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, objec
     except ValueError:
         raise _refused(part, "its spec is damaged") from None
     now = provenance(spec)
-    keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version")))]
+    keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version", "_digest")))]
     other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
     if other:
         changes = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
@@ -334,4 +334,6 @@ def _word(key: str, provenance: Mapping[str, object]) -> str:
     kind, _, part = key.rpartition("_")
     if part == "version":
         return f"{provenance[kind]} {part}"
+    if part == "digest":
+        return f"{provenance[kind]} with the digest"
     return str(provenance[kind]) + " from" if part == "distribution" else key

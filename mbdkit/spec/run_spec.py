@@ -118,6 +118,7 @@ class RunSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "meta",
         "parameters",
         "estimates",
         "inputs",
