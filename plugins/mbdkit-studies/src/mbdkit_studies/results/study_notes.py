@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import MESH_ERROR
-from mbdkit.base.command_words import for_shell
+from mbdkit.base.terminal import for_shell
 from mbdkit.base.text import counted, listed
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, STATUSES
