@@ -23,7 +23,7 @@ from mbdkit.archive.peak_errors import (
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.registry.feature_items import HeadlineItem
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:

@@ -14,9 +14,8 @@ import numpy as np
 from mbdkit.archive.peak_errors import measures_of_largest
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
-from mbdkit.registry.manager import registry
+from mbdkit.registry.manager import registry, use
 from mbdkit.registry.seam import Seam
-from mbdkit.registry.use import use
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

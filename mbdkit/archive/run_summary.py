@@ -26,8 +26,7 @@ from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SummaryLine
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import rounding
 

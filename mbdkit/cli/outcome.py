@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from mbdkit.base import terminal
-from mbdkit.base.command_words import for_shell
-from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.terminal import for_shell, say, show, show_json
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy

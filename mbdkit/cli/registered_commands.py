@@ -17,9 +17,7 @@ from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
-from mbdkit.registry.manager import built_in, installed
-from mbdkit.registry.use import use
-
+from mbdkit.registry.manager import built_in, installed, use
 
 #: Commands by the names that other programs use for them.
 OTHER_NAMES = {

@@ -27,8 +27,13 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     """
     if context.invoked_subcommand is not None:
         return
-    from mbdkit.spec.example_notebooks import notebook_names, notebook_title
-    from mbdkit.spec.loading import example_groups, example_names, read_source  # no validation, which imports plugins
+    from mbdkit.spec.loading import (  # no validation, which imports plugins
+        example_groups,
+        example_names,
+        notebook_names,
+        notebook_title,
+        read_source,
+    )
     from mbdkit.spec.spec_kinds import spec_kinds
 
     rows: list[tuple[str, str, str]] = []
@@ -42,7 +47,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     show(grouped_table(rows))
 
 
-_NAMES = completing(Target("mbdkit.spec:example_names"), Target("mbdkit.spec.example_notebooks:notebook_names"))
+_NAMES = completing(Target("mbdkit.spec:example_names"), Target("mbdkit.spec.loading:notebook_names"))
 
 
 @examples_app.command("copy")
@@ -64,8 +69,7 @@ def examples_copy(
     from mbdkit.base.errors import SpecError
     from mbdkit.base.files import check_suffix, replacing
     from mbdkit.spec import example_names, example_text
-    from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
-    from mbdkit.spec.loading import example_files, nearest_examples
+    from mbdkit.spec.loading import example_files, jupyter_text, nearest_examples, notebook_names, notebook_text
 
     notebooks = notebook_names()
     known = [*example_names(), *notebooks]

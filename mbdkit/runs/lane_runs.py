@@ -16,12 +16,11 @@ import numpy as np
 
 from mbdkit.archive.finished_run import ArrayHash, FinishedRun
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts, at_starts
 from mbdkit.engine.input_schedule import start_settings
-from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.lane_starts import at_starts
 from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.observed_states import joint_sums
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Guards, Stretch, Timetable
 from mbdkit.integrators.lane_stepper import (

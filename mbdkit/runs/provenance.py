@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from mbdkit.archive import layout
-from mbdkit.base.command_words import command_line
 from mbdkit.base.distributions import MBDKIT, own_version
+from mbdkit.base.terminal import command_line
 from mbdkit.engine.native.machine_code import code_id
 from mbdkit.mechanism.joint_kinds import joint_kinds
 from mbdkit.quantities.registered_kinds import kinds_of_others

@@ -26,12 +26,12 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import file_locks
 from mbdkit.base.called_functions import Returned, calls_allowed, returning
-from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
 from mbdkit.base.files import check_regular, rename_new, replace_file
 from mbdkit.base.files_read import only_known
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
+from mbdkit.base.terminal import command_line
 from mbdkit.base.text import listed, shown
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.preparation import RunSetup, check_calls, make_method

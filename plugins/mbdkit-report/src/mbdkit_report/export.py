@@ -13,8 +13,7 @@ from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_folder, check_output, replacing
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import TableFormat
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 from mbdkit_report.group_table import group_names, group_table
 from mbdkit_report.table_formats import ExportedTable, table_writer
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.archive.headlines import MESH_ERROR
-from mbdkit.base.command_words import for_shell
 from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.terminal import for_shell
 from mbdkit.base.text import counted, listed
 from mbdkit.runs.method_evidence import evidence_of
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
