@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
+from mbdkit.base.traced_numbers import float_array
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import ActingForce, CompiledInput, ElementState, ForceElement, SampledController
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
@@ -109,19 +110,19 @@ class Lowering:
         """Return the arrays of `Topology` about forces."""
         return {
             "springs": table(self.springs, rows.SPRING),
-            "spring_points": np.array(self.spring_points, dtype=float).reshape(-1, 6),
+            "spring_points": float_array(self.spring_points, 6),
             "couplings": table(self.couplings, rows.COUPLING),
-            "linear": np.array(self.linear, dtype=float).reshape(-1, len(rows.LINEAR)),
+            "linear": float_array(self.linear, len(rows.LINEAR)),
             "laws": table(self.law_rows, rows.LAW_ROW),
             "states": table(self.state_rows, rows.STATE_ROW),
             "state_places": table(self.state_places, rows.STATE_USE),
             "inputs": table(self.inputs, rows.INPUT),
             "load_values": table(self.load_values, rows.LOAD_VALUE),
             "slopes": table(self.slopes, rows.SLOPE),
-            "law_parameters": np.array(self.law_parameters, dtype=float),
+            "law_parameters": float_array(self.law_parameters),
             "frictions": np.array(self.frictions, dtype=np.int64),
             "loads": table(self.loads, rows.LOAD),
-            "load_points": np.array(self.load_points, dtype=float).reshape(-1, 2),
+            "load_points": float_array(self.load_points, 2),
             "interactions": table(self.pairs, rows.INTERACTION),
             "force_place": np.array(self.spring_places + self.load_places, dtype=np.int64),
         }

@@ -6,6 +6,7 @@ import marshal
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Never
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
+from mbdkit.base.traced_numbers import float_array, largest, smallest
 from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compile_motions import CompiledMotions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
@@ -50,6 +52,9 @@ WELL_SCALED = 1e6
 
 #: Largest number of distances between points of a body that are computed at once, to limit memory.
 MOST_DISTANCES = 1 << 16
+
+#: Up to this number of points of a body, distances are computed one by one, without arrays.
+FEW_POINTS = 8
 
 
 def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
@@ -92,7 +97,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         )
     topology = Topology(
         **_of_bodies(mechanism),
-        **_of_pairs([pairs[k] for k in order], rows, min(1.0, length)),
+        **_of_pairs([pairs[k] for k in order], rows, smallest(1.0, length)),
         **forces.arrays(),
         reactions=table(
             [
@@ -102,7 +107,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
             MULTIPLIER,
         ),
         sections=table(beams.sections, SECTION),
-        section_parameters=np.array(beams.parameters, dtype=float).reshape(-1, PARAMETERS),
+        section_parameters=float_array(beams.parameters, PARAMETERS),
         **_of_joints_and_markers(mechanism, number),
         functions=table(
             [FunctionRow(*pairs[k].bodies, place[k], law, pairs[k].motion) for k, law in functions], FUNCTION
@@ -110,7 +115,7 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
         motion_ops=np.array(motions.ops, dtype=np.int64),
-        motion_values=np.array(motions.values, dtype=float),
+        motion_values=float_array(motions.values),
         baumgarte=np.zeros(2),
     )
     return CompiledMechanism(
@@ -163,12 +168,13 @@ def _members(
 
 
 def _of_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    mass = np.ones((len(mechanism.bodies) + 1, 3))
-    for i, body in enumerate(mechanism.bodies.values()):
-        mass[i] = (body.mass, body.mass, 1.0 if body.inertia is None else body.inertia)
-    weight = 1 / mass
-    weight[-1] = 0.0
-    return {"mass": mass, "weight": weight, "gravity": np.array(mechanism.gravity, dtype=float)}
+    mass = [(body.mass, body.mass, 1.0 if body.inertia is None else body.inertia) for body in mechanism.bodies.values()]
+    weight = [tuple([1.0 / number for number in numbers]) for numbers in mass]
+    return {
+        "mass": float_array([*mass, (1.0,) * 3]),
+        "weight": float_array([*weight, (0.0,) * 3]),
+        "gravity": float_array(mechanism.gravity),
+    }
 
 
 def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[str, np.ndarray]:
@@ -176,16 +182,16 @@ def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[
 
     `unit` is the length [m] that relates lengths to angles.
     """
-    row_units = np.full((len(pairs), 2), unit)
+    row_units = [[unit, unit] for _ in pairs]
     for one in rows:
         if one.unit == "rad":
-            row_units[one.pair, one.place] = 1.0
+            row_units[one.pair][one.place] = 1.0
     return {
         "pairs": table([PairRow(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs], PAIR),
         "rows": np.array([pair.rows for pair in pairs], dtype=np.int64),
-        "length": np.array([unit]),
-        "row_units": row_units,
-        "pair_parameters": np.array([pair.parameters for pair in pairs], dtype=float).reshape(-1, 6),
+        "length": float_array([unit]),
+        "row_units": float_array(row_units, 2),
+        "pair_parameters": float_array([pair.parameters for pair in pairs], 6),
         "spare": table([], SPARE),
         "spare_axes": np.zeros((0, 2)),
         "pair_joint": np.array([pair.joint for pair in pairs], dtype=np.int64),
@@ -200,9 +206,9 @@ def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict
     ]
     return {
         "joints": table(recorded, JOINT),
-        "joint_lines": np.array([joint.travel or (0.0,) * 6 for joint in joints], dtype=float).reshape(-1, 6),
+        "joint_lines": float_array([joint.travel or (0.0,) * 6 for joint in joints], 6),
         "markers": np.array([number[marker.body] for marker in markers], dtype=np.int64),
-        "marker_points": np.array([marker.held for marker in markers], dtype=float).reshape(-1, 2),
+        "marker_points": float_array([marker.held for marker in markers], 2),
     }
 
 
@@ -328,13 +334,12 @@ def characteristic_length(mechanism: Mechanism) -> float:
         for _, name, point in joint.attachments():
             if name in points:
                 points[name].add(point)
-    longest = max((beam.length for beam in mechanism.beams.values()), default=0.0)
-    longest = max(longest, _longest_distance(points))
+    longest = largest([_longest_distance(points), *(beam.length for beam in mechanism.beams.values())])
     if longest == 0.0:
         for element in (one for key, _ in mechanism.treatments for one in mechanism.elements[key].values()):
             for name, point in element.extent_points():
                 points[name].add(point)
-        longest = min(_longest_distance(points), 1.0)
+        longest = smallest(_longest_distance(points), 1.0)
     return longest or 1.0
 
 
@@ -342,7 +347,10 @@ def _longest_distance(points: Mapping[str, Collection[tuple[float, float]]]) -> 
     """Return the largest distance between two points of the same body [m]."""
     longest = 0.0
     for held in points.values():
-        if len(held) > 1:
+        if len(held) <= FEW_POINTS:
+            lengths = [elementary.hypot(x - a, y - b) for (x, y), (a, b) in combinations(held, 2)]
+            longest = largest([longest, *lengths])
+        else:
             x, y = np.array(sorted(held)).T
             rows = max(1, MOST_DISTANCES // len(x))
             for first in range(0, len(x), rows):
@@ -362,14 +370,14 @@ def _is_well_scaled(mechanism: Mechanism) -> bool:
     for joint in mechanism.joints.values():
         for _, name, (x, y) in joint.attachments():
             if name in arms:
-                arms[name] = max(arms[name], x * x + y * y)
+                arms[name] = largest(arms[name], x * x + y * y)
         a = joint.bodies[0]
         if joint.point_moves_on_first and a in arms:  # the reaction on `a` acts at the joint point of `b`
             for _, name, point in joint.attachments()[-1:]:
                 x, y = mechanism.to_local(a, mechanism.to_global(name, point))
-                arms[a] = max(arms[a], x * x + y * y)
+                arms[a] = largest(arms[a], x * x + y * y)
     scales = [body.mass for body in mechanism.bodies.values()]
     scales += [body.inertia / arms[name] for name, body in mechanism.bodies.items() if body.inertia and arms[name] > 0]
     tied = {name for joint in mechanism.joints.values() if len(joint.angles()) == 2 for _, name in joint.angles()}
     inertias = [inertia for name in tied if name in arms and (inertia := mechanism.bodies[name].inertia)]
-    return all(not sizes or max(sizes) <= WELL_SCALED * min(sizes) for sizes in (scales, inertias))
+    return all(not sizes or largest(sizes) <= WELL_SCALED * smallest(sizes) for sizes in (scales, inertias))

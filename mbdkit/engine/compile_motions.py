@@ -6,6 +6,7 @@ from contextlib import suppress
 
 import numpy as np
 
+from mbdkit.base.traced_numbers import as_float
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program, derivative_of
@@ -44,7 +45,7 @@ class CompiledMotions:
 
     def _append(self, program: Program) -> int:
         self.ops += [OPCODES[name] for name, _ in program]
-        self.constants += [float(value) for _, value in program]
+        self.constants += [as_float(value) for _, value in program]
         self.start.append(len(self.ops))
         return len(self.start) - 2
 
@@ -53,7 +54,7 @@ class CompiledMotions:
             program = expression_of(function).program
             return derivative_of(program) if derivative else program
         if not isinstance(function, Table):
-            return (("const", 0.0 if derivative else float(function)),)
+            return (("const", 0.0 if derivative else as_float(function)),)
         return self._table(function, derivative=derivative)
 
     def _table(self, table: Table, *, derivative: bool = False) -> Program:
@@ -67,7 +68,7 @@ class CompiledMotions:
         if isinstance(motion, str):
             return Expression.parse(motion).program
         if not isinstance(motion, Table):
-            return (("const", float(motion)),)
+            return (("const", as_float(motion)),)
         return self._table(motion)
 
     @property

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.traced_numbers import recordable
 from mbdkit.base.units import read_unit
 from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
 from mbdkit.expressions.program import MAX_DEPTH, Instruction, Program, depth_of, execute
@@ -291,7 +292,7 @@ class Compiler:
     def apply(self, operation: str, operands: list[Code], node: ast.expr) -> Code:
         """Append `operation` to the programs of its operands, or evaluate it if all of them are constants."""
         if all(len(operand) == 1 and operand[0][0] == "const" for operand in operands):
-            compute = OPERATIONS[operation].number
+            compute = recordable(OPERATIONS[operation].number)
             return self.constant(lambda: compute(*(operand[0][1] for operand in operands)), node)
         program = operands[0]
         if operation == "pow" and operands[1][0][0] == "const" and len(operands[1]) == 1:
@@ -316,7 +317,7 @@ class Compiler:
             self.refuse(f"'{self.segment(node)}' divides by zero{self.given(node)}, so it is not a finite number", node)
         except (ArithmeticError, ValueError):
             value = math.nan
-        if not math.isfinite(value):
+        if not abs(value) < math.inf:
             self.refuse(f"'{self.segment(node)}' is not a finite number{self.given(node)}", node)
         return [("const", value)]
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, quoted, value_text
 from mbdkit.base.text import did_you_mean, listed, shortened
+from mbdkit.base.traced_numbers import dist, largest
 from mbdkit.mechanism.beams import LAST, Beam, beam_of, parts_of
 from mbdkit.mechanism.bodies import GROUND, Body, Element
 from mbdkit.mechanism.forces import Force, PointForce, SpringDamper, Torque
@@ -119,7 +119,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
         if line is None:
             continue
         a, b = (point if body == GROUND else placed(body).to_global(point) for _, body, point in line.attachments())
-        if math.dist(a, b) <= COINCIDENT * max(1.0, *map(abs, (*a, *b))):
+        if dist(a, b) <= COINCIDENT * largest(1.0, *map(abs, (*a, *b))):
             raise SpecError(
                 f"the two ends coincide at the start, at ({a[0]:.6g}, {a[1]:.6g}), so the direction of the force is "
                 "undefined; move one of the points, or use a spring-damper with free_length 0",

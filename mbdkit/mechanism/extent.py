@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from mbdkit.base.traced_numbers import as_float, largest, smallest
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -25,7 +26,7 @@ def size_if_below(mechanism: Mechanism, limit: float) -> float:
 
 def extent(points: Sequence[tuple[float, float]]) -> float:
     """Return the longer side of the bounding box of points, parallel to the axes [m]."""
-    return float(max(max(x) - min(x) for x in zip(*points, strict=True)))
+    return as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
 
 
 def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self, cast
 
 from pydantic import Field, SerializeAsAny
 
+from mbdkit.base.traced_numbers import dist
 from mbdkit.mechanism.bodies import GROUND, AtPoint, Body, Element
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.pathways import AnglePathway, LinePathway
@@ -77,7 +77,7 @@ class SpringDamper(LinePathway):
         if self.free_length != "start":
             return placed
         a, b = (point if name == GROUND else bodies[name].to_global(point) for _, name, point in placed.attachments())
-        return placed.model_copy(update={"free_length": math.dist(a, b)})
+        return placed.model_copy(update={"free_length": dist(a, b)})
 
     @property
     def pathway(self) -> SpringDamper:

@@ -11,6 +11,7 @@ from pydantic import BaseModel
 
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
+from mbdkit.base.traced_numbers import dist, hypot, largest, second_largest, sqrt
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.extent import points_of_elements, size_if_below, smaller_units
@@ -79,18 +80,18 @@ def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
 
     The limit is `WIDE` for bodies with at least this share of the mass of the heaviest one, and `FAR_MASS` for others.
     """
-    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    heaviest = largest([0.0, *(body.mass for body in mechanism.bodies.values())])
     limits = {
-        name: WIDE if body.mass >= share * heaviest else FAR_MASS * math.sqrt(heaviest / body.mass)
+        name: WIDE if body.mass >= share * heaviest else FAR_MASS * sqrt(heaviest / body.mass)
         for name, body in mechanism.bodies.items()
     }
     parts = parts_of(mechanism.beams)
     radii = {
-        name: math.sqrt(body.inertia / body.mass)
+        name: sqrt(body.inertia / body.mass)
         for name, body in mechanism.bodies.items()
         if body.inertia is not None and name not in parts
     }
-    size = size_if_below(mechanism, max((radius / limits[name] for name, radius in radii.items()), default=0.0))
+    size = size_if_below(mechanism, largest([0.0, *(radius / limits[name] for name, radius in radii.items())]))
     for name, radius in radii.items():
         if radius > limits[name] * size > 0:
             body = mechanism.bodies[name]
@@ -110,7 +111,7 @@ def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:
     The limits are those of `ABOUT_JOINT`, for bodies with at least a share of `STAND_IN` of the largest mass. They
     apply to measured mechanisms; flywheels, cranks and chassis have such inertias, too.
     """
-    heaviest = max((body.mass for body in mechanism.bodies.values()), default=0.0)
+    heaviest = largest([0.0, *(body.mass for body in mechanism.bodies.values())])
     jointed = {name for joint in mechanism.joints.values() for _, name, _ in joint.attachments()}
     points: dict[str, list[Point]] = {name: [] for name in mechanism.bodies}
     for name, point in points_of_elements(mechanism):
@@ -119,8 +120,8 @@ def inertias_about_joints(mechanism: Mechanism) -> Iterator[str]:
     for name, body in mechanism.bodies.items():
         if body.inertia is None or name not in jointed or body.mass < STAND_IN * heaviest:
             continue
-        length = max((math.dist(*pair) for pair in combinations(points[name], 2)), default=0.0)
-        radius = math.sqrt(body.inertia / body.mass)
+        length = largest([0.0, *(dist(*pair) for pair in combinations(points[name], 2))])
+        radius = sqrt(body.inertia / body.mass)
         if ABOUT_JOINT[0] * length < radius < ABOUT_JOINT[1] * length:
             yield (
                 f"the inertia of {body.inertia:g} kg m^2 of body '{name}'{_place_of(mechanism, name)} is that of its "
@@ -139,10 +140,10 @@ def improbable_bodies(mechanism: Mechanism) -> Iterator[str]:
         for _, name, point in joint.attachments():
             if name != GROUND:
                 points[name].append(point)
-    reach = {name: max(math.hypot(*one) for one in found) for name, found in points.items()}
-    if largest := _outsize(mechanism, reach):
-        yield largest
-    elif 2.0 * max(reach.values(), default=0.0) > LONG:  # otherwise no body can be longer
+    reach = {name: largest([hypot(*one) for one in found]) for name, found in points.items()}
+    if sentence := _outsize(mechanism, reach):
+        yield sentence
+    elif 2.0 * largest([0.0, *reach.values()]) > LONG:  # otherwise no body can be longer
         yield from _light(mechanism, points)
 
 
@@ -153,16 +154,16 @@ def _outsize(mechanism: Mechanism, reach: dict[str, float]) -> str:
     """
     if len(reach) < 2:
         return ""
-    (second, _), (largest, name) = sorted((length, name) for name, length in reach.items())[-2:]
-    if not largest > OUTSIZE * second:
+    if not largest([*reach.values()]) > OUTSIZE * second_largest([*reach.values()]):
         return ""  # before the size of all other elements is computed
+    longest, name = max((length, name) for name, length in reach.items())
     sizes = [beam.length for beam in mechanism.beams.values()]
-    sizes += [math.sqrt((body.inertia or 0.0) / body.mass) for other, body in mechanism.bodies.items() if other != name]
-    sizes += [math.hypot(*point) for other, point in points_of_elements(mechanism) if other not in (name, GROUND)]
-    if not largest > OUTSIZE * max(sizes) > 0.0:
+    sizes += [sqrt((body.inertia or 0.0) / body.mass) for other, body in mechanism.bodies.items() if other != name]
+    sizes += [hypot(*point) for other, point in points_of_elements(mechanism) if other not in (name, GROUND)]
+    if not longest > OUTSIZE * max(sizes) > 0.0:
         return ""
     return (
-        f"the joints of body '{name}'{_place_of(mechanism, name)} are up to {largest:.3g} m away from its centre of "
+        f"the joints of body '{name}'{_place_of(mechanism, name)} are up to {longest:.3g} m away from its centre of "
         f"mass, but no other body is larger than {max(sizes):.2g} m; if a length is in mm, write it with the unit, for "
         f"example `80 mm`"
     )
@@ -174,18 +175,17 @@ def _light(mechanism: Mechanism, points: dict[str, list[Point]]) -> Iterator[str
     `points` are the joints and the centre of mass of each body in its frame [m]; their largest distance is its length.
     """
     lengths = {
-        name: max(math.dist(*pair) for pair in combinations(found, 2)) if len(found) > 1 else 0.0
+        name: largest([dist(*pair) for pair in combinations(found, 2)]) if len(found) > 1 else 0.0
         for name, found in points.items()
     }
-    links = Counter((mechanism.bodies[name].mass, round(length, 6)) for name, length in lengths.items())
     light = {
         name: mass / length**2
         for name, length in lengths.items()
         if length > LONG and (mass := mechanism.bodies[name].mass) < LIGHT * length**2
-        if links[mass, round(length, 6)] < LINKS
     }
-    if light:
-        name = min(light, key=light.__getitem__)
+    links = Counter((mechanism.bodies[name].mass, round(lengths[name], 6)) for name in light)
+    if few := [name for name in light if links[mechanism.bodies[name].mass, round(lengths[name], 6)] < LINKS]:
+        name = min(few, key=light.__getitem__)
         yield (
             f"body '{name}'{_place_of(mechanism, name)} is {lengths[name]:.3g} m long, but has a mass of only "
             f"{mechanism.bodies[name].mass:.3g} kg; if its length is in mm, write it with the unit, for example "

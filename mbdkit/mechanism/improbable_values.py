@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
+from mbdkit.base.traced_numbers import dist, hypot, largest, sqrt
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.extent import size_if_below, smaller_units
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
@@ -117,7 +118,7 @@ def _improbable_material(beam: Beam, where: str) -> Iterator[str]:
 def _improbable_section(beam: Beam, where: str) -> Iterator[str]:
     """Yield a sentence if the cross-section of a beam is too large for its length, or else if the rotary inertia is."""
     if beam.A is not None and beam.I is not None:
-        depth = math.sqrt(12.0 * beam.I / beam.A)
+        depth = sqrt(12.0 * beam.I / beam.A)
         width = beam.A / depth
         is_sheet = width > beam.length and width > THINNEST * depth
         if depth > beam.length or width > WIDEST * beam.length or is_sheet:
@@ -132,7 +133,7 @@ def _improbable_section(beam: Beam, where: str) -> Iterator[str]:
             )
             return
     mass, inertia = beam.inertia_per_length
-    radius = math.sqrt(inertia / mass)
+    radius = sqrt(inertia / mass)
     if radius > beam.length:
         key, value, unit, example = _source_of_inertia(beam)
         source = "" if key == "rotary_inertia" else f"that follows from {value:g} {unit} "
@@ -164,7 +165,7 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
         if free is None or not isinstance(force, SpringDamper | Law):
             continue
         if force.pathway.is_line:
-            length = math.dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))
+            length = dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))
             if free > LONGEST * length:
                 findings.append(("forces", name, "free_length", free, free, f" and the spring is {length:.3g} m long"))
         elif isinstance(force, Law) and (deflection := _deflection(mechanism, force, free)) > 0.0:
@@ -176,7 +177,7 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
         for name, element in elements.items()
         for key, length in element.lengths_to_check()
     ]
-    size = size_if_below(mechanism, max((length / LARGE for *_, length, _ in findings), default=0.0))
+    size = size_if_below(mechanism, largest([0.0, *(length / LARGE for *_, length, _ in findings)]))
     for kind, name, key, value, length, also in findings:
         if length > LARGE * size > 0:
             is_given = mechanism.name == "mechanism"
@@ -193,7 +194,7 @@ def improbable_preloads(mechanism: Mechanism) -> Iterator[str]:
     the start exceeds all other loads by far; none if there is neither weight nor another load.
     """
     size = size_if_below(mechanism, math.inf) if mechanism.forces else 0.0
-    weight = math.hypot(*mechanism.gravity) * sum(body.mass for body in mechanism.bodies.values())
+    weight = hypot(*mechanism.gravity) * sum(body.mass for body in mechanism.bodies.values())
     moments = {"": weight * size}  # [N m]
     springs = {}
     for name, force in mechanism.forces.items():
@@ -205,9 +206,9 @@ def improbable_preloads(mechanism: Mechanism) -> Iterator[str]:
             springs[name] = key, load, unit
             moments[name] = load * arm
         elif isinstance(force, Torque | PointForce):
-            moments[name] = arm * math.hypot(*(value for value in force.load.values if isinstance(value, float)))
+            moments[name] = arm * hypot(*(value for value in force.load.values if isinstance(value, float)))
     for name, (key, load, unit) in springs.items():
-        others = max(moment for other, moment in moments.items() if other != name)
+        others = largest([moment for other, moment in moments.items() if other != name])
         if moments[name] > STRONGEST * others > 0.0 and key not in mechanism.forces[name].model_fields_set:
             yield (
                 f"spring '{name}' begins with {load:.3g} {unit}, more than {STRONGEST:g} times as much as all weights "
@@ -225,4 +226,5 @@ def _deflection(mechanism: Mechanism, law: Law, free_length: float) -> float:
     first, second = pathway.bodies
     anchor = mechanism.to_local(first, mechanism.to_global(second, pathway.point))
     stretch = anchor["xy".index(pathway.coordinate)] - free_length
-    return max(stretch if getattr(law, "acts", "") == "tension" else -stretch, 0.0)
+    deflection: float = largest(stretch if getattr(law, "acts", "") == "tension" else -stretch, 0.0)
+    return deflection

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import inf, isfinite
+from math import inf
 from typing import Any
 
 from mbdkit.base.errors import PluginError, blaming
 from mbdkit.base.text import listed
+from mbdkit.base.traced_numbers import as_float
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, TracedLaw
 
 
@@ -29,7 +30,7 @@ def law_parameters(law: ForceLaw, options: object, name: str) -> tuple[tuple[str
         )
     if law.states and law.potential not in (None, False):
         raise PluginError(f"force law {name} has states, so its force cannot have a potential; leave out `potential`")
-    if not all(isfinite(value) for value in values):
+    if not all(abs(value) < inf for value in values):
         raise PluginError(f"force law {name} computed parameters that are not finite")
     return names, values
 
@@ -72,9 +73,9 @@ def _parameters(law: ForceLaw, options: object) -> tuple[tuple[str, ...], list[f
     else:
         given = [getattr(options, option) for option in law_options(options)]
     if not isinstance(law, ExpressionLaw | TracedLaw):
-        return (), [float(x) for x in given]
+        return (), [*map(as_float, given)]
     names = tuple(sorted(given))
-    return names, [float(given[name]) for name in names]
+    return names, [as_float(given[name]) for name in names]
 
 
 def law_options(options: Any) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from types import MethodType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -24,6 +25,7 @@ from mbdkit.mechanism.joint_kinds import joint_builder, joint_builders
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
+from mbdkit.mechanism.traced_elements import traced
 from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
@@ -436,9 +438,10 @@ def _with_last(one: NamedCoordinate, last: Mapping[str, str]) -> NamedCoordinate
 
 def _point(value: object, key: str) -> tuple[float, float]:
     try:
-        return _POINT.validate_python(value, strict=True)
+        point: tuple[float, float] = traced(partial(_POINT.validate_python, strict=True), Point, value)
     except ValidationError as error:
         raise spec_error(error, Point, prefix=key) from None
+    return point
 
 
 def _with_type(element: Element) -> dict[str, object]:

@@ -20,6 +20,7 @@ from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism_data import Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import with_expressions
 from mbdkit.mechanism.state_values import Controller, FirstOrderState, Input
+from mbdkit.mechanism.traced_elements import traced
 
 #: Type of the elements of each kind of the core: each key of the model `mechanism` with elements by name.
 _KINDS = {
@@ -126,7 +127,7 @@ def _validated(kind: object, key: str, values: Mapping[str, object]) -> Any:
     """Return an element with these values; raise SpecError, with the element's `key`, if they are not valid."""
     validate = _adapter(kind).validate_python
     try:
-        return validate(values)
+        return traced(validate, kind, values)
     except ValidationError:
         data = plain(values, parse_path(key))
     try:  # rejected values may be tuples in place of lists, or numbers with units, such as "2 N/mm"

@@ -24,6 +24,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
 from mbdkit.base.strict_model import StrictModel, description
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.traced_numbers import as_float
 from mbdkit.base.units import PLAIN, Unit, described_units, misfit, read_quantity, read_unit
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
@@ -118,7 +119,7 @@ def parameter_values(given: object) -> ParameterValues:
     for name in _in_order_of_use({name: names_in(value) & given.keys() for name, value in given.items()}):
         value = given[name]
         with SpecError.locate(f"parameters.{name}"):
-            values[name] = evaluate(value, values, [*given]) if isinstance(value, str) else float(value)
+            values[name] = evaluate(value, values, [*given]) if isinstance(value, str) else as_float(value)
             unit = unit_of_expression(value, units) if units and isinstance(value, str) else None
         if unit is not None:
             units[name] = unit

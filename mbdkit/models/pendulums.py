@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, model_validator
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.traced_numbers import largest
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import Number, Point, Positive, pair, sequence
@@ -216,13 +217,13 @@ def chain(
         mechanism.revolute(f"J{index + 1}", before, rod, points=(end, (-0.5 * length, 0.0)))
         x.add(half_x), y.add(half_y), u.add(-rate * half_y), v.add(rate * half_x)
         before, end = rod, (0.5 * length, 0.0)
-        fastest = max(fastest, abs(u.value), abs(v.value))
-    mechanism.hold(tolerance=max(1e-12, 8 * sys.float_info.epsilon * max(sum(lengths), fastest)))
+        fastest = largest(fastest, abs(u.value), abs(v.value))
+    mechanism.hold(tolerance=largest(1e-12, 8 * sys.float_info.epsilon * largest(sum(lengths), fastest)))
     return mechanism
 
 
 class _Sum:
-    """A compensated running sum (Neumaier 1974)."""
+    """A compensated running sum (Neumaier 1974); the errors of additions are computed without branches (Knuth)."""
 
     def __init__(self) -> None:
         self.value = 0.0
@@ -230,6 +231,7 @@ class _Sum:
 
     def add(self, term: float) -> float:
         total = self.value + term
-        self._lost += (self.value - total) + term if abs(self.value) >= abs(term) else (term - total) + self.value
+        other = total - self.value
+        self._lost += (self.value - (total - other)) + (term - other)
         self.value = total
         return total + self._lost

@@ -1,0 +1,328 @@
+"""Numbers that record how code computes with them: formulas of what follows from a few numbers, and their conditions.
+
+Code that computes with plain floats is called once with these numbers in place of some of its input. Arithmetic and
+elementary functions are recorded; so is the outcome of each comparison, as a condition under which the code would take
+the same branches. Whatever would lose a number, such as its conversion to a float or to text, raises
+`UntraceableError`, so that a formula is either complete or absent. The recorded operations are repeated by the same
+functions on floats, hence with the same bits.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base import elementary, higher_layers
+
+Numbers = Sequence[float]
+
+#: Function of the values of the inputs, which returns those of the results, or None if a condition does not hold.
+Formulas = Callable[..., tuple[float, ...] | None]
+
+
+_current: ContextVar[Trace | None] = ContextVar("current trace", default=None)
+
+
+class UntraceableError(Exception):
+    """Code uses a traced number in a way that cannot be recorded."""
+
+
+class Trace:
+    """The operations and conditions that were recorded so far.
+
+    While it is `recording`, arrays that `float_array` makes of traced numbers are noted.
+    """
+
+    def __init__(self) -> None:
+        self._lines: list[str] = []
+        self.arrays: dict[int, tuple[np.ndarray, dict[int, TracedNumber]]] = {}
+        self.has_failed = False  #: Whether a number was lost; code may catch `UntraceableError`.
+        self._known: dict[str, TracedNumber] = {}
+        self._conditions: set[str] = set()
+        self._inputs: list[str] = []
+
+    @contextmanager
+    def recording(self) -> Iterator[None]:
+        """Make this the current trace of the thread."""
+        token = _current.set(self)
+        try:
+            yield
+        finally:
+            _current.reset(token)
+
+    def failure(self, reason: str) -> UntraceableError:
+        """Return the error for a number that is lost."""
+        self.has_failed = True
+        return UntraceableError(reason)
+
+    def input(self, value: float) -> TracedNumber:
+        """Return a new input that has a value while operations are recorded."""
+        self._inputs.append(f"x{len(self._inputs)}")
+        return TracedNumber(self, self._inputs[-1], value)
+
+    def result(self, text: str, value: Any) -> TracedNumber:
+        """Return the value of an operation, given by its Python text."""
+        known = self._known.get(text)
+        if known is None:
+            name = f"v{len(self._known)}"
+            self._lines.append(f" {name} = {text}")
+            self._known[text] = known = TracedNumber(self, name, float(value))
+        return known
+
+    def combine(self, symbol: str, compute: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
+        """Return the result of an operator."""
+        if not (isinstance(a, int | float) and isinstance(b, int | float)):
+            return NotImplemented
+        text = f"_power({_text(a)}, {_text(b)})" if symbol == "**" else f"{_text(a)} {symbol} {_text(b)}"
+        return self.result(text, compute(plain(a), plain(b)))
+
+    def compare(self, symbol: str, compute: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
+        """Return the outcome of a comparison."""
+        if not (isinstance(a, int | float) and isinstance(b, int | float)):
+            return NotImplemented
+        return self.condition(f"({_text(a)} {symbol} {_text(b)})", bool(compute(plain(a), plain(b))))
+
+    def apply(self, ufunc: Any, operands: Sequence[Any]) -> Any:
+        """Return the result of an elementary function, or of an operator of NumPy."""
+        symbol = _SYMBOLS.get(ufunc, "")
+        if symbol in _OPERATORS:
+            return self.combine(symbol, _OPERATORS[symbol], *operands)
+        if symbol in _COMPARISONS:
+            return self.compare(symbol, _COMPARISONS[symbol], *operands)
+        if ufunc not in _UFUNCS():
+            raise self.failure(f"{ufunc.__name__} is not recorded")
+        name, function = _UFUNCS()[ufunc]
+        return self.result(f"{name}({', '.join(map(_text, operands))})", function(*map(plain, operands)))
+
+    def condition(self, text: str, holds: bool) -> bool:
+        """Record the outcome of a comparison, and return it."""
+        required = text if holds else f"not {text}"
+        if required not in self._conditions:
+            self._conditions.add(required)
+            self._lines.append(f" if not ({required}): return None")
+        return holds
+
+    def formulas(self, results: Iterable[Any]) -> Formulas:
+        """Return the results as a function of the inputs, which returns None if a condition does not hold.
+
+        Results must be finite, and remain zero or not zero.
+        """
+        if self.has_failed:
+            raise UntraceableError("a traced number was lost")
+        names = []
+        for number in results:
+            names.append(_text(number))
+            if isinstance(number, TracedNumber):
+                self.condition(f"({number.name} != 0.0)", number.value != 0.0)
+        total = " + ".join(f"abs({name})" for name in dict.fromkeys(names)) or "0.0"
+        lines = [*self._lines, f" if not ({total} < inf): return None", f" return ({', '.join([*names, ''])})"]
+        source = f"def formulas({', '.join(self._inputs)}):\n" + "\n".join(lines)
+        space: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **higher_layers.elementary_functions(), **_FUNCTIONS}
+        exec(compile(source, "<formulas>", "exec"), space)  # the text consists of recorded operations only
+        function = space["formulas"]
+
+        def values(*inputs: float) -> tuple[float, ...] | None:
+            try:
+                result: tuple[float, ...] | None = function(*inputs)
+            except (ArithmeticError, ValueError):
+                return None
+            return result
+
+        return values
+
+
+def _text(operand: Any) -> str:
+    if isinstance(operand, tuple | list):
+        return f"({', '.join([*map(_text, operand), ''])})"
+    if isinstance(operand, TracedNumber):
+        return operand.name
+    value = operand if type(operand) is int else float(operand)
+    return f"({value!r})" if value < 0 or math.copysign(1.0, value) < 0 or not math.isfinite(value) else repr(value)
+
+
+def _power(base: float, exponent: float) -> float:
+    value = base**exponent
+    if isinstance(value, complex):
+        raise ValueError(f"{base} ** {exponent} is not real")
+    return value
+
+
+def _binary(symbol: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    compute = _OPERATORS[symbol]
+
+    def forward(self: TracedNumber, other: Any) -> Any:
+        return self.trace.combine(symbol, compute, self, other)
+
+    def backward(self: TracedNumber, other: Any) -> Any:
+        return self.trace.combine(symbol, compute, other, self)
+
+    return forward, backward
+
+
+def _comparison(symbol: str) -> Callable[[Any, Any], Any]:
+    compute = _COMPARISONS[symbol]
+
+    def compare(self: TracedNumber, other: Any) -> Any:
+        return self.trace.compare(symbol, compute, self, other)
+
+    return compare
+
+
+def _lost(what: str) -> Callable[..., Any]:
+    def lose(self: TracedNumber, *_: object) -> Any:
+        raise self.trace.failure(f"a traced number is converted to {what}")
+
+    return lose
+
+
+_OPERATORS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv, "**": _power,
+    "//": operator.floordiv, "%": operator.mod,
+}  # fmt: skip
+_COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "==": operator.eq, "!=": operator.ne,
+}  # fmt: skip
+
+
+class TracedNumber:
+    """A number of a `Trace`; `isinstance` takes it for a float.
+
+    `name`: its name in the recorded formulas. `value`: its value while they are recorded.
+    """
+
+    __slots__ = ("name", "trace", "value")
+
+    def __init__(self, trace: Trace, name: str, value: float):
+        self.trace, self.name, self.value = trace, name, value
+
+    @property
+    def __class__(self) -> Any:  # type: ignore[misc]
+        return float
+
+    __add__, __radd__ = _binary("+")
+    __sub__, __rsub__ = _binary("-")
+    __mul__, __rmul__ = _binary("*")
+    __truediv__, __rtruediv__ = _binary("/")
+    __pow__, __rpow__ = _binary("**")
+    __floordiv__, __rfloordiv__ = _binary("//")
+    __mod__, __rmod__ = _binary("%")
+    __lt__, __le__, __gt__, __ge__ = (_comparison(symbol) for symbol in ("<", "<=", ">", ">="))
+    __eq__, __ne__ = (_comparison(symbol) for symbol in ("==", "!="))
+    __float__, __int__, __trunc__, __floor__, __ceil__, __round__ = (_lost("a plain number") for _ in range(6))
+    __repr__, __str__, __format__, __reduce__ = (_lost("text") for _ in range(4))
+
+    def __hash__(self) -> int:
+        return hash(self.value)
+
+    def __bool__(self) -> bool:
+        return self.trace.condition(f"({self.name} != 0.0)", self.value != 0.0)
+
+    def __neg__(self) -> TracedNumber:
+        return self.trace.result(f"-{self.name}", -self.value)
+
+    def __pos__(self) -> TracedNumber:
+        return self
+
+    def __abs__(self) -> TracedNumber:
+        return self.trace.result(f"abs({self.name})", abs(self.value))
+
+    def is_integer(self) -> bool:
+        """Return whether the number is an integer."""
+        return self.trace.condition(f"{self.name}.is_integer()", self.value.is_integer())
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **options: Any) -> Any:
+        if method == "__call__" and not options and all(np.ndim(plain(operand)) == 0 for operand in operands):
+            return self.trace.apply(ufunc, operands)
+        raise self.trace.failure(f"{ufunc.__name__} is not recorded")
+
+
+def plain(value: Any) -> Any:
+    """Return plain data, or a number, with values in place of traced numbers."""
+    if isinstance(value, TracedNumber):
+        return value.value
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [*map(plain, value)] if isinstance(value, list) else tuple(map(plain, value))
+    return value
+
+
+def is_recording() -> bool:
+    """Return whether there is a current trace."""
+    return _current.get() is not None
+
+
+def is_traced(value: object) -> bool:
+    """Return whether plain data, or a number, contains traced numbers."""
+    if isinstance(value, Mapping):
+        return any(map(is_traced, value.values()))
+    return any(map(is_traced, value)) if isinstance(value, list | tuple) else isinstance(value, TracedNumber)
+
+
+def as_float(value: Any) -> Any:
+    """Return a number as a float, and a traced number unchanged."""
+    return value if isinstance(value, TracedNumber) else float(value)
+
+
+def float_array(values: Any, columns: int | None = None) -> np.ndarray:
+    """Return (nested) sequences of numbers as an array, with this number of columns if it is given.
+
+    Traced numbers are noted in their `Trace` with their indices in the flat array.
+    """
+    trace = _current.get()
+    array = np.array(values if trace is None else plain(values), dtype=float)
+    array = array if columns is None else array.reshape(-1, columns)
+    if trace is not None:
+        traced = {index: number for index, number in enumerate(_flat(values)) if isinstance(number, TracedNumber)}
+        trace.arrays[id(array)] = array, traced
+    return array
+
+
+def _flat(values: Any) -> Iterator[Any]:
+    for value in values:
+        if isinstance(value, list | tuple):
+            yield from _flat(value)
+        else:
+            yield value
+
+
+def _ufuncs() -> dict[Any, tuple[str, Callable[..., Any]]]:
+    names = {function.ufunc: (name, function) for name, function in elementary.FUNCTIONS.items() if function.ufunc}
+    return names | {np.sqrt: ("_sqrt", math.sqrt), np.absolute: ("abs", abs)}
+
+
+_UFUNCS = functools.cache(_ufuncs)
+_SYMBOLS = {
+    np.add: "+", np.subtract: "-", np.multiply: "*", np.divide: "/", np.less: "<", np.less_equal: "<=",
+    np.greater: ">", np.greater_equal: ">=", np.equal: "==", np.not_equal: "!=",
+}  # fmt: skip
+
+
+def recordable(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of `_FUNCTIONS` that is recorded if it is called with traced numbers; others unchanged."""
+    return _RECORDABLE.get(function, function)
+
+
+def _recordable(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    def call(*operands: Any, **options: Any) -> Any:
+        trace = _current.get()
+        if trace is None or not is_traced(operands):
+            return function(*operands, **options)
+        return trace.result(f"{name}({', '.join(map(_text, operands))})", function(*plain(operands)))
+
+    return call
+
+
+_FUNCTIONS: Mapping[str, Callable[..., Any]] = {
+    "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max, "_min": min,
+    "_power": _power, "_second": lambda values: sorted(values)[-2],
+}  # fmt: skip
+_RECORDABLE = {function: _recordable(name, function) for name, function in _FUNCTIONS.items()}
+dist, hypot, sqrt, largest, smallest, _, second_largest = _RECORDABLE.values()
