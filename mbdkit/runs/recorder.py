@@ -375,7 +375,7 @@ class Recorder:
         largest = self.largest
         if not self._refused:
             largest = np.maximum(self._joints.misalignment_of_squares(worst_pairs), largest)
-        return Extremes(np.array([self.last_time]), largest[None], self.largest_angle[None], [self.energies], [steps])
+        return Extremes(self.last_time, largest, self.largest_angle, self.energies, steps)
 
 
 def _at(stretch: Stretch, row: int) -> str:

@@ -32,9 +32,10 @@ class ShortRuns:
             member = self._member(spec)
             if member is None:
                 return None
-            finished = next(self.lanes.finished([member]))[0][1]
-            if finished is None:
+            runs = next(self.lanes.finished([member]))[1]
+            if runs is None:
                 return None
+            finished = runs.run(0)
             self.work = finished.stats["rhs_evaluations"] * len(finished.names.bodies)
             return run_in_memory(finished, spec, created)
 
