@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbdkit_biomech.inverse_dynamics.results.workload import Workload
-from mbdkit_report import Cell, Table, View, columns_of
+from mbdkit_report import Cell, Table, View, bar_cells, columns_of
 from mbdkit_report.notebook.result_views import object_view
 
 
@@ -11,7 +11,14 @@ from mbdkit_report.notebook.result_views import object_view
 def workload_view(found: Workload) -> View:
     """Return the view of a workload."""
     rows: list[tuple[Cell, ...]] = [
-        (element.name, element.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        (
+            element.name,
+            element.kind,
+            load.units,
+            *bar_cells(load.peak, load.peak_error, load.id),
+            load.peak_time,
+            load.impulse,
+        )
         for element in found.elements
         for load in (element.load, element.torque)
         if load is not None
