@@ -35,6 +35,7 @@ ROOT_ATTRIBUTES = (
 )
 #: Root attribute with the values and units of the measures of a run, in JSON; absent without measures.
 MEASURES = "measures"
+ANSWERS = "answers"  #: Root attribute with the numbers of a checked run and their bars, in JSON.
 #: Root attribute with the integrals over time and the extrema that the measures need, by expression, as JSON in SI
 #: units.
 INTEGRALS = "integrals"

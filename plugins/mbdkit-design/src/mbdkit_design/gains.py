@@ -155,8 +155,8 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     for scenario, pair in pairs.items():
         before = {load.label: load for load in largest_loads(pair["start"])}
         for one in largest_loads(pair["best"]):
-            start = before[one.label].largest if one.label in before else 0.0
-            cost = Cost(scenario, one.label, one.unit, start, one.largest)
+            start = before[one.label].value if one.label in before else 0.0
+            cost = Cost(scenario, one.label, one.unit, start, one.value)
             if abs(cost.share) >= LEAST_CHANGE:
                 found.append(cost)
     return sorted(found, key=lambda cost: -cost.share)

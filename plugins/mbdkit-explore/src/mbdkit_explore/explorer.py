@@ -188,7 +188,7 @@ class Explorer:
             "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
             "reasons": [shown(reason) for reason in made.verdict_reasons],
             "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
-            "headlines": [[shown(label), text] for label, text in every],
+            "headlines": [[shown(label), text, shown(key)] for label, text, key in every],
             "curves": _curves(made),
             "spec": yaml_text(data),
         }

@@ -12,11 +12,11 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import plus_minus
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size

@@ -8,11 +8,11 @@ from types import MethodType
 
 import numpy as np
 
-from mbdkit.archive.headlines import excluded_words, plus_minus
+from mbdkit.archive.headlines import excluded_words
 from mbdkit.archive.result_seams import run_attribute, summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
-from mbdkit.base.text import listed, table
+from mbdkit.base.text import listed, plus_minus, table
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
 from markupsafe import Markup
+
+from mbdkit.base.text import plus_minus
 
 
 @dataclass(frozen=True)
@@ -26,6 +29,37 @@ def columns_of(headings: str) -> tuple[Column, ...]:
 
 
 Cell = str | int | float | bool | None
+
+
+class Stated(float):
+    """A number as a cell of a table, with its text and its id, which is the same in every output."""
+
+    text: str
+    id: str
+
+    @classmethod
+    def of(cls, value: float, text: str, key: str) -> Stated:
+        """Return the number `value` with a text and its id `key`."""
+        found = cls(value)
+        found.text, found.id = text, key
+        return found
+
+
+Ends = tuple[float, float] | None  #: Ends of a bar below and above a number; None or nan if they are unknown.
+
+
+def bar_columns(what: str, unit: str, bars: Iterable[Ends]) -> list[Column]:
+    """Return the columns of bars of a number that is called `what`: one, or two if a bar has two different ends."""
+    is_even = all(bar is None or bar[0] == bar[1] or math.isnan(bar[0] + bar[1]) for bar in bars)
+    return [Column(f"{sign} of {what}", unit) for sign in (("\u00b1",) if is_even else ("-", "+"))]
+
+
+def bar_cells(value: float, bar: Ends, key: str, columns: int = 1) -> list[Cell]:
+    """Return a number with the digits that its bar justifies, and its bar in one or two columns."""
+    if bar is None or math.isnan(bar[0] + bar[1]):
+        return [value, *[None] * columns]
+    ends = [Stated.of(end, plus_minus(0.0, end).rpartition(" ")[2], key) for end in bar[:columns]]
+    return [Stated.of(value, plus_minus(value, bar).partition(" ")[0], key), *ends]
 
 
 @dataclass(frozen=True)

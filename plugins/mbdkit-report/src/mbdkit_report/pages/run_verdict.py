@@ -94,7 +94,7 @@ def _trust(run: Run) -> Claim:
 
 def _accuracy(run: Run) -> list[Claim]:
     accuracy = run.accuracy
-    told = run.errors.sentence(with_force=bool(run.measures))
+    told = run.errors.sentence(with_force=False)
     if accuracy is None or not told:
         return []
     answer = Answer.YES if accuracy.is_complete else Answer.PARTLY if accuracy.rows_known else Answer.NO

@@ -25,6 +25,8 @@ from mbdkit_report import (
     Table,
     View,
     bands,
+    bar_cells,
+    bar_columns,
     columns_of,
     short_name,
     svg_of,
@@ -146,10 +148,11 @@ def _contact_chart(run: Run) -> list[Figure]:
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
-    columns = columns_of(
-        "joint or actuator; kind; unit; peak; error of the peak; rms; impulse; loading rate; largest power [W]; "
-        "least power [W]; "
-        "work done [J]; work absorbed [J]"
+    bars = bar_columns("the peak", "", [one.load.peak_error for one in elements])
+    columns = (
+        *columns_of("joint or actuator; kind; unit; peak"),
+        *bars,
+        *columns_of("rms; impulse; loading rate; largest power [W]; least power [W]; work done [J]; work absorbed [J]"),
     )
     rows: list[tuple[Cell, ...]] = []
     for element in elements:
@@ -162,8 +165,7 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
                 element.name,
                 element.kind,
                 load.units,
-                load.peak,
-                load.peak_error,
+                *bar_cells(load.peak, load.peak_error, load.id, len(bars)),
                 load.rms,
                 load.impulse,
                 load.loading_rate,
@@ -255,7 +257,14 @@ def _disagreement(run: Run) -> Section:
 def workload_view(found: Workload) -> View:
     """Return the view of a workload."""
     rows: list[tuple[Cell, ...]] = [
-        (element.name, element.kind, load.units, load.peak, load.peak_error, load.peak_time, load.impulse)
+        (
+            element.name,
+            element.kind,
+            load.units,
+            *bar_cells(load.peak, load.peak_error, load.id),
+            load.peak_time,
+            load.impulse,
+        )
         for element in found.elements
         for load in (element.load, element.torque)
         if load is not None

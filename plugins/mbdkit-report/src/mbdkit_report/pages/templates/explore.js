@@ -81,10 +81,11 @@ function show(answer) {
   shown = answer;
   verdict.textContent = [`Verdict: ${answer.verdict}`, ...answer.reasons].join(". ");
   verdict.className = `verdict ${answer.tone}`;
-  headlines.replaceChildren(...answer.headlines.map(([name, text]) => {
+  headlines.replaceChildren(...answer.headlines.map(([name, text, id]) => {
     const item = document.createElement("div"), term = document.createElement("dt"), number = document.createElement("dd");
     term.textContent = name;
     number.textContent = text;
+    number.dataset.id = id;
     item.append(term, number);
     return item;
   }));
