@@ -22,12 +22,16 @@ def archive_export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json; or a format of a plugin.",
+            help="csv; parquet (needs the package pyarrow); xlsx: Excel (needs XlsxWriter); mat: MATLAB; sto: OpenSim; "
+            "json; or a format of a plugin.",
         ),
     ],
     output: Annotated[
         Path | None,
-        output_to("DIR", "Folder of the files, which is created; by default FILE-FORMAT, such as knee-csv."),
+        output_to(
+            "DIR",
+            "Folder of the files, which is created, or the workbook; by default knee-csv or knee.xlsx for knee.h5.",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -35,7 +39,8 @@ def archive_export(
 ) -> None:
     """Export a run, or the table of the runs of a study.
 
-    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT.
+    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT or,
+    in a workbook (xlsx), a sheet.
     Groups are trajectory, joints, forces, markers, constraints, energy, steps, events and
     accuracy, as far as the archive contains them. Columns are named as in expressions of
     events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT, with
@@ -45,9 +50,9 @@ def archive_export(
     from mbdkit.archive.result_seams import exported_files
     from mbdkit.registry.feature_items import FileFormat
     from mbdkit.registry.manager import registry
-    from mbdkit_report.export import export
+    from mbdkit_report.export import default_output, export
 
-    folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
+    folder = output if output is not None else default_output(archive, to)
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
     kind = FileFormat.of_folder(archive, formats) if archive.is_dir() else None
     if kind is not None and kind.export is not None:

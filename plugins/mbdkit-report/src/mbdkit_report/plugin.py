@@ -66,6 +66,14 @@ def mbdkit_items() -> Iterable[Item]:
             write=Target("mbdkit_report.table_formats:write_parquet"),
         ),
         TableFormat(
+            name="xlsx",
+            summary="Excel workbook with a sheet for each group.",
+            order=15,
+            suffix=".xlsx",
+            write_all=Target("mbdkit_report.workbook:write_xlsx"),
+            needs="xlsxwriter",
+        ),
+        TableFormat(
             name="mat",
             summary="MATLAB.",
             order=20,

@@ -49,6 +49,8 @@ class ReportPage:
         Labels and texts of remarks on single runs, which are folded below the headlines, and their title.
     tone
         Colour of the first headline, which is the verdict: ``good``, ``warn`` or ``alarm``; empty without a colour.
+    glance
+        Section above all others: the question, the doubt, and a drawing; None if there is none.
     films
         Data of the animations, as returned by `film_data`.
     failures
@@ -79,6 +81,7 @@ class ReportPage:
     sections: tuple[Section, ...] = ()
     beside_verdict: tuple[str, ...] = ()
     begins_with_verdict: bool = False
+    glance: Section | None = None
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = _NO_FAILURES
 
@@ -87,6 +90,7 @@ class ReportPage:
         """Anchor and title of each section, in order."""
         parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
         results = [
+            ("glance", "At a glance", self.glance is not None),
             ("motion", "Motion", bool(self.films)),
             *((anchor, title, not given) for anchor, title, given in parts),
         ]
@@ -213,6 +217,7 @@ def chart_data(chart: Figure) -> dict[str, Any]:
     """Return the JSON data of a chart."""
     return {
         "name": chart.name,
+        "title": chart.title,
         "x": _axis_data(chart.x),
         "y": _axis_data(chart.y),
         "equal": chart.equal,

@@ -155,10 +155,12 @@ class Stage {
       this.stroke(colors.edge, 1, () => pen.rect(0, 0, width, height));
       pen.clip();
       this.grid(false);
+      this.named = k === 0;
       this.paint(frame, true, 1);
       this.write([[`t = ${Number(this.film.time[frame].toPrecision(4))} s`, 6, 15]], colors.ink);
       pen.restore();
     });
+    this.named = true;
     return this.spacing();
   }
 
@@ -189,7 +191,10 @@ class Stage {
     const { world, film } = this;
     for (const [text, color, first, second, share, right, down] of film.names) {
       const [x, y] = [0, 1].map(k => world[2 * first + k] + share * (world[2 * second + k] - world[2 * first + k]));
-      if (Number.isFinite(x + y)) this.write([[text, this.X(x) + right, this.Y(y) + down + 4]], this.color(color));
+      const size = this.width < 300 ? 0.75 : 1;
+      if (Number.isFinite(x + y)) {
+        this.write([[text, this.X(x) + size * right, this.Y(y) + size * down + 4]], this.color(color), 12 * size);
+      }
     }
   }
 
@@ -216,9 +221,9 @@ class Stage {
   }
 
   /* Write labels [text, x, y], with a rim in the colour of the background. */
-  write(labels, color) {
+  write(labels, color, size = 12) {
     const { pen } = this;
-    pen.font = "12px system-ui, sans-serif";
+    pen.font = `${size}px system-ui, sans-serif`;
     pen.fillStyle = color;
     pen.strokeStyle = this.colors.paper;
     pen.lineWidth = 4;
