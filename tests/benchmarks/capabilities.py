@@ -359,13 +359,15 @@ def tables(found: dict[str, dict[str, str]]) -> str:
     reasons: dict[str, int] = {}
     lines = []
     for group, columns in GROUPS.items():
-        lines += [f"## {group}", "", f"| method | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
+        lines += [f"## {group}", "", f"| methods | {' | '.join(columns)} |", f"|---|{'---|' * len(columns)}"]
+        rows: dict[str, list[str]] = {}  # methods by their cells
         for label, results in found.items():
-            cells = [label]
+            cells = []
             for answer in (results[name] for name in columns):
                 word = "wrong" if answer.startswith("wrong: ") else "no"
                 cells += [answer if answer == "yes" else f"{word} {reasons.setdefault(answer, len(reasons) + 1)}"]
-            lines += [f"| {' | '.join(cells)} |"]
+            rows.setdefault(" | ".join(cells), []).append(label)
+        lines += [f"| {', '.join(labels)} | {cells} |" for cells, labels in rows.items()]
         lines += [""]
     return "\n".join([*lines, "## Reasons", "", *(f"{number}. {reason}" for reason, number in reasons.items()), ""])
 
