@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -72,18 +72,26 @@ def evidence_file(origin: Origin) -> Path:
 @cache
 def code_digest(origin: Origin) -> str:
     """Return the digest of all files of the package of a plugin; of mbdkit, those that its methods consist of."""
-    code, lines = code_of(origin), list[str]()
-    if origin.distribution == MBDKIT:
-        built = machine_code.manifest().get("files", {})  # whose digests are known, because stored code depends on them
-        lines += [f"{name} {machine_code.digest(name)}" for name in built]
-        lines += _lines(str(_OWN), *(name for name in _files(str(_OWN), *_OWN_CODE) if name not in built))
-        if code != _OWN:
-            lines += _lines(str(code), *_files(str(code)))
-    elif code.is_dir():
-        lines += _lines(str(code), *_files(str(code), suffix=""))
-    elif code.exists():
-        lines += _lines(str(code.parent), code.name)
-    return hashlib.sha256("\n".join(sorted({*lines})).encode()).hexdigest()
+    code = code_of(origin)
+    if origin.distribution != MBDKIT:
+        return digest_of(code)
+    built = machine_code.manifest().get("files", {})  # whose digests are known, because stored code depends on them
+    lines = [f"{name} {machine_code.digest(name)}" for name in built]
+    lines += _lines(str(_OWN), *(name for name in _files(str(_OWN), *_OWN_CODE) if name not in built))
+    if code != _OWN:
+        lines += _lines(str(code), *_files(str(code)))
+    return _joined(lines)
+
+
+def digest_of(code: Path) -> str:
+    """Return the digest of all files of a package, or of a module that is not in a package."""
+    if code.is_dir():
+        return _joined(_lines(str(code), *_files(str(code), suffix="")))
+    return _joined(_lines(str(code.parent), code.name) if code.exists() else ())
+
+
+def _joined(lines: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(sorted(lines)).encode()).hexdigest()
 
 
 def _lines(folder: str, *names: str) -> Iterator[str]:
@@ -126,7 +134,9 @@ def read_records(path: Path) -> Sequence[Mapping[str, Any]]:
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("format_version") != FORMAT_VERSION:
         raise ValueError(f"it is not in version {FORMAT_VERSION} of the format {FORMAT}")
     try:
-        kinds: dict[str, type] = dict.fromkeys(("kind", "name", "version", "digest", "mbdkit", "date"), str)
+        kinds: dict[str, type] = dict.fromkeys(
+            ("kind", "name", "distribution", "version", "digest", "mbdkit", "date"), str
+        )
         kinds |= {"options": dict, "checks": dict, "claims": dict, "failed": list, "skipped": list, "quick": bool}
         if all(isinstance(record[key], kind) for record in data["records"] for key, kind in kinds.items()):
             return tuple(data["records"])

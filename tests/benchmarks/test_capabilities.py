@@ -34,7 +34,7 @@ def test_all_methods_of_the_core_are_in_all_tables_and_no_result_is_wrong() -> N
 
 
 @pytest.mark.parametrize("method", ["rk4", "rattle", "scipy-dop853"])
-@pytest.mark.parametrize("capability", ["states", "events", "index-3", "`interval`", "resumption"])
+@pytest.mark.parametrize("capability", ["states", "events", "`interval`", "resumption"])
 def test_cells_are_still_true(method: str, capability: str) -> None:
     assert tried(Member(method, method), capability) == stored(method)[capability]
 

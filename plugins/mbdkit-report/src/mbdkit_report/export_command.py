@@ -12,7 +12,30 @@ import typer
 from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.run import Run
 from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import Debug, Overwrite, Quiet, output_to
+from mbdkit.cli.common_options import Archives, Debug, Overwrite, Quiet, output_to
+
+
+def archive_crate(
+    archives: Archives,
+    output: Annotated[Path, output_to("FOLDER", "The crate, a new folder.")],
+    with_machine: Annotated[
+        bool, typer.Option("--with-machine", help="Keep what archives tell about machine and command.")
+    ] = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Write run archives as a crate for catalogues and repositories.
+
+    The folder follows the RO-Crate profile Process Run Crate: copies of the archives, and
+    of each the spec, a report with figures and the evidence of its method, with digests,
+    versions of the software, references (BibTeX) and CodeMeta. Creator and licence are
+    those of `meta` in the spec. `mbdkit archive check FOLDER` verifies it.
+    """
+    from mbdkit_report.crate import write_crate
+
+    write_crate(archives, output, with_machine=with_machine)
+    if not quiet:
+        show(output)
 
 
 def archive_export(

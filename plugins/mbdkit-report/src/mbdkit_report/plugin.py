@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.registry.feature_items import Accessor, Example, GuidePage, PlotKind, ReportSection, TableFormat
+from mbdkit.registry.feature_items import Accessor, Example, FileFormat, GuidePage, PlotKind, ReportSection, TableFormat
 from mbdkit.registry.hookspecs import hookimpl
 from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
@@ -37,6 +37,20 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_report.export_command:archive_export"),
             group="archive",
             order=40,
+        ),
+        Command(
+            name="crate",
+            summary="Write run archives as a crate for catalogues (RO-Crate).",
+            target=Target("mbdkit_report.export_command:archive_crate"),
+            group="archive",
+            order=55,
+        ),
+        FileFormat(
+            name="crate",
+            summary="A crate of archives for catalogues.",
+            order=500,
+            file="ro-crate-metadata.json",
+            problems=Target("mbdkit_report.crate:crate_problems"),
         ),
         Command(
             name="plot",

@@ -149,6 +149,47 @@ def plugins_verify(
         raise typer.Exit(terminal.NOT_VERIFIED)
 
 
+def plugins_matrix(
+    output: Annotated[Path, output_to("FOLDER", "Folder for matrix.html, matrix.csv and matrix.json.")],
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="NAME", help="Verify this plugin or distribution now; may be repeated."),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Verify what this evidence is about again, and show what is broken."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Draw what was observed of all installed plugins, side by side.
+
+    The figures are those of recorded evidence: see `mbdkit plugins verify --record`.
+    With --against, the matrix has only the plugins in that file, as they are now;
+    exit status 1 if a check that passed then fails now.
+    """
+    from mbdkit_testing import matrix
+
+    matrix.check_files(output, overwrite=overwrite)
+    notify = silence if quiet else say
+    if against is None:
+        items = [item for name in names or () for item in describe.find_to_verify(name)]
+        rows = matrix.recorded_rows([matrix.verified_row(item, {}, quick=quick) for item in items])
+    else:
+        rows = matrix.rows_against(against, quick=quick, watch=notify)
+    matrix.write_matrix(rows, output)
+    broken = [f"{row.id}: {sentence}" for row in rows for sentence in row.broken]
+    if as_json:
+        show_json({"path": str(output), "rows": len(rows), "broken": broken})
+    elif not quiet:
+        show("\n".join([*broken, str(output / "matrix.html")]))
+    if broken:
+        raise typer.Exit(terminal.NOT_VERIFIED)
+
+
 def plugins_new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Name of the distribution, such as mbdkit-rocket.")],
     kind: Annotated[NewKind, typer.Option("--kind", metavar="KIND", help=f"Kind of plugin: {listed(KINDS)}.")],

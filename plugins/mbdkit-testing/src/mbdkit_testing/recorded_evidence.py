@@ -26,6 +26,7 @@ from mbdkit_testing.check_result import Figure, Report
 #: Kinds of plugins of which all items are verified if the name of their distribution is given.
 KINDS: tuple[Kind, ...] = ("integrator", "force-law", "element-kind", "joint-kind", "model", "measure")
 _KIT = Origin("mbdkit-testing", "", "kit = mbdkit_testing")
+_PACKAGE = "PACKAGE"  #: Stands for the folder of the package in options that are paths.
 _OF_MACHINE = ("us_per_step", "stopped_at_s")  #: Figures that differ from one run to the next.
 
 Record = dict[str, Any]
@@ -41,8 +42,9 @@ def record_of(item: Registered, report: Report, *, quick: bool) -> Record:
             checks[result.name] = {key: value for key, value in entry.items() if value}
     record: Record = {
         "kind": item.kind,
+        "distribution": item.origin.distribution,
         "name": item.name,
-        "options": report.options,
+        "options": _moved(report.options, str(method_evidence.code_of(item.origin)), _PACKAGE),
         "version": item.origin.version,
         "digest": code_digest(item.origin),
         "mbdkit": own_version(),
@@ -60,6 +62,19 @@ def record_of(item: Registered, report: Report, *, quick: bool) -> Record:
     }
     record = json.loads(json.dumps(record))  # tuples become lists
     return record | {"sha256": seal_of(record)}
+
+
+def _moved(options: Mapping[str, Any], folder: str, other: str) -> dict[str, Any]:
+    """Return options in which the paths of files in a folder are those in another one."""
+    return {
+        key: other + value.removeprefix(folder) if isinstance(value, str) and value.startswith(folder) else value
+        for key, value in options.items()
+    }
+
+
+def options_of(item: Registered, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options of a record."""
+    return _moved(record["options"], _PACKAGE, str(method_evidence.code_of(item.origin)))
 
 
 def _few_digits(value: Figure) -> Figure:
@@ -98,7 +113,7 @@ def place_of_evidence(items: Sequence[Registered], output: Path | None) -> Path:
 
 def recorded_options(item: Registered, path: Path) -> list[dict[str, Any]]:
     """Return the options with which an item was verified, its defaults first."""
-    known = [dict(one["options"]) for one in _known(path) if (one["kind"], one["name"]) == (item.kind, item.name)]
+    known = [options_of(item, one) for one in _known(path) if (one["kind"], one["name"]) == (item.kind, item.name)]
     return known or [{}]
 
 

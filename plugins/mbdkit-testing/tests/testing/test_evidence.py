@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +20,11 @@ from mbdkit.registry.catalogue import Origin, Registered
 from mbdkit.registry.items import IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.runs import method_evidence
-from mbdkit.runs.method_evidence import FILE, code_digest, evidence_file, evidence_of, read_records
+from mbdkit.runs.method_evidence import FILE, code_digest, digest_of, evidence_file, evidence_of, read_records, seal_of
 from mbdkit.spec import load_spec
 from mbdkit_testing.check_result import Report, failed, passed
 from mbdkit_testing.recorded_evidence import record_of, write_records
+from tests.first_party import ROOT
 from tests.installing import install_module, python
 
 CODE = "WEIGHT = 0.25\n"
@@ -151,6 +153,23 @@ def test_a_method_of_an_edited_checkout_is_not_doubted(monkeypatch: pytest.Monke
     spec = load_spec("pendulum")
     assert not [*method_evidence.method_evidence(spec, ())]
     method_evidence.forget()
+
+
+DISTRIBUTIONS = sorted(ROOT.glob("plugins/*/pyproject.toml"))
+
+
+@pytest.mark.parametrize("project", DISTRIBUTIONS, ids=lambda path: path.parent.name)
+def test_the_evidence_of_a_distribution_is_of_its_code(project: Path) -> None:
+    """`mbdkit plugins verify DISTRIBUTION --record` renews it."""
+    known = tomllib.loads(project.read_text(encoding="utf-8"))["project"]
+    package = project.parent / "src" / project.parent.name.replace("-", "_")
+    records = read_records(package / FILE)
+    assert records
+    for record in records:
+        assert record["digest"] == digest_of(package)
+        assert record["sha256"] == seal_of(record)
+        assert (record["distribution"], record["version"]) == (known["name"], known["version"])
+        assert record["verified"]
 
 
 @pytest.mark.end_to_end
