@@ -1,4 +1,4 @@
-"""Newcomers find answers: the table has questions in their words, the page that answers each, and words of the answer."""
+"""Newcomers find answers: the table has questions in their words, the page of each, and words of the answer."""
 
 from __future__ import annotations
 
