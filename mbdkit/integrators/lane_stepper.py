@@ -115,7 +115,9 @@ class LaneStepper:
             lane = 0
             for _, alike in groupby(topologies, key=id):  # idle lanes repeat the first run
                 count = len(same := [*alike])
-                fill_lanes(c.top, slice(lane, lane + count), same[0])
+                loaded = self._topologies[lane : lane + count]
+                known = loaded[0] if all(one is loaded[0] for one in loaded) else None
+                fill_lanes(c.top, slice(lane, lane + count), same[0], known)
                 lane += count
             self._topologies = [*topologies]
         _put(c.q, [start.q0 for start in starts])
@@ -168,10 +170,9 @@ class LaneStepper:
             See `LaneResults.work`.
         """
         c, count = self.run, len(counters)
-        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.worst, c.row_interval)
-        time, q, v, z, energy, *observed, worst, iterations = (
-            by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
-        )
+        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
+        last = int(rows.max())
+        time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
         for lane, guards in enumerate(self._guards[:count]):
             for name in ("kinetic", "jump", "jump_time"):
                 getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
@@ -179,7 +180,19 @@ class LaneStepper:
         counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T.tolist(), strict=False))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
-            lost, time, q, v, z, energy, Observed(*observed), worst, iterations, rows, work, evidence, counted
+            lost,
+            time,
+            q,
+            v,
+            z,
+            energy,
+            Observed(*observed),
+            by_run(c.worst, count),
+            iterations,
+            rows,
+            work,
+            evidence,
+            counted,
         )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from mbdkit.base.traced_numbers import as_float, largest, smallest
+from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -34,3 +35,13 @@ def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float,
     for elements in mechanism.elements.values():
         for element in elements.values():
             yield from element.extent_points()
+
+
+def size_at_given_positions(mechanism: Mechanism) -> float:
+    """Return the size of a mechanism if its bodies are where the mechanism places them, with the bits of
+    `mbdkit.mechanism.size.mechanism_size`.
+    """
+    ground = Body(mass=1.0, inertia=1.0)
+    attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
+    centres = [body.position for body in mechanism.bodies.values()]
+    return extent([*centres, *(mechanism.bodies.get(body, ground).to_global(point) for _, body, point in attachments)])

@@ -6,7 +6,7 @@ A conclusion depends on nothing else, so that it is the same for simulated runs,
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -118,12 +118,12 @@ def conclude(runs: Sequence[EndedRun], extremes: Extremes) -> list[Ending]:
     return endings
 
 
-def log_end(spec: RunSpec, ending: Ending) -> None:
-    """Log status and verdict of a run, and its work."""
+def log_end(spec: Callable[[], RunSpec], ending: Ending) -> None:
+    """Log status and verdict of a run, and its work; `spec` is called if its name is logged."""
     message = f"{ending.status}: {ending.reason.removeprefix('interrupted: ')}" if ending.reason else ending.status
     level = logging.WARNING if ending.status == "failed" else logging.INFO
     if _LOG.isEnabledFor(level):
-        _LOG.log(level, "run %s ends: %s, verdict %s", spec.run_id(), message, ending.judgement.level)
+        _LOG.log(level, "run %s ends: %s, verdict %s", spec().run_id(), message, ending.judgement.level)
     _LOG.debug("counters and timings: %s", ending.stats)
 
 

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -55,9 +56,13 @@ MOST_GROUPS = 8
 
 @dataclass(eq=False)
 class LaneMember:
-    """A prepared run that can be vectorized."""
+    """A prepared run that can be vectorized.
 
-    spec: RunSpec
+    If `varied` is given, `settings` is the spec of a run that differs in numbers of its model only, and `varied`
+    returns the spec of this run.
+    """
+
+    settings: RunSpec
     method: Method
     start: MechanismAtStart
     table: Timetable
@@ -66,13 +71,20 @@ class LaneMember:
     findings: tuple[Finding, ...]
     topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
     seconds: float = 0.0  #: Wall time of the preparation [s].
+    varied: Callable[[], RunSpec] | None = None
+    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end.
+
+    @property
+    def spec(self) -> RunSpec:
+        """The spec of the run."""
+        return self.settings if self.varied is None else self.varied()
 
     @property
     def key(self) -> tuple[object, ...]:
         """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
         steps = table.interval if self.method.traits.tolerances else table.steps
-        return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
+        return self.topology, self.method, pivots, steps, table.every, self.settings.output.recorded
 
 
 @dataclass(frozen=True)
@@ -158,8 +170,8 @@ class LaneRuns:
 
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
         self._measures = measures
-        self._groups: dict[tuple[object, ...], _Group] = {}
-        self.starts, self._pivots = starts, PivotsAtStart()
+        self._groups: dict[tuple[object, ...], LaneGroup] = {}
+        self.starts, self.pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
         self._table: tuple[tuple[object, ...], Timetable] | None = None
@@ -222,7 +234,7 @@ class LaneRuns:
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
             return None
-        pivots = self._pivots.of(method, start, table)
+        pivots = self.pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, found, self._topology_of(start.mechanism))
 
@@ -251,7 +263,7 @@ class LaneRuns:
         for place, member in enumerate(members):
             groups[member.key].append(place)
         for key, places in groups.items():
-            group = self._group(key, members[places[0]])
+            group = self.group(members[places[0]], key)
             if members[places[0]].method.traits.tolerances:
                 places = _by_cost(members, places)
             for first in range(0, len(places), WIDTH):
@@ -260,7 +272,7 @@ class LaneRuns:
                 # is slow on some systems.
                 begin, cpu = time.perf_counter(), time.process_time()
                 results = [
-                    None if run is None else _with_functionals(run, members[place], self._measures)
+                    None if run is None else with_functionals(run, members[place], self._measures)
                     for place, run in zip(some, group.finished([members[place] for place in some]), strict=True)
                 ]
                 all_stats: list[Any] = [run.stats for run in results if run is not None]
@@ -270,20 +282,21 @@ class LaneRuns:
                     stats.update(wall_s=spent[0] / len(some), cpu_s=spent[1] / len(some))
                 yield list(zip(some, results, strict=True))
 
-    def _group(self, key: tuple[object, ...], first: LaneMember) -> _Group:
-        group = self._groups.pop(key, None) or _Group(first)
+    def group(self, first: LaneMember, key: tuple[object, ...]) -> LaneGroup:
+        """Return the group of runs with the key of `first`."""
+        group = self._groups.pop(key, None) or LaneGroup(first)
         self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
         if len(self._groups) > MOST_GROUPS:
             self._groups.pop(next(iter(self._groups)))
         return group
 
 
-def _with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
+def with_functionals(run: FinishedRun, member: LaneMember, measures: Sequence[str]) -> FinishedRun:
     """Return a run to which the extrema and values that its measures need have been added.
 
     They are computed from the rows of the run, which are the ends of all steps.
     """
-    start, functionals = member.start, functionals_of(member.spec, measures)
+    start, functionals = member.start, functionals_of(member.settings, measures)
     if not functionals:
         return run
     time = run.arrays["trajectory/time"] if "trajectory/time" in run.arrays else run.arrays["time"]
@@ -338,7 +351,7 @@ def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     return LaneStepper(method, workspace, 1 + -(-first.table.steps // first.table.every), first.pivots)
 
 
-class _Group:
+class LaneGroup:
     """Runs of one mechanism and method that differ in numbers only.
 
     Parameters
@@ -348,7 +361,7 @@ class _Group:
     """
 
     def __init__(self, first: LaneMember):
-        mechanism, spec = first.start.mechanism, first.spec
+        mechanism, spec = first.start.mechanism, first.settings
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
         self.stepper = _stepper(first, workspace)
@@ -361,17 +374,31 @@ class _Group:
 
     def finished(self, members: Sequence[LaneMember]) -> list[FinishedRun | None]:
         """Carry out at most `WIDTH` runs of the group together."""
-        starts, tables = [one.start for one in members], [one.table for one in members]
-        results = self.stepper.advance(starts, tables, [one.pivots for one in members])
-        states = self._states(results)
-        lost = results.lost | self._beyond_limits(results, [table.guards for table in tables])
+        results = self.results(members)
+        return self.concluded(members, results, self.lost(members, results))
+
+    def results(self, members: Sequence[LaneMember]) -> LaneResults:
+        """Take the steps of at most `WIDTH` runs of the group together."""
+        starts, tables, pivots = zip(*((one.start, one.table, one.pivots) for one in members), strict=True)
+        return self.stepper.advance(starts, tables, pivots)
+
+    def lost(self, members: Sequence[LaneMember], results: LaneResults) -> np.ndarray:
+        """Return (W,) whether a run must be repeated alone."""
+        return results.lost | self._beyond_limits(results, [one.table.guards for one in members])
+
+    def concluded(
+        self, members: Sequence[LaneMember], results: LaneResults, lost: np.ndarray
+    ) -> list[FinishedRun | None]:
+        """Return the runs of which these are the results; None for each that must be repeated alone."""
         if np.all(lost):
             return [None] * len(members)
+        tables, states = [one.table for one in members], self._states(results)
         with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
             arrays = {key: self._by_run(one.take(states), key, len(members)) for key, one in self.recorded.items()}
             intervals = self._intervals(tables, results)
             extremes = self._extremes(results, states)
-            digests = self.hash.shared_digests(arrays | intervals) if results.work is None else {}
+            is_shared = results.work is None and len(members) > 1
+            digests = self.hash.shared_digests(arrays | intervals) if is_shared else {}
         ended: dict[int, EndedRun] = {}
         for lane in np.flatnonzero(~lost).tolist():
             member, watched = members[lane], self._watched(members[lane], results, lane, extremes.energies[lane])
@@ -380,18 +407,18 @@ class _Group:
                 ended[lane] = EndedRun(
                     mechanism=member.start.mechanism,
                     size=member.size,
-                    doubts=Doubts.of(found, member.spec.accept),
+                    doubts=Doubts.of(found, member.settings.accept),
                     warnings=tuple(map(str, found)),
                     counters=results.counters[lane],
                     pivotings=int(member.pivots is not None),
                     timings={"setup_s": member.seconds},
-                    finer=member.spec.finer,
+                    finer=member.settings.finer,
                 )
         endings = conclude([*ended.values()], extremes.of_runs([*ended]))
         finished: list[FinishedRun | None] = [None] * len(members)
         for lane, ending in zip(ended, endings, strict=True):
             begin, rows, start = time.perf_counter(), int(results.rows[lane]), members[lane].start
-            log_end(members[lane].spec, ending)
+            log_end(partial(getattr, members[lane], "spec"), ending)
             own = {key: values[lane, :rows] for key, values in arrays.items()}
             own |= {key: values[lane, : rows - 1] for key, values in intervals.items()}
             own |= start_settings(start.mechanism, members[lane].table.start)
@@ -407,6 +434,8 @@ class _Group:
         self, member: LaneMember, results: LaneResults, lane: int, energies: EnergyRecord
     ) -> list[Finding] | None:
         """Return what is found in the recorded states of a run; None if it stops where a law leaves its range."""
+        if not member.watched:
+            return []
         mechanism, rows, spec = member.start.mechanism, int(results.rows[lane]), member.spec
         ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
         if ranges is not None:

@@ -348,7 +348,7 @@ class SimulatedRun:
         )
         worst = np.zeros(len(self.workspace.mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs
         (ending,) = conclude([ended], record.recorder.extremes(worst, steps))
-        log_end(spec, ending)
+        log_end(lambda: spec, ending)
         ending = replace(ending, accuracy=accuracy, integrals=totals, cause=self.cause, tables=self.request.tables)
         if self.request.becomes_run:
             return finish(record.writer, spec, ending, gradients=self.gradients)
