@@ -7,9 +7,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import methodcaller
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -350,25 +351,35 @@ class NotStoredError(NotRecordedError):
         )
 
 
-class LateValues(Mapping[str, str]):
-    """Texts by name, some of which are functions that are called when the text is needed first."""
+class _Spec:
+    """A spec, or what a function returns when it is needed first."""
 
-    def __init__(self, **values: str | Callable[[], str]):
-        self._values = values
+    def __init__(self, given: RunSpec | PlainSpec | Callable[[], RunSpec]):
+        self._given = given
+
+    @cached_property
+    def spec(self) -> RunSpec | PlainSpec:
+        """The spec."""
+        return self._given() if callable(self._given) else self._given
+
+
+class LateTexts(Mapping[str, str]):
+    """Texts by name; those that are functions of the spec are computed when they are needed first."""
+
+    def __init__(self, texts: dict[str, Any], spec: _Spec):
+        self._texts, self._spec = texts, spec
 
     def __getitem__(self, name: str) -> str:
-        self._values[name] = value = _value(self._values[name])
-        return value
+        text = self._texts[name]
+        if callable(text):
+            self._texts[name] = text = text(self._spec.spec)
+        return str(text)
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
+        return iter(self._texts)
 
     def __len__(self) -> int:
-        return len(self._values)
-
-
-def _value(given: Any) -> Any:
-    return given() if callable(given) else given
+        return len(self._texts)
 
 
 class ArrayContents(RunContents):
@@ -382,8 +393,8 @@ class ArrayContents(RunContents):
     - `measured`: values of the measures in the spec.
     - `gradients`: gradients of the measures as JSON; empty if there are none.
 
-    The results of a run that is complete, its spec, run_id, the time of its creation and its provenance may be
-    functions, which are called when their values are needed; that of the spec several times.
+    The results of a run that is complete, and its spec, may be functions, which are called once, when they are needed;
+    so may run_id and provenance, which are functions of the spec.
     """
 
     def __init__(
@@ -391,16 +402,16 @@ class ArrayContents(RunContents):
         finished: FinishedRun | Callable[[], FinishedRun],
         spec: RunSpec | PlainSpec | Callable[[], RunSpec],
         *,
-        run_id: str | Callable[[], str] = "",
-        created_utc: str | Callable[[], str] = "",
-        provenance: _Provenance | Callable[[], _Provenance] = MappingProxyType({}),
+        run_id: str | Callable[[RunSpec], str] = "",
+        created_utc: str = "",
+        provenance: _Provenance | Callable[[RunSpec], _Provenance] = MappingProxyType({}),
         mechanism: StoredMechanism | None = None,
         store: str = "",
         measured: MeasuredValues | None = None,
         gradients: str = "",
     ):
         self._given, self._mechanism, self._store = (finished, provenance), mechanism, store
-        self._spec_of = spec if callable(spec) else lambda: spec
+        self._spec = _Spec(spec)
         self._identified = run_id, created_utc
         self.measures = measured or MeasuredValues({}, {})
         self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
@@ -409,16 +420,13 @@ class ArrayContents(RunContents):
 
     @cached_property
     def _finished(self) -> FinishedRun:
-        return _value(self._given[0])
-
-    @property
-    def _spec(self) -> RunSpec | PlainSpec:
-        return self._spec_of()
+        finished = self._given[0]
+        return finished() if callable(finished) else finished
 
     @property
     def run_spec(self) -> RunSpec | None:  # type: ignore[override]
         """See `RunContents`."""
-        return self._spec if isinstance(self._spec, RunSpec) else None
+        return self._spec.spec if isinstance(self._spec.spec, RunSpec) else None
 
     @property
     def integrals(self) -> Integrals:  # type: ignore[override]
@@ -438,22 +446,27 @@ class ArrayContents(RunContents):
     @cached_property
     def provenance(self) -> _Provenance:  # type: ignore[override]
         """See `RunContents`."""
+        given = self._given[1]
+        entries = given(cast(RunSpec, self._spec.spec)) if callable(given) else given
         assembly = {"assembly": self._finished.assembly} if self._finished.assembly else {}
-        return ReadOnlyDict({**_value(self._given[1]), **assembly})
+        return ReadOnlyDict({**entries, **assembly})
 
     @cached_property
     def header(self) -> Header:  # type: ignore[override]
         """See `RunContents`."""
-        finished, (run_id, created_utc), spec_of = self._finished, self._identified, self._spec_of
-        attributes = LateValues(
-            format_version=layout.FORMAT_VERSION,
-            status=finished.status,
-            status_reason=finished.reason,
-            run_id=run_id,
-            created_utc=created_utc,
-            spec=lambda: spec_of().canonical_json(),
-            spec_sha256=lambda: spec_of().sha256(),
-            data_sha256=finished.data_sha256,
+        finished, (run_id, created_utc) = self._finished, self._identified
+        attributes = LateTexts(
+            {
+                "format_version": layout.FORMAT_VERSION,
+                "status": finished.status,
+                "status_reason": finished.reason,
+                "run_id": run_id,
+                "created_utc": created_utc,
+                "spec": methodcaller("canonical_json"),
+                "spec_sha256": methodcaller("sha256"),
+                "data_sha256": finished.data_sha256,
+            },
+            self._spec,
         )
         return Header.of(attributes, finished, finished.shared)
 
@@ -497,12 +510,12 @@ class ArrayContents(RunContents):
 
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
-        return self._mechanism or StoredMechanism(self._spec.mechanism())
+        return self._mechanism or StoredMechanism(self._spec.spec.mechanism())
 
     @property
     def files(self) -> Sequence[FileRead]:
         """The files that were read for the run."""
-        return self._spec.files_read
+        return self._spec.spec.files_read
 
     @cached_property
     def file(self) -> h5py.File:
@@ -511,7 +524,7 @@ class ArrayContents(RunContents):
         if self._store:
             raise NotStoredError("complete archive", self._store)
         finished, head = self._finished, self.header.attributes
-        origin = Origin.of(self._spec, self.provenance)
+        origin = Origin.of(self._spec.spec, self.provenance)
         writer = ArchiveWriter(
             None,
             finished.names,

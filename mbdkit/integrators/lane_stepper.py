@@ -112,10 +112,10 @@ class LaneStepper:
         mechanisms = [start.mechanism for start in starts]
         topologies = [one.topology for one in mechanisms]
         if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
-            lane = 0
+            before, self._topologies, lane = self._topologies, [None] * WIDTH, 0  # until all are copied
             for _, alike in groupby(topologies, key=id):  # idle lanes repeat the first run
                 count = len(same := [*alike])
-                loaded = self._topologies[lane : lane + count]
+                loaded = before[lane : lane + count]
                 known = loaded[0] if all(one is loaded[0] for one in loaded) else None
                 fill_lanes(c.top, slice(lane, lane + count), same[0], known)
                 lane += count

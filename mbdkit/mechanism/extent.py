@@ -27,7 +27,8 @@ def size_if_below(mechanism: Mechanism, limit: float) -> float:
 
 def extent(points: Sequence[tuple[float, float]]) -> float:
     """Return the longer side of the bounding box of points, parallel to the axes [m]."""
-    return as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
+    size: float = as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
+    return size
 
 
 def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
+from operator import methodcaller
 from pathlib import Path
 
 import h5py
@@ -75,14 +76,14 @@ def run_in_memory(
     - `gradients`: gradients of the measures as JSON; empty if there are none.
     - `spec`: function that returns the spec of the run when it is needed.
     """
-    own = (lambda: settings) if spec is None else lru_cache(maxsize=1)(spec)
     contents = partial(
-        ArrayContents, finished, own, run_id=lambda: own().run_id(), created_utc=created_utc,
-        provenance=lambda: provenance(own()),
+        ArrayContents, finished, settings if spec is None else spec, run_id=methodcaller("run_id"),
+        created_utc=created_utc, provenance=provenance,
     )  # fmt: skip
     if not settings.measures:
         return Run(contents())
-    return Run(contents(measured=_taken(own(), Run(contents())), gradients=gradients))
+    run = Run(contents())
+    return Run(contents(measured=_taken(run.run_spec, run), gradients=gradients))
 
 
 def _taken(spec: ModelSpec, run: Run) -> MeasuredValues:

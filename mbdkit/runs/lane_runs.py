@@ -384,7 +384,7 @@ class LaneGroup:
 
     def lost(self, members: Sequence[LaneMember], results: LaneResults) -> np.ndarray:
         """Return (W,) whether a run must be repeated alone."""
-        return results.lost | self._beyond_limits(results, [one.table.guards for one in members])
+        return np.asarray(results.lost | self._beyond_limits(results, [one.table.guards for one in members]))
 
     def concluded(
         self, members: Sequence[LaneMember], results: LaneResults, lost: np.ndarray

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ class ShortRuns:
     def __init__(self) -> None:
         self.lanes = LaneRuns(Starts(), ())
         self.work: float = 0  #: Evaluations times bodies of the latest run.
-        self._kinds: dict[tuple[Path, ...], _VariedRuns | None] = {}  # None for paths that were varied once
+        self._kinds: dict[tuple[Path, ...], VariedRuns | None] = {}  # None for paths that were varied once
 
     def run(self, spec: RunSpec) -> Run | None:
         """Return the run of a spec; None if it cannot be vectorized, or if its preparation fails."""
@@ -67,7 +68,7 @@ class ShortRuns:
         if paths not in self._kinds:
             self._kinds[paths] = None
             return None
-        kind = self._kinds.pop(paths) or _VariedRuns(self.lanes, paths, spec)
+        kind = self._kinds.pop(paths) or VariedRuns(self.lanes, paths, spec)
         self._kinds[paths] = kind
         if len(self._kinds) > MOST_KINDS:
             self._kinds.pop(next(iter(self._kinds)))
@@ -76,11 +77,21 @@ class ShortRuns:
         return run
 
 
-class _VariedRuns:
-    """Runs that differ in the numbers at some key paths; see `ShortRuns.varied`."""
+class VariedRuns:
+    """Runs that differ in the numbers at some key paths; see `ShortRuns.varied`.
 
-    def __init__(self, lanes: LaneRuns, paths: tuple[Path, ...], spec: Callable[[Sequence[float]], RunSpec]):
+    `accepts`: whether runs of a variant are to be computed, given one of them; by default, all are.
+    """
+
+    def __init__(
+        self,
+        lanes: LaneRuns,
+        paths: tuple[Path, ...],
+        spec: Callable[[Sequence[float]], RunSpec],
+        accepts: Callable[[Variant, LaneMember], bool] = lambda _, __: True,
+    ):
         self._lanes, self._spec, self._numbers = lanes, spec, VariedNumbers(paths, spec)
+        self._accepts = accepts
         self._loops: dict[Variant, _VariantLoop | None] = {}
         self.work: float = 0
 
@@ -91,9 +102,11 @@ class _VariedRuns:
             return None
         variant, values = found
         if variant not in self._loops:
-            self._loops[variant] = _VariantLoop.of(self._lanes, variant, self._spec(numbers))
+            loop = _VariantLoop.of(self._lanes, variant, self._spec(numbers))
+            self._loops[variant] = loop if loop is not None and self._accepts(variant, loop.base) else None
         loop, spec = self._loops[variant], partial(self._spec, numbers)
-        member = None if loop is None else loop.member(np.array(values), spec)
+        with np.errstate(all="ignore"):
+            member = None if loop is None else loop.member(np.array(values), spec)
         if member is None:
             return None
         member.seconds = time.perf_counter() - begin
@@ -102,15 +115,16 @@ class _VariedRuns:
         lost = group.lost([member], results)
         self.work = results.counters[0].rhs_evaluations * len(group.names.bodies)
         spent = {"wall_s": time.perf_counter() - begin - member.seconds, "cpu_s": time.process_time() - cpu}
-        concluded = partial(_concluded, group, member, results, lost, spent)
-        if lost[0] or (member.watched and concluded() is None):
+        if lost[0]:
             return None
-        return run_in_memory(concluded, member.settings, created, spec=spec)
+        concluded = partial(_concluded, group, member, results, lost, spent)
+        finished = concluded() if member.watched else concluded
+        return None if finished is None else run_in_memory(finished, member.settings, created, spec=spec)
 
 
 def _concluded(
     group: LaneGroup, member: LaneMember, results: LaneResults, lost: np.ndarray, spent: Mapping[str, float]
-) -> FinishedRun | None:
+) -> Any:  # None only for a run that is watched
     """Return the run of which these are the results; None if it must be repeated alone."""
     (run,) = group.concluded([member], results, lost)
     return None if run is None else with_functionals(replace(run, stats={**run.stats, **spent}), member, ())
@@ -120,7 +134,7 @@ class _VariantLoop:
     """What runs of a variant share: a run that was prepared in the ordinary way, and the solver of its assembly."""
 
     def __init__(self, lanes: LaneRuns, variant: Variant, base: LaneMember):
-        self._lanes, self._variant, self._base = lanes, variant, base
+        self._lanes, self._variant, self.base = lanes, variant, base
         mechanism, compiled = base.settings.mechanism(), variant.compiled
         self._has_loops = len(looped_rows(compiled)) > 0
         own = {name: variant.base[name].copy() for name in variant.places if name not in STATE}
@@ -145,7 +159,7 @@ class _VariantLoop:
 
     def member(self, values: np.ndarray, spec: Callable[[], RunSpec]) -> LaneMember | None:
         """Return a prepared run; `values` are the results of the formulas. None if its start needs assembly."""
-        variant, base = self._variant, self._base
+        variant, base = self._variant, self.base
         arrays = {name: variant.base[name].copy() for name in variant.places}
         for name, (entries, columns) in variant.places.items():
             arrays[name].reshape(-1)[entries] = values[columns]

@@ -8,6 +8,7 @@ comparisons have the same outcome; for other values, the model is built and reco
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -145,20 +146,22 @@ class VariedNumbers:
 
     def results(self, numbers: Sequence[float]) -> tuple[Variant, tuple[float, ...]] | None:
         """Return the results of the formulas for some numbers; None if there are no formulas for them."""
+        if not all(map(math.isfinite, numbers)):  # validation rejects them
+            return None
         for variant in self.variants:
             if (results := variant.formulas(*numbers)) is not None:
                 return variant, results
-        variant = self._new_variant(numbers)
-        return None if variant is None else (variant, variant.formulas(*numbers) or ())
+        made = self._new_variant(numbers)
+        return None if made is None else (made, made.formulas(*numbers) or ())
 
     def stacks(self, values: np.ndarray) -> Stacks | None:
         """Return the arrays of N mechanisms with other numbers (N, K); None if there are formulas for none of them."""
         parts: dict[Variant, tuple[list[int], list[tuple[float, ...]]]] = {}
         for member, numbers in enumerate(values.tolist()):
             if (found := self.results(numbers)) is not None:
-                members, results = parts.setdefault(found[0], ([], []))
-                members.append(member)
-                results.append(found[1])
+                part = parts.setdefault(found[0], ([], []))
+                part[0].append(member)
+                part[1].append(found[1])
         if not parts:
             return None
         members = np.concatenate([members for members, _ in parts.values()])

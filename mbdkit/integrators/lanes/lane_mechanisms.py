@@ -44,7 +44,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     )
 
 
-def fill_lanes(top: Topology, lanes: slice, topology: Topology, loaded: Topology | None) -> None:
+def fill_lanes(top: Topology, lanes: slice, topology: Topology, loaded: Topology | None = None) -> None:
     """Copy the numbers of a mechanism into some lanes; integers are the same for all lanes.
 
     Arrays that are those of `loaded`, which is in all of these lanes, are not copied again.
