@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import utc_now
+from mbdkit.base.errors import SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path
-from mbdkit.engine.assembly import search_for
-from mbdkit.engine.consistent_start import MechanismAtStart, Starts
+from mbdkit.engine.assembly import AssembledState, assemble_from, search_for
+from mbdkit.engine.compiled_mechanism import with_ground
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision
 from mbdkit.engine.lane_starts import consistent_states
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
@@ -142,20 +143,41 @@ class _VariantLoop:
         self._search = search_for(
             mechanism, replace(compiled, topology=compiled.topology._replace(**own)), base.table.start
         )
-        self._moves = not variant.places.keys() <= OF_MOTION
+        self._moves = base.start.assembled.changed or not variant.places.keys() <= OF_MOTION
 
     @classmethod
     def of(cls, lanes: LaneRuns, variant: Variant, spec: RunSpec) -> _VariantLoop | None:
-        """Return the loop of a variant; None if its runs cannot be vectorized, or need assembly at the start."""
+        """Return the loop of a variant; None if its runs cannot be vectorized, or their starts are remarkable."""
         with one_thread_of_linear_algebra():
             base = lanes.members([spec])[0]
         own = {criterion.name for _, criterion in criteria("start", spec)}
-        if base is None or base.start.assembled.changed or not own <= {"moved-start", "changed-velocities"}:
+        if base is None or base.findings != variant.findings or not own <= {"moved-start", "changed-velocities"}:
             return None
         has_motions = len(variant.compiled.topology.motion_start) > 1 or len(variant.compiled.topology.functions) > 0
         if has_motions and not variant.places.keys().isdisjoint(("motion_values", "law_parameters")):
             return None  # motions have to be checked at the start
         return cls(lanes, variant, base)
+
+    def _assembled(self, q: np.ndarray, v: np.ndarray, tolerance: float) -> AssembledState | None:
+        """Return the start of a run from given positions and velocities.
+
+        The result is None if there is no consistent state, if positions change, or if velocities change that are given,
+        about which there might be warnings.
+        """
+        (start,) = consistent_states(q[None], v[None], [tolerance], self._names, self._search)
+        if start is not None:
+            return start
+        given_q, given_v = (x.reshape(-1, 3)[:-1] for x in (q, v))
+        try:
+            with within_double_precision(), one_thread_of_linear_algebra():
+                mechanism = self.base.settings.mechanism()
+                start = assemble_from(mechanism, self._search, given_q, given_v, tolerance)
+        except SpecError:
+            return None
+        is_given = given_v != 0.0
+        is_given[:, :2] = is_given[:, :2].any(axis=1, keepdims=True)
+        is_kept = (start.q == given_q).all() and (start.v == given_v)[is_given].all()
+        return start if is_kept else None
 
     def member(self, values: np.ndarray, spec: Callable[[], RunSpec]) -> LaneMember | None:
         """Return a prepared run; `values` are the results of the formulas. None if its start needs assembly."""
@@ -169,10 +191,10 @@ class _VariantLoop:
             for name, array in arrays.items():
                 self._own[name][...] = array
             self._search.__dict__.pop("reach", None)
-            (consistent,) = consistent_states(q[None], v[None], [float(tolerance)], self._names, self._search)
-            if consistent is None:
+            if (start := self._assembled(q, v, float(tolerance))) is None:
                 return None
-            assembled = consistent
+            assembled = start
+            q, v = with_ground(start.q), with_ground(start.v)
         if (size := float(size) or float(longest)) != base.size:
             table = replace(table, guards=guards_of(base.settings, size))
         compiled, topology = variant.compiled.with_numbers(arrays, float(longest)), base.topology
@@ -182,9 +204,9 @@ class _VariantLoop:
             topology = topology_of(compiled)
             if topology != base.topology:
                 return None
-        start = MechanismAtStart(compiled, q, v, assembled)
-        pivots = self._lanes.pivots.of(base.method, start, table)
+        at_start = MechanismAtStart(compiled, q, v, assembled)
+        pivots = self._lanes.pivots.of(base.method, at_start, table)
         return LaneMember(
-            base.settings, base.method, start, table, pivots, size, variant.findings, topology, varied=spec,
+            base.settings, base.method, at_start, table, pivots, size, variant.findings, topology, varied=spec,
             watched=variant.watched,
         )  # fmt: skip
