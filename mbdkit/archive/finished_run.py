@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
+from itertools import repeat
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -147,6 +149,7 @@ class ArrayHash:
         lines += [(f"{array.path} ", array) for array in hashed]
         #: For each hashed array, in the order of their paths: lines of names that precede its line, path, key and type.
         self._arrays: list[tuple[str, str, str, str]] = []
+        self._dims = {array.key: array.dims[0] for array in hashed}
         self._rest = ""
         self._shared: dict[str, tuple[np.ndarray, str]] | None = None
         self._latest: tuple[tuple[tuple[int, ...], ...] | None, Sequence[tuple[str, str, bool]]] = None, []
@@ -192,6 +195,27 @@ class ArrayHash:
                 digests[key] = digest = sha256(text_bytes(values) if is_text else values.data).hexdigest()
             parts += before, digest
         return sha256("".join([*parts, "\n" * bool(parts), self._rest]).encode()).hexdigest()
+
+    def of_runs(
+        self, arrays: Mapping[str, np.ndarray], lengths: Mapping[str, np.ndarray], known: Mapping[str, str]
+    ) -> list[str]:
+        """Return the hashes of R runs from their contiguous arrays (R, T, ...), of which each run has some first rows.
+
+        `lengths`: (R,) numbers of rows by growing axis. `known`: digests of arrays that are equal in all runs, by key.
+        """
+        keys, count = [key for _, _, key, _ in self._arrays], len(next(iter(lengths.values())))
+        if any(np.any(lengths[self._dims[key]] != arrays[key].shape[1]) for key in keys):
+            ends = {key: lengths[self._dims[key]].tolist() for key in keys}
+            return [self.of({key: arrays[key][run, : ends[key][run]] for key in keys}) for run in range(count)]
+        digests: dict[str, Iterable[str]] = {key: repeat(digest) for key, digest in known.items()}
+        columns: list[Iterable[Any]] = []
+        for before, key, is_text in self._lines(tuple([arrays[key].shape[1:] for key in keys])):
+            if key not in digests:
+                data = map(text_bytes, arrays[key]) if is_text else arrays[key]
+                digests[key] = [sha256(values).hexdigest() for values in data]
+            columns += repeat(before), digests[key]
+        columns += repeat("\n" * bool(columns) + self._rest), range(count)
+        return [sha256("".join(parts[:-1]).encode()).hexdigest() for parts in zip(*columns, strict=False)]
 
     def _lines(self, shapes: tuple[tuple[int, ...], ...]) -> Sequence[tuple[str, str, bool]]:
         """Return, for arrays with these shapes, the text between two digests, the key, and whether the array contains

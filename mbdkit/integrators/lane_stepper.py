@@ -6,8 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import groupby
 from typing import Any
 
@@ -28,13 +28,13 @@ from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
 from mbdkit.integrators.lanes.lane_run import new_lane_run
-from mbdkit.integrators.loop.step_watch import guard_evidence
 from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
 from mbdkit.integrators.run.step_guards import new_guard_state
 from mbdkit.integrators.start import step_control
 from mbdkit.methods.kinds import Method
+from mbdkit.trust.criteria import BranchSuspicion
 
 
 @dataclass(frozen=True)
@@ -51,18 +51,62 @@ class LaneResults:
     v: np.ndarray
     z: np.ndarray  #: (W, T, Z) first-order states.
     energy: np.ndarray  #: (W, T, 2) work and dissipated energy [J].
-    observed: Observed  #: Values computed for the recorded states; arrays (W, T, ...).
     worst: np.ndarray  #: (W, P) largest squared misalignments.
     #: (W, T, 2) iterations since the previous recorded state, and the largest number of iterations in one of the
     #: steps since then.
     iterations: np.ndarray
     rows: np.ndarray  #: (W,) number of recorded states of each run.
+    observed: Observed  #: Values computed for the recorded states; arrays (W, T, ...).
     #: (W, T, 3) number of steps since the previous recorded state, size of the last step [s], and number of rejected
     #: steps; None if the steps are fixed.
     work: np.ndarray | None
-    evidence: tuple[StepEvidence, ...]
-    counters: tuple[Counters, ...]
+    counters: Mapping[str, np.ndarray]  #: (W,) counters of the runs, by the names of `Counters`.
+    #: (3, W) largest kinetic energy [J], largest change of the energy balance in a step [J], and its time [s].
+    guards: np.ndarray
+    turns: Sequence[list[list[float]]]  #: Sharp turns of each run; see `BranchSuspicion`.
 
+    def evidence_of(self, run: int) -> StepEvidence:
+        """Return the quantities observed over all steps of a run."""
+        kinetic, jump, jump_time = self.guards[:, run].tolist()
+        return StepEvidence(jump, jump_time, kinetic, tuple(BranchSuspicion(*turn) for turn in self.turns[run]))
+
+    def of(self, runs: np.ndarray) -> LaneResults:
+        """Return the results of some of the runs, given by their indices."""
+        return LaneResults(
+            *(getattr(self, name)[runs] for name in _BY_RUN),
+            Observed(*(values[runs] for values in self.observed)),
+            None if self.work is None else self.work[runs],
+            {name: values[runs] for name, values in self.counters.items()},
+            self.guards[:, runs],
+            [self.turns[run] for run in runs.tolist()],
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[LaneResults]) -> LaneResults:
+        """Return the results of several vectors; the last recorded state of shorter ones is repeated."""
+        if len(parts) == 1:
+            return parts[0]
+        count = max(part.time.shape[1] for part in parts)
+
+        def join(arrays: Sequence[np.ndarray], *, has_rows: bool = True) -> np.ndarray:
+            if has_rows:
+                short = [(array, count - array.shape[1]) for array in arrays]
+                arrays = [np.hstack([x, np.repeat(x[:, -1:], n, axis=1)]) if n else x for x, n in short]
+            return np.concatenate(arrays)
+
+        works = [part.work for part in parts if part.work is not None]
+        return cls(
+            *(join([getattr(x, name) for x in parts], has_rows=name not in _SINGLE) for name in _BY_RUN),
+            Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
+            join(works) if works else None,
+            {name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
+            np.hstack([part.guards for part in parts]),
+            [turns for part in parts for turns in part.turns],
+        )
+
+
+_BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows")
+_SINGLE = ("lost", "worst", "rows")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
 
 AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
 
@@ -103,8 +147,8 @@ class LaneStepper:
         self._load_pivots(pivots, lanes)
         self._in_lanes.drive(self._pinned.address)
         steps = int(self.run.times.steps[0])
-        made = [Counters(steps=steps, accepted=steps)] * count
-        return self.results(made, np.full(count, len(self.run.row_time)))
+        made = np.full(count, steps)
+        return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
 
     def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
         """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
@@ -157,49 +201,43 @@ class LaneStepper:
             getattr(times, name)[0] = [getattr(table, name) for table in tables]
         times.steps[0] = tables[0].steps
 
-    def results(self, counters: Sequence[Counters], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
+    def results(self, steps: Mapping[str, np.ndarray], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
         """Return the results of the first runs.
 
         Parameters
         ----------
-        counters
-            Counters of each run, which are completed by the counts of its lane.
+        steps
+            (W,) numbers of steps, by the names of `Counters`.
         rows
             Number of recorded states of each run.
         work
             See `LaneResults.work`.
         """
-        c, count = self.run, len(counters)
+        c, count = self.run, len(rows)
         arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
-        last = int(rows.max())
+        worst, last = by_run(c.worst, count), int(rows.max())
         time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
-        for lane, guards in enumerate(self._guards[:count]):
-            for name in ("kinetic", "jump", "jump_time"):
-                getattr(guards, name)[0] = getattr(c.guards, name)[0, lane]
-        evidence = tuple(guard_evidence(guards, []) for guards in self._guards[:count])
-        counted = tuple(_counted(one, counts) for one, counts in zip(counters, c.counts.T.tolist(), strict=False))
+        guards = np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time])[:, :count]
+        turns = [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
+        counts = {name: c.counts[place, :count].astype(int) for name, place in _COUNTED.items()}
+        none = dict.fromkeys((one.name for one in fields(Counters)), np.zeros(count, int))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
-            lost,
-            time,
-            q,
-            v,
-            z,
-            energy,
-            Observed(*observed),
-            by_run(c.worst, count),
-            iterations,
-            rows,
-            work,
-            evidence,
-            counted,
-        )
+            lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work, {**none, **counts, **steps},
+            np.array(guards), turns,
+        )  # fmt: skip
+
+
+_COUNTED = {
+    "rhs_evaluations": RHS, "jacobian_evaluations": JACOBIANS, "factorizations": FACTORIZATIONS,
+    "newton_iterations": ITERATIONS,
+}  # fmt: skip
 
 
 def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
-    """Return the values (..., WIDTH) of the first `count` lanes as a contiguous array (count, ...)."""
+    """Return a copy of the values (..., WIDTH) of the first `count` lanes as a contiguous array (count, ...)."""
     last = lanes.ndim - 1
-    return np.ascontiguousarray(lanes.transpose(last, *range(last))[:count])  # `moveaxis` takes 20 times as long
+    return np.array(lanes.transpose(last, *range(last))[:count], order="C")  # `moveaxis` takes 20 times as long
 
 
 class PivotsAtStart:
@@ -232,17 +270,6 @@ class PivotsAtStart:
         except SingularSystemError:
             self._latest = None
             raise
-
-
-def _counted(counters: Counters, counts: Sequence[float]) -> Counters:
-    """Return the counters of one run with the counts of its lane added."""
-    return replace(
-        counters,
-        rhs_evaluations=int(counts[RHS]),
-        jacobian_evaluations=int(counts[JACOBIANS]),
-        factorizations=int(counts[FACTORIZATIONS]),
-        newton_iterations=int(counts[ITERATIONS]),
-    )
 
 
 def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
@@ -289,11 +316,11 @@ class ControlledLaneStepper(LaneStepper):
         while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
         accepted, rejected = (
-            x[0, :count].astype(int).tolist() for x in (self.runs.progress.accepted, self.runs.progress.rejected)
+            x[0, :count].astype(int) for x in (self.runs.progress.accepted, self.runs.progress.rejected)
         )
-        counters = [Counters(steps=n, accepted=n, rejected=m) for n, m in zip(accepted, rejected, strict=True)]
+        steps = {"steps": accepted, "accepted": accepted, "rejected": rejected}
         rows = self.runs.rows[:count].copy()
-        return self.results(counters, rows, by_run(self.runs.row_work[: rows.max()], count))
+        return self.results(steps, rows, by_run(self.runs.row_work[: rows.max()], count))
 
     def _control(self, mechanism: CompiledMechanism) -> Control:
         control = step_control(self.method.traits, mechanism)

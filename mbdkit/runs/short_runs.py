@@ -20,15 +20,15 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import Path
 from mbdkit.engine.assembly import AssembledState, assemble_from, search_for
 from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.engine.consistent_start import MechanismAtStart, Starts, within_double_precision
-from mbdkit.engine.lane_starts import consistent_states
+from mbdkit.engine.consistent_start import MechanismAtStart, Starts, consistent_states, within_double_precision
 from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.lane_stepper import LaneResults
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.runs.findings import criteria
 from mbdkit.runs.finish import run_in_memory
-from mbdkit.runs.lane_runs import LaneGroup, LaneMember, LaneRuns, with_functionals
+from mbdkit.runs.lane_group import LaneGroup
+from mbdkit.runs.lane_runs import LaneMember, LaneRuns
 from mbdkit.runs.preparation import guards_of
 from mbdkit.runs.varied_numbers import STATE, Variant, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
@@ -52,9 +52,10 @@ class ShortRuns:
         created = utc_now()
         with one_thread_of_linear_algebra():
             member = self.lanes.members([spec])[0]
-            finished = None if member is None else next(self.lanes.finished([member]))[0][1]
-            if finished is None:
+            runs = None if member is None else next(self.lanes.finished([member]))[1]
+            if runs is None:
                 return None
+            finished = runs.run(0)
             self.work = finished.stats["rhs_evaluations"] * len(finished.names.bodies)
             return run_in_memory(finished, spec, created)
 
@@ -112,23 +113,24 @@ class VariedRuns:
             return None
         member.seconds = time.perf_counter() - begin
         group = self._lanes.group(member, member.key)
-        results = group.results([member])
-        lost = group.lost([member], results)
-        self.work = results.counters[0].rhs_evaluations * len(group.names.bodies)
+        results = group.advance([member])
+        self.work = int(results.counters["rhs_evaluations"][0]) * len(group.names.bodies)
         spent = {"wall_s": time.perf_counter() - begin - member.seconds, "cpu_s": time.process_time() - cpu}
-        if lost[0]:
+        if not group.sound(results, [member]):
             return None
-        concluded = partial(_concluded, group, member, results, lost, spent)
+        concluded = partial(_concluded, group, member, results, spent)
         finished = concluded() if member.watched else concluded
         return None if finished is None else run_in_memory(finished, member.settings, created, spec=spec)
 
 
 def _concluded(
-    group: LaneGroup, member: LaneMember, results: LaneResults, lost: np.ndarray, spent: Mapping[str, float]
+    group: LaneGroup, member: LaneMember, results: LaneResults, spent: Mapping[str, float]
 ) -> Any:  # None only for a run that is watched
     """Return the run of which these are the results; None if it must be repeated alone."""
-    (run,) = group.concluded([member], results, lost)
-    return None if run is None else with_functionals(replace(run, stats={**run.stats, **spent}), member, ())
+    runs = group.concluded([member], results, ())[1]
+    if runs is not None:
+        runs.stats.update({name: np.array([seconds]) for name, seconds in spent.items()})
+    return None if runs is None else runs.run(0)
 
 
 class _VariantLoop:
@@ -195,7 +197,8 @@ class _VariantLoop:
                 return None
             assembled = start
             q, v = with_ground(start.q), with_ground(start.v)
-        if (size := float(size) or float(longest)) != base.size:
+        extent, size = float(size), float(size) or float(longest)
+        if size != base.size:
             table = replace(table, guards=guards_of(base.settings, size))
         compiled, topology = variant.compiled.with_numbers(arrays, float(longest)), base.topology
         if self._has_loops:
@@ -207,6 +210,6 @@ class _VariantLoop:
         at_start = MechanismAtStart(compiled, q, v, assembled)
         pivots = self._lanes.pivots.of(base.method, at_start, table)
         return LaneMember(
-            base.settings, base.method, at_start, table, pivots, size, variant.findings, topology, varied=spec,
+            base.settings, base.method, at_start, table, pivots, size, extent, variant.findings, topology, varied=spec,
             watched=variant.watched,
         )  # fmt: skip

@@ -347,8 +347,8 @@ class SimulatedRun:
             finer=spec.finer,
         )
         worst = np.zeros(len(self.workspace.mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs
-        (ending,) = conclude([ended], record.recorder.extremes(worst, steps))
-        log_end(lambda: spec, ending)
+        ending = conclude(ended, record.recorder.extremes(worst, steps))
+        log_end(spec, ending)
         ending = replace(ending, accuracy=accuracy, integrals=totals, cause=self.cause, tables=self.request.tables)
         if self.request.becomes_run:
             return finish(record.writer, spec, ending, gradients=self.gradients)

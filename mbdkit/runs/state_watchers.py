@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbdkit.quantities.states import States
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 from mbdkit.runs.findings import as_findings, criteria, findings
 from mbdkit.runs.run_seams import StateWatcher, rows_criterion
 

@@ -23,10 +23,10 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.mechanism.checks import check_centers, check_springs
-from mbdkit.mechanism.extent import size_at_given_positions
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import names_in, parameter_values
+from mbdkit.mechanism.size import size_at_given_positions
 from mbdkit.mechanism.traced_elements import with_numbers
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import criteria, findings

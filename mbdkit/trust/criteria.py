@@ -10,7 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeVar
+
+import numpy as np
+
+V = TypeVar("V", float, np.ndarray)
 
 Level = Literal["good", "unknown", "doubtful", "bad"]
 
@@ -211,6 +215,21 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
     return Judgement(level, (*(reason for _, reason in findings), *accepted))
 
 
+def is_inconspicuous(
+    share: np.ndarray, angle: np.ndarray, kinetic: np.ndarray, energy: np.ndarray, errors: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Return whether the numbers of runs that have no estimated errors give no reason for a verdict, (R,).
+
+    `share`: largest misalignments, as shares of the mechanisms' sizes. `angle`, `kinetic`, `energy`: see `Evidence`.
+    `errors`: largest changes of the energy balance in a step, and largest energy balances [J].
+    """
+    plain = (share <= MISALIGNMENT.doubtful) & (angle <= MISALIGNMENT.doubtful)
+    level = rounding(np.maximum(kinetic, energy))
+    for error, limit in zip(errors, (ENERGY_JUMP, ENERGY.doubtful), strict=True):
+        plain &= (np.abs(error) <= level) | (np.abs(error) <= limit * kinetic * (1.0 - 4.0 * EPS))
+    return plain
+
+
 Found = Iterator[tuple[Level, str]]
 
 
@@ -233,7 +252,7 @@ def _joints(evidence: Evidence) -> Found:
         yield level, f"The angle of joint '{evidence.angle_joint}' is {off} ({MISALIGNMENT}); {advice}."
 
 
-def rounding(largest: float) -> float:
+def rounding(largest: V) -> V:
     """Return the energy [J] up to which an energy error counts as round-off, if `largest` [J] is the largest energy of
     the run.
     """

@@ -47,7 +47,7 @@ class EnergyRecord:
         if not len(kinetic):
             return
         others = np.hstack([np.full((len(others), 1), self.dissipated), others])
-        (new,) = EnergyRecord.of_runs(kinetic[None], others[:, None], balance[None])
+        new = EnergyRecord.of(largest_energies(kinetic[None], others[:, None], balance[None])[:, 0])
         # np.max, because max would ignore nan
         self.kinetic = float(np.max([self.kinetic, new.kinetic]))
         self.energy = float(np.max([self.energy, self.kinetic, new.energy]))
@@ -55,25 +55,28 @@ class EnergyRecord:
         self.dissipated, self.regained = new.dissipated, float(np.max([self.regained, new.regained]))
 
     @classmethod
-    def of_runs(cls, kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> list[EnergyRecord]:
-        """Return the record of each of R runs.
+    def of(cls, values: Iterable[float]) -> EnergyRecord:
+        """Return a record with these values."""
+        record = cls()
+        record.values = values
+        return record
 
-        `kinetic`, `balance`: (R, T) kinetic energies and energy balances [J]. `others`: (K, R, T) other energies:
-        potential, work, dissipated [J].
-        """
-        largest = np.max(kinetic, axis=1, initial=0.0)
-        energy = np.max(np.abs(others), axis=(0, 2), initial=0.0)
-        peaks = np.maximum.accumulate(others[-1], axis=1)
-        columns = (
+
+def largest_energies(kinetic: np.ndarray, others: np.ndarray, balance: np.ndarray) -> np.ndarray:
+    """Return the values of `EnergyRecord` of R runs, (5, R).
+
+    `kinetic`, `balance`: (R, T) kinetic energies and energy balances [J]. `others`: (K, R, T) other energies:
+    potential, work, dissipated [J].
+    """
+    largest = np.max(kinetic, axis=1, initial=0.0)
+    energy = np.max(np.abs(others), axis=(0, 2), initial=0.0)
+    peaks = np.maximum.accumulate(others[-1], axis=1)
+    return np.stack(
+        [
             largest,
             np.maximum(largest, energy),
             np.max(np.abs(balance), axis=1, initial=0.0),
             peaks.max(axis=1, initial=0.0),
             np.max(peaks - others[-1], axis=1, initial=0.0),
-        )
-        records = []
-        for values in zip(*(column.tolist() for column in columns), strict=True):
-            record = cls()
-            record.values = values
-            records.append(record)
-        return records
+        ]
+    )

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 
 from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.base.errors import ArchiveError, MbdkitError, PluginError, ResourceError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.text import one_line
@@ -18,15 +19,16 @@ from mbdkit_studies.compute.tasks import Outcome
 from mbdkit_studies.texts import joined_lines
 
 #: Number of runs that are prepared before any of them is advanced; similar runs among them are vectorized together.
-CHUNK = 8 * WIDTH
+CHUNK = 32 * WIDTH
 
 
 def simulate_batch(specs: Iterable[RunSpec], *, lanes: LaneRuns | None = None) -> Iterator[FinishedRun | Outcome]:
     """Run validated specs, and yield the result of each, in the order of `specs`; see `simulate_in_any_order`."""
     waiting: dict[int, FinishedRun | Outcome] = {}
     following = 0
-    for some in simulate_in_any_order(specs, lanes=lanes):
-        waiting.update(some)
+    for places, result in simulate_in_any_order(specs, lanes=lanes):
+        for number, place in enumerate(places):
+            waiting[place] = result if isinstance(result, Outcome) else result.run(number)
         while following in waiting:
             yield waiting.pop(following)
             following += 1
@@ -41,7 +43,7 @@ class Batches:
         Number of runs that a batch should have, so that runs can be vectorized.
     """
 
-    SIZE = CHUNK
+    SIZE = 8 * WIDTH
 
     def __init__(self) -> None:
         self._lanes = LaneRuns(Starts(), ())
@@ -57,13 +59,13 @@ def simulate_in_any_order(
     begun: Callable[[int], None] = lambda place: None,
     measures: Sequence[str] = (),
     lanes: LaneRuns | None = None,
-) -> Iterator[list[tuple[int, FinishedRun | Outcome]]]:
+) -> Iterator[tuple[list[int], FinishedRuns | Outcome]]:
     """Run validated specs, and yield indices and results of runs as soon as they are known.
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
     index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit.runs.lane_runs`
-    for the exceptions. All others are computed one after another. The runs of a vector are yielded together, other
-    runs one by one.
+    for the exceptions. All others are computed one after another. Similar runs that are vectorized are yielded together,
+    other runs one by one.
 
     Parameters
     ----------
@@ -87,12 +89,16 @@ def simulate_in_any_order(
                 some = next(vectors, None)
             if some is None:
                 break
-            alone += [vectorized[number] for number, run in some if run is None]
-            yield [(chunk[vectorized[number]][0], run) for number, run in some if run is not None]
+            numbers, runs = some
+            if runs is None:
+                alone += [vectorized[number] for number in numbers]
+            else:
+                yield [chunk[vectorized[number]][0] for number in numbers], runs
         for index in sorted(alone):
             place, spec = chunk[index]
             begun(place)
-            yield [(place, _alone(spec, lanes.starts, measures))]
+            result = _alone(spec, lanes.starts, measures)
+            yield [place], result if isinstance(result, Outcome) else FinishedRuns.of(result)
 
 
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:

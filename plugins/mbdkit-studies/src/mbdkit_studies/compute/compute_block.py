@@ -13,19 +13,19 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import chain
 from pathlib import Path
 
-from mbdkit.archive.finished_run import FinishedRun
-from mbdkit.archive.run import Run
-from mbdkit.archive.run_contents import ArrayContents
+import numpy as np
+
+from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
-from mbdkit.base.plain_data import path_text
 from mbdkit.base.terminal import say
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
@@ -44,12 +44,11 @@ from mbdkit_studies.spec.measures import (
     OF_CHECKED_RUNS,
     Description,
     Measure,
-    RunGroup,
+    RunsInMemory,
     other_values,
-    places_by_group,
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, Store, kept, write_block
+from mbdkit_studies.store.block_writer import BlockHeading, BlockRuns, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
@@ -89,20 +88,28 @@ class BlockMeasures:
         """Whether the spec of the first valid sample of the plan requests error estimates."""
         return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
 
-    def of(self, results: Sequence[tuple[FinishedRun, RunSpec]]) -> list[dict[str, float] | Outcome]:
-        """Return, for each run, its measures by name or the reason why they could not be computed."""
-        runs = [Run(ArrayContents(finished, spec)) for finished, spec in results]
-        taken: list[dict[str, float] | Outcome] = [Outcome("", "")] * len(runs)
-        for places in places_by_group([finished for finished, _ in results]):
-            group = RunGroup([runs[place] for place in places], recorded=[results[place][0].arrays for place in places])
-            columns = {name: MEASURES[name].take(group).tolist() for name in self.plan.built_in if name != MISALIGNMENT}
-            for number, place in enumerate(places):
-                built_in = {name: column[number] for name, column in columns.items()}
-                try:
-                    taken[place] = built_in | other_values(runs[place], runs[place].run_spec, self._defined_measures)
-                except Exception as error:
-                    taken[place] = refusal(error)
-        return taken
+    def of(self, results: FinishedRuns, specs: Sequence[RunSpec]) -> tuple[dict[str, np.ndarray], dict[int, Outcome]]:
+        """Return the measures of R runs by name, (R,), and the reasons why those of a run could not be computed."""
+        runs, taken = RunsInMemory(results, specs), dict[str, np.ndarray]()
+        failed: dict[int, Outcome] = {}
+
+        def put(name: str, places: int | list[int], values: float | np.ndarray) -> None:
+            taken.setdefault(name, np.full(len(runs), np.nan))[places] = values
+
+        for places, group in runs.groups():
+            for name in self.plan.built_in:
+                if name != MISALIGNMENT:
+                    put(name, places, MEASURES[name].take(group))
+        for place in range(len(runs)) if self._defined_measures or results.single is not None else ():
+            try:
+                for name, value in other_values(runs[place], specs[place], self._defined_measures).items():
+                    put(name, place, value)
+            except Exception as error:
+                failed[place] = refusal(error)
+        for place in failed:
+            for values in taken.values():
+                values[place] = np.nan
+        return taken, failed
 
 
 @contextmanager
@@ -126,17 +133,11 @@ class _Member:
     ----------
     point
         Point of the study.
-    base
-        Spec that all points of the family share, as JSON.
-    values
-        Values that the point sets in the base, by key.
     spec
         Spec of the run, or the reason why the run is not computed.
     """
 
     point: PlannedPoint
-    base: str
-    values: Mapping[str, object]
     spec: RunSpec | Outcome
 
 
@@ -183,40 +184,40 @@ def compute_block(
     with _Mark(files.block(block)) as mark, _collecting_new_objects_only(), one_thread_of_linear_algebra():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         places, saved, lanes = plan.blocks.places(block), unfinished.saved(), LaneRuns(Starts(), plan.expressions)
-        runs: dict[int, BlockRun] = {}
-        pending: list[tuple[_Member, FinishedRun | Outcome]] = []
+        runs: list[BlockRuns] = []
+        pending: list[BlockRuns] = []
 
         def add() -> None:
-            new = _stored(measures, pending)
+            unfinished.add(pending)
+            runs.extend(pending)
             pending.clear()
-            unfinished.add(new)
-            runs.update({run.number: run for run in new})
 
         # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
         for first in range(0, len(places), CHUNK):
             members = [_member(plan.points[place], varied, skip, mark) for place in places[first : first + CHUNK]]
-            runs |= _taken_over(saved, members)
-            missing = [member for member in members if member.point.number not in runs]
-            for some in _results(missing, lanes, plan.expressions, mark, notify):
-                pending += some
+            known = _taken_over(saved, members)
+            runs += known.values()
+            missing = [member for member in members if member.point.number not in known]
+            for some, result in _results(missing, lanes, plan.expressions, mark, notify):
+                pending.append(_block_runs(measures, some, result))
                 if unfinished.is_due:
                     add()
             add()
-        write_block(files.block(block), heading, [runs[place + 1] for place in places])
+        write_block(files.block(block), heading, plan.points.in_block(places), runs)
         unfinished.remove()
-    return sum(run.status == "failed" for run in runs.values())
+    return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
 
 
-def _taken_over(saved: Mapping[int, BlockRun], members: Sequence[_Member]) -> dict[int, BlockRun]:
+def _taken_over(saved: Mapping[int, BlockRuns], members: Sequence[_Member]) -> dict[int, BlockRuns]:
     """Return those saved runs, by number, that have the specs and the plugins of members."""
     runs = {}
-    for member in members:
+    for member in members if saved else ():
         run, spec = saved.get(member.point.number), member.spec
         if run is None or not isinstance(spec, RunSpec):
             continue
         same = run.spec_sha256, run.run_id, run.plugins
         if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
-            runs[run.number] = replace(run, base=member.base, values=member.values)
+            runs[member.point.number] = run
     return runs
 
 
@@ -227,12 +228,12 @@ def _measures(study: str, changed: int) -> BlockMeasures:
 
 
 def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
-    base, values = point.grid.base_json, {path_text(setting.path): setting.value for setting in point.settings}
+    base = point.grid.base_json
     if point.lacking:
         reason = f"not-installed: the distribution {point.lacking} is not installed."
-        return _Member(point, base, values, Outcome("left-out", reason))
+        return _Member(point, Outcome("left-out", reason))
     if point.number in skip:
-        return _Member(point, base, values, Outcome("failed", skip[point.number]))
+        return _Member(point, Outcome("failed", skip[point.number]))
     mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
         spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
@@ -240,13 +241,13 @@ def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mappin
     except SpecError:
         try:
             # `point.spec` raises the error again, with the location in the study that causes it
-            return _Member(point, base, values, point.spec)
+            return _Member(point, point.spec)
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, base, values, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
+            return _Member(point, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
     except Exception as error:
-        return _Member(point, base, values, refusal(error))
-    return _Member(point, base, values, spec)
+        return _Member(point, refusal(error))
+    return _Member(point, spec)
 
 
 def _results(
@@ -255,7 +256,7 @@ def _results(
     measures: Sequence[str],
     mark: _Mark,
     notify: Callable[[str], None],
-) -> Iterator[list[tuple[_Member, FinishedRun | Outcome]]]:
+) -> Iterator[tuple[list[_Member], FinishedRuns | Outcome]]:
     """Yield members with their results as soon as these are known."""
     computed = [member for member in members if isinstance(member.spec, RunSpec)]
     results = simulate_in_any_order(
@@ -264,48 +265,35 @@ def _results(
         measures=measures,
         lanes=lanes,
     )
-    for some in results:
-        for _, result in some:
-            for warning in result.warnings if isinstance(result, FinishedRun) else ():
-                notify(f"warning: {warning}")
-        yield [(computed[place], result) for place, result in some]
-    yield [(member, member.spec) for member in members if isinstance(member.spec, Outcome)]
+    for places, result in results:
+        for warning in chain.from_iterable(() if isinstance(result, Outcome) else result.warnings):
+            notify(f"warning: {warning}")
+        yield [computed[place] for place in places], result
+    for member in members:
+        if isinstance(member.spec, Outcome):
+            yield [member], member.spec
 
 
-def _stored(measures: BlockMeasures, some: Sequence[tuple[_Member, FinishedRun | Outcome]]) -> list[BlockRun]:
+def _block_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
     """Return the data that the block stores for several runs."""
-    finished = [
-        (result, member.spec)
-        for member, result in some
-        if isinstance(result, FinishedRun) and isinstance(member.spec, RunSpec)
-    ]
-    measured = iter(measures.of(finished))
-    return [
-        _block_run(stored(measures.spec), member, result, next(measured) if isinstance(result, FinishedRun) else {})
-        for member, result in some
-    ]
-
-
-def _block_run(
-    store: Store, member: _Member, result: FinishedRun | Outcome, measured: dict[str, float] | Outcome
-) -> BlockRun:
-    """Return the data that the block stores for one run."""
-    spec, ended = member.spec, measured if isinstance(measured, Outcome) else result
-    begin = member.point.number, member.base, member.values, ended.status, ended.reason
-    if isinstance(spec, Outcome):
-        return BlockRun(*begin)
-    hashes = spec.sha256(), spec.run_id()
+    numbers = [member.point.number for member in members]
+    specs = [member.spec for member in members if isinstance(member.spec, RunSpec)]
+    hashes = [spec.sha256() for spec in specs] or "", [spec.run_id() for spec in specs] or ""
     if isinstance(result, Outcome):
-        return BlockRun(*begin, *hashes)
-    return BlockRun(
-        *begin,
+        return BlockRuns(numbers, result.status, result.reason, *hashes)
+    taken, failed = measures.of(result, specs)
+    ended = [failed.get(place, result) for place in range(len(specs))]
+    return BlockRuns(
+        numbers,
+        [one.status for one in ended],
+        [one.reason for one in ended],
         *hashes,
-        plugins=_plugins_json(tuple(plugins_of(spec).items())),
-        result=kept(result, store),
-        measures=None if isinstance(measured, Outcome) else measured,
+        plugins=[_plugins_json(tuple(plugins_of(spec).items())) for spec in specs],
+        results=kept(result, stored(measures.spec)),
+        measures=taken,
         # That of a packaged model is not stored for each run, because its spec alone determines it.
-        mechanism="" if is_determined(spec) else mechanism_json(spec.mechanism()),
-        files=files_json(spec.files_read) if spec.files_read else "",
+        mechanism=["" if is_determined(spec) else mechanism_json(spec.mechanism()) for spec in specs],
+        files=[files_json(spec.files_read) if spec.files_read else "" for spec in specs],
     )
 
 

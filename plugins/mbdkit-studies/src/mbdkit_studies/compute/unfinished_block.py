@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.hdf5_errors import DAMAGE
 from mbdkit.base.errors import MbdkitError
 from mbdkit.runs.provenance import DECIDE_LAST_BITS
 from mbdkit_studies.compute.tasks import Outcome
-from mbdkit_studies.store.block_writer import BlockHeading, BlockRun, block_image
+from mbdkit_studies.store.block_writer import BlockHeading, BlockPoints, BlockRuns, block_image
 from mbdkit_studies.store.blocks import Block
 
 #: Smallest processor time between two files [s]. Writing one takes about 0.04 s of it, and 5 s per GB.
@@ -52,23 +53,23 @@ class UnfinishedBlock:
 
     def __init__(self, block: Path, heading: BlockHeading):
         self._block, self._heading = block, heading
-        self._unsaved: list[BlockRun] = []
+        self._unsaved: list[BlockRuns] = []
         self._bytes, self._begin = 0, (time.process_time(), time.monotonic())
 
-    def saved(self) -> dict[int, BlockRun]:
-        """Return the runs that an interrupted process has saved, by number, without their `base` and `values`.
+    def saved(self) -> dict[int, BlockRuns]:
+        """Return the runs that an interrupted process has saved, each alone, by number.
 
         Runs that a second attempt may change are left out, and so are files of other versions of software, whose
         results may have other last bits.
         """
-        runs: dict[int, BlockRun] = {}
+        runs: dict[int, BlockRuns] = {}
         for path in pieces_of(self._block):
             with (
                 suppress(MbdkitError, *DAMAGE),
                 Block(path, is_verified=False) as piece,
             ):  # a kill may leave a truncated file
                 if self._suits(piece):
-                    runs |= {run.number: run for run in _runs(piece)}
+                    runs |= {run.numbers[0]: run for run in _runs(piece)}
         return runs
 
     def _suits(self, piece: Block) -> bool:
@@ -84,17 +85,18 @@ class UnfinishedBlock:
         passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
         return passed >= INTERVAL and self._bytes <= LARGEST_RATE * passed
 
-    def add(self, runs: Sequence[BlockRun]) -> None:
+    def add(self, runs: Sequence[BlockRuns]) -> None:
         """Add runs, and save all that have not been saved if this is due."""
         self._unsaved += runs
         self._bytes += sum(
-            array.nbytes for run in runs if run.result is not None for array in run.result.arrays.values()
+            array.nbytes for some in runs if some.results is not None for array in some.results.arrays.values()
         )
         if not self.is_due:
             return
         path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")
+        points = BlockPoints(sorted(number for some in self._unsaved for number in some.numbers))
         with suppress(OSError):  # the disk may be full, as an error says when the block itself is written
-            path.write_bytes(block_image(self._heading, self._unsaved))
+            path.write_bytes(block_image(self._heading, points, self._unsaved))
         self._unsaved, self._bytes, self._begin = [], 0, (time.process_time(), time.monotonic())
 
     def remove(self) -> None:
@@ -103,32 +105,22 @@ class UnfinishedBlock:
             path.unlink(missing_ok=True)
 
 
-def _runs(piece: Block) -> list[BlockRun]:
-    """Return the final runs of a file."""
+def _runs(piece: Block) -> list[BlockRuns]:
+    """Return the final runs of a file, each alone."""
     columns, stored = piece.columns("measures"), piece.runs
     runs = []
     for row, number in enumerate(piece.numbers.tolist()):
-        status, reason = str(stored["status"][row]), str(stored["status_reason"][row])
-        if not (stored["data_sha256"][row] and Outcome(status, reason).is_final):
+        texts = {
+            name: str(stored[name][row])
+            for name in ("status", "spec_sha256", "run_id", "plugins", "mechanism", "files")
+        }
+        reason = str(stored["status_reason"][row])
+        if not (stored["data_sha256"][row] and Outcome(texts["status"], reason).is_final):
             continue
         result, worst = piece.results(number), str(stored["worst_joint"][row])
         if piece.store == "hashes" and worst:  # only the largest misalignment and its joint are stored
             others = np.array(result.names.joints) != worst
             result = replace(result, misalignment_max=np.where(others, 0.0, result.misalignment_max))
-        runs.append(
-            BlockRun(
-                number,
-                "",
-                {},
-                status,
-                reason,
-                str(stored["spec_sha256"][row]),
-                str(stored["run_id"][row]),
-                str(stored["plugins"][row]),
-                result,
-                {name: float(values[row]) for name, values in columns.items()},
-                str(stored["mechanism"][row]),
-                str(stored["files"][row]),
-            )
-        )
+        measures = {name: values[row : row + 1] for name, values in columns.items()}
+        runs.append(BlockRuns([number], reason=reason, results=FinishedRuns.of(result), measures=measures, **texts))
     return runs

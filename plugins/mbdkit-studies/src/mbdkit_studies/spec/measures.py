@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import overload
 
 import numpy as np
 
-from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.archive.run import Run
+from mbdkit.archive.run_contents import ArrayContents
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.take import SpecMeasure
 from mbdkit.mechanism.size import mechanism_sizes
@@ -41,19 +44,18 @@ class RunGroup:
         The runs, at least one.
     reference
         Reference run, if the group is a single run and has one.
-    recorded
-        Arrays of each run by `Array.key`, if they are in memory.
+    results
+        Results of the runs, if they are in memory.
     """
 
-    def __init__(
-        self,
-        runs: Sequence[Run],
-        reference: Run | None = None,
-        recorded: Sequence[Mapping[str, np.ndarray]] = (),
-    ):
-        self.runs, self.reference, self._recorded = runs, reference, recorded
-        self.first = runs[0]
+    def __init__(self, runs: Sequence[Run], reference: Run | None = None, results: FinishedRuns | None = None):
+        self.runs, self.reference, self.results = runs, reference, results
         self._arrays: dict[str, np.ndarray] = {}
+
+    @cached_property
+    def first(self) -> Run:
+        """The first run."""
+        return self.runs[0]
 
     def __len__(self) -> int:
         return len(self.runs)
@@ -66,6 +68,8 @@ class RunGroup:
     @cached_property
     def complete(self) -> np.ndarray:
         """(R,) whether a run reached its end."""
+        if self.results is not None:
+            return np.full(len(self), self.results.status == "complete")
         return np.array([run.status == "complete" for run in self.runs])
 
     @cached_property
@@ -80,38 +84,51 @@ class RunGroup:
     def array(self, path: str) -> np.ndarray:
         """Return the array with this path, stacked for all runs, (R, T, ...)."""
         if path not in self._arrays:
-            self._arrays[path] = np.stack(self._each(path))
+            key = kind_of_group(path.partition("/")[0]).by_path[path].key
+            if self.results is not None and key in self.results.arrays:
+                return self.results.arrays[key]
+            self._arrays[path] = np.stack([run.array(path) for run in self.runs])
         return self._arrays[path]
-
-    def first_rows(self, path: str) -> np.ndarray:
-        """Return the first row of the array with this path for each run, (R, ...)."""
-        return np.stack([values[0] for values in self._each(path)])
-
-    def _each(self, path: str) -> list[np.ndarray]:
-        key = kind_of_group(path.partition("/")[0]).by_path[path].key
-        if self._recorded and key in self._recorded[0]:
-            return [one[key] for one in self._recorded]
-        return [run.array(path) for run in self.runs]
 
     def everywhere(self, value: float) -> np.ndarray:
         """Return an array (R,) with the same value for each run."""
         return np.full(len(self), value)
 
 
-def places_by_group(runs: Sequence[FinishedRun]) -> Iterator[list[int]]:
-    """Yield lists of the indices of runs; the runs of each list can form a `RunGroup`."""
-    groups: dict[bytes, list[list[int]]] = {}
-    for index, run in enumerate(runs):
-        alike = groups.setdefault(run.arrays["time"].tobytes(), [])
-        for places in alike:
-            other = runs[places[0]]
-            if run.layout == other.layout and run.names == other.names:
-                places.append(index)
-                break
-        else:
-            alike.append([index])
-    for lists in groups.values():
-        yield from lists
+class RunsInMemory(Sequence[Run]):
+    """Runs with their specs, each of which is made when it is needed."""
+
+    def __init__(self, results: FinishedRuns, specs: Sequence[RunSpec]):
+        self.results, self.specs = results, specs
+
+    def __len__(self) -> int:
+        return len(self.results)
+
+    @overload
+    def __getitem__(self, place: int) -> Run: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Run]: ...
+
+    def __getitem__(self, place: int | slice) -> Run | list[Run]:
+        if isinstance(place, slice):
+            return [self[index] for index in range(*place.indices(len(self)))]
+        if place >= len(self):
+            raise IndexError(place)
+        return Run(ArrayContents(self.results.run(place), self.specs[place]))
+
+    def groups(self) -> Iterator[tuple[list[int], RunGroup]]:
+        """Yield groups with the indices of their runs."""
+        ends, times = self.results.lengths["time"].tolist(), self.results.arrays["time"]
+        alike: dict[bytes, list[int]] = defaultdict(list)
+        for index, end in enumerate(ends):
+            alike[times[index, :end].tobytes()].append(index)
+        for places in alike.values():
+            if len(places) == len(self) and ends[0] == times.shape[1]:
+                yield places, RunGroup(self, results=self.results)
+            else:
+                group = self.results.of_places(places)
+                yield places, RunGroup(RunsInMemory(group, [self.specs[place] for place in places]), results=group)
 
 
 @dataclass(frozen=True)
@@ -279,11 +296,13 @@ def _duration(group: RunGroup) -> np.ndarray:
 def _size(group: RunGroup) -> np.ndarray:
     if not len(group.time):
         return group.everywhere(math.nan)
+    if group.results is not None and group.results.sizes is not None:
+        return group.results.sizes
     try:
         mechanisms = [run.mechanism for run in group.runs]
     except MbdkitError:  # the file of a run does not hold it
         return group.everywhere(math.nan)
-    return mechanism_sizes(mechanisms, group.first_rows("trajectory/position"))
+    return mechanism_sizes(mechanisms, group.array("trajectory/position")[:, 0])
 
 
 _XY, _THETA = slice(0, 2), slice(2, 3)

@@ -7,8 +7,8 @@ structure are those of a run archive, the groups of others are in ``structure-2`
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.fingerprint import seal
-from mbdkit.archive.finished_run import FinishedRun
+from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
 from mbdkit.archive.part_file import write_image
@@ -84,47 +84,62 @@ _AXIS = {
     "sample": "sample",
 }  # fmt: skip
 
-_UNSET = object()
+UNSET = object()  #: Stands for a value that a run does not set.
+
+Texts = str | Sequence[str]
 
 
 @dataclass(frozen=True, eq=False)
-class BlockRun:
-    """One run to be written into a block.
+class BlockPoints:
+    """The points of a study in a block of N runs.
 
     Parameters
     ----------
-    number
-        Number of the run in the study, from 1.
+    numbers
+        Numbers of the runs in the study, from 1.
     base
-        The spec without the values that distinguish this run, as JSON.
+        The spec without the values that distinguish the runs, as JSON; one for each run, or one for all.
     values
-        The values that are set in `base` for this run, by dotted key.
+        (N,) values that are set in `base`, by dotted key; `UNSET` for a run that does not set the key.
+    """
+
+    numbers: Sequence[int]
+    base: str | Sequence[str] = ""
+    values: Mapping[str, Sequence[Any] | np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockRuns:
+    """Runs to be written into a block; a text is that of all of them, a sequence has one for each.
+
+    Parameters
+    ----------
+    numbers
+        Numbers of the runs in the study, from 1.
     status, reason
-        Status of the run, and why it is not complete or which event ended it; otherwise empty.
+        Status of a run, and why it is not complete or which event ended it; otherwise empty.
     spec_sha256, run_id
         Hash and identifier of the run's spec; empty if the spec is not valid.
     plugins
         Attributes of ``/provenance`` that depend on the spec, as JSON.
-    result
-        Results of the run; None if there are none.
+    results
+        Results of the runs; None if there are none.
     measures
-        Values of the measures of the run, by name.
+        (R,) values of the measures by name; a measure may be missing.
     mechanism, files
         The mechanism that was run and the files that were read, as JSON; empty if the spec alone determines them.
     """
 
-    number: int
-    base: str
-    values: Mapping[str, Any]
-    status: str
-    reason: str
-    spec_sha256: str = ""
-    run_id: str = ""
-    plugins: str = ""
-    result: FinishedRun | None = None
-    measures: Mapping[str, float] | None = None
-    mechanism: str = ""
-    files: str = ""
+    numbers: Sequence[int]
+    status: Texts
+    reason: Texts
+    spec_sha256: Texts = ""
+    run_id: Texts = ""
+    plugins: Texts = ""
+    results: FinishedRuns | None = None
+    measures: Mapping[str, Sequence[float] | np.ndarray] = field(default_factory=dict)
+    mechanism: Texts = ""
+    files: Texts = ""
 
 
 @dataclass(frozen=True)
@@ -152,15 +167,9 @@ class BlockHeading:
     compress: bool = False
 
 
-def kept(finished: FinishedRun, store: Store) -> FinishedRun:
-    """Return a run with the arrays selected by `store` and the arrays of names.
-
-    Estimated errors are kept only if `store` is ``all``.
-    """
-    if store == "all":
-        return finished
-    arrays, keys = _KEPT.of(finished.layout, store)
-    return replace(finished, layout=arrays, arrays={key: finished.arrays[key] for key in keys}, accuracy=None)
+def kept(finished: FinishedRuns, store: Store) -> FinishedRuns:
+    """Return runs with the arrays selected by `store` and the arrays of names."""
+    return finished if store == "all" else finished.with_layout(_KEPT.of(finished.layout, store))
 
 
 class _KeptArrays:
@@ -172,16 +181,13 @@ class _KeptArrays:
 
     def __init__(self) -> None:
         self._asked: tuple[tuple[Array, ...], Store] = ((), "all")
-        self._found: tuple[tuple[Array, ...], frozenset[str]] = ((), frozenset())
+        self._found: tuple[Array, ...] = ()
 
-    def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[tuple[Array, ...], frozenset[str]]:
-        """Return the arrays selected by `store` together with the arrays of names, and the keys of the selected arrays
-        that have rows.
-        """
+    def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[Array, ...]:
+        """Return the arrays selected by `store`, and the arrays of names."""
         if self._asked[0] is not recorded or self._asked[1] != store:
             wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
-            arrays = tuple(one for one in recorded if not one.grows or one.path in wanted)
-            self._found = arrays, frozenset(array.key for array in arrays if array.grows)
+            self._found = tuple(one for one in recorded if not one.grows or one.path in wanted)
             self._asked = recorded, store
         return self._found
 
@@ -189,8 +195,8 @@ class _KeptArrays:
 _KEPT = _KeptArrays()
 
 
-def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> None:
-    """Write a block; an existing file at `path` is replaced.
+def write_block(path: Path, heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]) -> None:
+    """Write a block with all runs of its points; an existing file at `path` is replaced.
 
     Raises
     ------
@@ -199,29 +205,32 @@ def write_block(path: Path, heading: BlockHeading, runs: Sequence[BlockRun]) -> 
     ResourceError
         If the file cannot be written, as on a full disk.
     """
-    write_image(path, block_image(heading, runs), overwrite=True)
+    write_image(path, block_image(heading, points, runs), overwrite=True)
 
 
-def block_image(heading: BlockHeading, runs: Sequence[BlockRun]) -> bytes:
+def block_image(heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]) -> bytes:
     """Return the bytes of a block."""
     with hdf5_in_memory() as file:
-        _Writer(file, heading, runs).write()
+        _Writer(file, heading, points, runs).write()
         return file_bytes(file)
 
 
 class _Writer:
-    def __init__(self, file: h5py.File, heading: BlockHeading, runs: Sequence[BlockRun]):
-        self.file, self.heading, self.runs = file, heading, runs
-        self.has_summary = heading.store != "hashes"
-        self.structures: dict[tuple[str, str, str], list[int]] = {}  # rows of the block by structure
-        rows: list[int] = []
-        last: FinishedRun | None = None
-        for row, run in enumerate(runs):
-            if run.result is not None:
-                if last is None or not _is_alike(last, run.result):
-                    rows = self.structures.setdefault(_structure(run.result), [])
-                rows.append(row)
-                last = run.result
+    def __init__(self, file: h5py.File, heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]):
+        self.file, self.heading, self.points, self.runs = file, heading, points, runs
+        self.count, self.has_summary = len(points.numbers), heading.store != "hashes"
+        numbers = np.asarray(points.numbers)
+        order = np.argsort(numbers)
+        #: Rows of the block in which the runs of each part are.
+        self.rows = [order[np.searchsorted(numbers, part.numbers, sorter=order)] for part in runs]
+        self.results = [(part.results, rows) for part, rows in zip(runs, self.rows, strict=True) if part.results]
+        self.structures: dict[tuple[str, str, str], list[tuple[FinishedRuns, np.ndarray]]] = {}
+        last: FinishedRuns | None = None
+        for results, rows in sorted(self.results, key=lambda part: int(part[1][0])):
+            if last is None or not _is_alike(last, results):
+                structure = self.structures.setdefault(_structure(results), [])
+            structure.append((results, rows))
+            last = results
 
     def write(self) -> None:
         heading, now = self.heading, utc_now()
@@ -240,15 +249,15 @@ class _Writer:
         self.values()
         self.measures()
         self.names_of_structures()
-        for number, rows in enumerate(self.structures.values()):
-            self.structure(prefix(number), rows)
+        for number, parts in enumerate(self.structures.values()):
+            self.structure(prefix(number), parts)
         seal(self.file)
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
         """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""
         group = path.partition("/")[0]
         if group not in self.file:
-            self.scale("", group, "run", [run.number for run in self.runs], "number of the run in the study, from 1")
+            self.scale("", group, "run", self.points.numbers, "number of the run in the study, from 1")
         array = Array(path, ("run",), units, what, dtype)
         return write_column(self.file, array, values, compress=self.heading.compress)
 
@@ -259,71 +268,93 @@ class _Writer:
             self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
         )
 
+    def column(self, parts: Iterable[tuple[Any, np.ndarray]], empty: object, dtype: Any = object) -> np.ndarray:
+        """Return a column (N,), from values of some runs with their rows in the block; `empty` for the other runs."""
+        values = np.full(self.count, empty, dtype)
+        for some, rows in parts:
+            values[rows] = some
+        return values
+
     def by_run(self) -> None:
         """Write the columns with one row for each run."""
-        runs, results = self.runs, [run.result for run in self.runs]
-        worst = [_worst(result) if result else (np.nan, "") for result in results]
+
+        def of_runs(name: str) -> np.ndarray:
+            parts = ((getattr(part, name), rows) for part, rows in zip(self.runs, self.rows, strict=True))
+            return self.column(parts, "")
+
+        def of_results(values: Callable[[FinishedRuns], Any], empty: object = "", dtype: Any = object) -> np.ndarray:
+            return self.column(((values(results), rows) for results, rows in self.results), empty, dtype)
+
         texts = {
-            "status": [run.status for run in runs],
-            "status_reason": [run.reason for run in runs],
-            "verdict": [result.judgement.level if result else "" for result in results],
-            "worst_joint": [joint for _, joint in worst],
-            "base": [run.base for run in runs],
-            "plugins": [run.plugins for run in runs],
-            "mechanism": [run.mechanism for run in runs],
-            "files": [run.files for run in runs],
-            "verdict_reasons": [_json_of(result.judgement.reasons if result else ()) for result in results],
-            "warnings": [_json_of(result.warnings if result else ()) for result in results],
-            "assembly": [result.assembly if result else "" for result in results],
+            "status": of_runs("status"),
+            "status_reason": of_runs("reason"),
+            "verdict": of_results(lambda one: [judgement.level for judgement in one.judgements]),
+            "worst_joint": of_results(_worst_joints),
+            "base": self.column([(self.points.base, slice(None))], ""),
+            "plugins": of_runs("plugins"),
+            "mechanism": of_runs("mechanism"),
+            "files": of_runs("files"),
+            "verdict_reasons": of_results(lambda one: [_json_of(x.reasons) for x in one.judgements], _json_of(())),
+            "warnings": of_results(lambda one: [*map(_json_of, one.warnings)], _json_of(())),
+            "assembly": of_results(lambda one: one.assembly),
         }
         for name, what in {**_BY_RUN, **(_OF_SUMMARY if self.has_summary else {})}.items():
             self.add(f"runs/{name}", texts[name], TEXT, "1", what)
         hashes = {
-            "run_id": [run.run_id for run in runs],
-            "spec_sha256": [run.spec_sha256 for run in runs],
-            "data_sha256": [result.data_sha256 if result else "" for result in results],
+            "run_id": of_runs("run_id"),
+            "spec_sha256": of_runs("spec_sha256"),
+            "data_sha256": of_results(lambda one: one.data_sha256),
         }
         for name, what in _HASHES.items():
             array = Array(f"runs/{name}", ("run",), "1", what)
             write_hashes(self.file, array, hashes[name], compress=self.heading.compress)
         self.add(
             "runs/misalignment_max",
-            [largest for largest, _ in worst],
+            of_results(lambda one: one.misalignment_max.max(axis=1, initial=0.0), np.nan, float),
             FLOAT,
             "m",
             "largest misalignment of any joint over every step",
         )
-        structure, place = np.zeros((2, len(runs)), INTEGER)
-        for number, rows in enumerate(self.structures.values(), start=1):
+        structure, place = np.zeros((2, self.count), INTEGER)
+        for number, parts in enumerate(self.structures.values(), start=1):
+            rows = self._rows_of(parts)
             structure[rows], place[rows] = number, np.arange(1, len(rows) + 1)
         self.add("runs/structure", structure, INTEGER, "1", "number of its structure; 0 without results")
         self.add("runs/place", place, INTEGER, "1", "number of the run in the arrays of its structure")
         if self.has_summary:
-            stats: list[Mapping[str, float]] = [result.stats if result else {} for result in results]
             for name in (*COUNTERS, *TIMINGS):
-                numbers = [stat.get(name, np.nan) for stat in stats]
+                numbers = of_results(lambda one, key=name: one.stats.get(key, np.nan), np.nan, float)  # type: ignore[misc]
                 self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
+
+    @staticmethod
+    def _rows_of(parts: Iterable[tuple[FinishedRuns, np.ndarray]]) -> np.ndarray:
+        """Return the rows in the block of the runs of a structure, in order."""
+        return np.sort(np.concatenate([rows for _, rows in parts]))
 
     def values(self) -> None:
         """Write the values that distinguish the runs: numbers as numbers, anything else as JSON."""
-        for key in dict.fromkeys(key for run in self.runs for key in run.values):
-            given = [run.values.get(key, _UNSET) for run in self.runs]
+        for key, given in self.points.values.items():
             path, what = f"values/{key.replace('/', '|')}", f"value of {key}"
-            kinds = {type(value) for value in given}
-            if kinds == {int} and all(-(2**63) <= value < 2**63 for value in given):
+            is_array = isinstance(given, np.ndarray) and given.dtype != object
+            kinds = {type(given[0].item())} if is_array else {type(value) for value in given}
+            if kinds == {int} and (is_array or all(-(2**63) <= value < 2**63 for value in given)):
                 item = self.add(path, given, INTEGER, "1", what)
             elif kinds <= {int, float}:
                 item = self.add(path, given, FLOAT, "1", what)
             else:
-                texts = ["" if value is _UNSET else canonical_text(value) for value in given]
+                texts = ["" if value is UNSET else canonical_text(value) for value in given]
                 item = self.add(path, texts, TEXT, "1", f"{what}, JSON")
             set_text(item, "key", key)
 
     def measures(self) -> None:
         """Write the value of each measure for each run; nan where a run has none."""
         for name, (units, what) in self.heading.measures.items():
-            taken = [np.nan if run.measures is None else run.measures.get(name, np.nan) for run in self.runs]
-            self.add(f"measures/{name}", taken, FLOAT, units, what)
+            parts = [
+                (part.measures[name], rows)
+                for part, rows in zip(self.runs, self.rows, strict=True)
+                if name in part.measures
+            ]
+            self.add(f"measures/{name}", self.column(parts, np.nan, float), FLOAT, units, what)
 
     def names_of_structures(self) -> None:
         """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
@@ -338,18 +369,20 @@ class _Writer:
             array = Array(f"structures/{name}", ("structure",), "1", what, TEXT)
             create(self.file, array, np.array([key[index] for key in self.structures], object))
 
-    def structure(self, under: str, rows: Sequence[int]) -> None:
-        """Write the groups of one structure, below the path `under`, for the runs in `rows` of the block."""
-        results = [result for row in rows if (result := self.runs[row].result) is not None]
-        numbers = [self.runs[row].number for row in rows]
-        first, count = results[0], len(results)
+    def structure(self, under: str, parts: Sequence[tuple[FinishedRuns, np.ndarray]]) -> None:
+        """Write the groups of one structure, below the path `under`, for runs with their rows in the block."""
+        order = self._rows_of(parts)
+        results = [(some, np.searchsorted(order, rows)) for some, rows in parts]
+        first, count = results[0][0], len(order)
+        numbers = np.asarray(self.points.numbers)[order]
         sizes = sizes_of(first.names)
         texts = name_texts(first.names)
         groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
-        growing = {
-            dim: next((one.key for one in first.layout if one.grows and one.dims[0] == dim), "") for dim in _AXIS
-        }
-        lengths = {dim: [len(result.arrays[key]) if key else 0 for result in results] for dim, key in growing.items()}
+        lengths = {}
+        for dim in _AXIS:
+            lengths[dim] = np.zeros(count, int)
+            for some, places in results:
+                lengths[dim][places] = some.lengths.get(dim, 0)
         for group in groups:
             homes = dict.fromkeys(_home(one) for one in first.layout if one.group == group)
             for home in homes:
@@ -370,24 +403,32 @@ class _Writer:
         for dim, group in COUNTS:
             if any(one.grows and one.dims[0] == dim for one in first.layout):
                 counted = Array(f"{group}/rows", ("run",), "1", f"number of {_word(dim)}s of the run", INTEGER)
-                write_column(self.file, counted, np.array(lengths[dim]), under=under)
-        largest = np.array([result.misalignment_max for result in results]).reshape(count, -1)
+                write_column(self.file, counted, lengths[dim], under=under)
+        largest = np.empty((count, first.misalignment_max.shape[1]))
+        for some, places in results:
+            largest[places] = some.misalignment_max
         array = Array(
             "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
         )
         write_column(self.file, array, largest, compress=self.heading.compress, under=under)
         if first.shared is not None:
-            length = [result.shared.length if result.shared else np.nan for result in results]
+            length = np.full(count, np.nan)
+            for some, places in results:
+                length[places] = some.shared.length if some.shared else np.nan
             array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
-            write_column(self.file, array, np.array(length), under=under)
+            write_column(self.file, array, length, under=under)
 
-    def array(self, under: str, one: Array, found: Sequence[FinishedRun], shape: tuple[int, ...]) -> None:
+    def array(
+        self, under: str, one: Array, found: Sequence[tuple[FinishedRuns, np.ndarray]], shape: tuple[int, ...]
+    ) -> None:
         """Write one array of all runs of a structure; rows that a run does not have are nan, 0 or empty."""
         empty: object = {FLOAT: np.nan, INTEGER: 0}.get(one.dtype, "")
         values = np.full(shape, empty, object if one.dtype == TEXT else one.dtype)
-        for index, result in enumerate(found):
-            mine = result.arrays[one.key]
-            values[index, : len(mine)] = mine
+        for some, places in found:
+            own, lengths = some.arrays[one.key], some.lengths[one.dims[0]]
+            values[places, : own.shape[1]] = own
+            for run in np.flatnonzero(lengths < own.shape[1]).tolist():
+                values[places[run], lengths[run] :] = empty
         dims = (f"{_home(one)}run", _AXIS[one.dims[0]], *one.dims[1:])
         stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
         if one.dtype == TEXT:
@@ -406,7 +447,7 @@ def _word(dim: str) -> str:
     return "setting" if dim == "set/number" else _AXIS[dim]
 
 
-def _structure(result: FinishedRun) -> tuple[str, str, str]:
+def _structure(result: FinishedRuns) -> tuple[str, str, str]:
     shared = None if result.shared is None else asdict(result.shared) | {"length": 0.0}
     return (
         canonical_text(asdict(result.names)),
@@ -415,7 +456,7 @@ def _structure(result: FinishedRun) -> tuple[str, str, str]:
     )
 
 
-def _is_alike(run: FinishedRun, other: FinishedRun) -> bool:
+def _is_alike(run: FinishedRuns, other: FinishedRuns) -> bool:
     """Return whether two runs share their names and layout as objects, and have no redundant joints.
 
     Runs that are alike have one structure. The contents of the objects are not compared, to save time.
@@ -428,11 +469,11 @@ def _json_of(texts: tuple[str, ...]) -> str:
     return canonical_text(texts)
 
 
-def _worst(result: FinishedRun) -> tuple[float, str]:
-    """Return the largest misalignment of any joint, and the name of this joint; empty if it is 0 or nan."""
-    values = result.misalignment_max
-    if not len(values):
-        return 0.0, ""
-    index = int(values.argmax())
-    largest = float(values[index])
-    return (largest, result.names.joints[index]) if largest > 0.0 else (largest, "")
+def _worst_joints(results: FinishedRuns) -> list[str]:
+    """Return the joint with the largest misalignment of each run; empty if it is 0 or nan."""
+    values, names = results.misalignment_max, results.names.joints
+    if not values.shape[1]:
+        return [""] * len(values)
+    joints = values.argmax(axis=1)
+    largest = values[np.arange(len(values)), joints]
+    return [names[joint] if gap > 0.0 else "" for joint, gap in zip(joints.tolist(), largest.tolist(), strict=True)]

@@ -78,7 +78,7 @@ def run_of(
         warnings=(*result.warnings, *doubts.remarks, *doubts.faults, *doubts.open),
         timings=timings or dict.fromkeys(TIMINGS, 0.0),
     )
-    (ending,) = conclude([ended], Extremes.of_states(states))
+    ending = conclude(ended, Extremes.of_states(states))
     return finish_states(
         result.problem.source,
         states,
