@@ -73,7 +73,7 @@ class LaneGroup:
     """
 
     def __init__(self, first: LaneMember):
-        mechanism, spec = first.start.mechanism, first.spec
+        mechanism, spec = first.start.mechanism, first.settings
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
         self.stepper = _stepper(first, workspace)
@@ -96,8 +96,17 @@ class LaneGroup:
         """
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
         begin, cpu = time.perf_counter(), time.process_time()
+        ended, runs = self.concluded(members, self.advance(members), measures)
+        if runs is not None:
+            spent = time.perf_counter() - begin, time.process_time() - cpu
+            for name, seconds in zip(("wall_s", "cpu_s"), spent, strict=True):
+                runs.stats[name] = np.full(len(ended), seconds / -(-len(members) // WIDTH) / WIDTH)
+        return ended, runs
+
+    def advance(self, members: Sequence[LaneMember]) -> LaneResults:
+        """Take the steps of at most `size` runs of the group."""
         vectors = [members[first : first + WIDTH] for first in range(0, len(members), WIDTH)]
-        results = LaneResults.joined(
+        return LaneResults.joined(
             [
                 self.stepper.advance(
                     [one.start for one in some], [one.table for one in some], [one.pivots for one in some]
@@ -105,17 +114,21 @@ class LaneGroup:
                 for some in vectors
             ]
         )
-        watches = {place: _Watch(members[place], results, place) for place in self._sound(results, members)}
+
+    def concluded(
+        self, members: Sequence[LaneMember], results: LaneResults, measures: Sequence[str]
+    ) -> tuple[Sequence[int], FinishedRuns | None]:
+        """Return the indices of the runs that have ended, and what they have recorded, without the times of the steps.
+
+        The others must be repeated alone.
+        """
+        watches = {place: _Watch(members[place], results, place) for place in self.sound(results, members)}
         ended = [place for place, watch in watches.items() if not watch.has_stopped]
         if not ended:
             return [], None
         if len(ended) < len(members):
             results, members = results.of(np.array(ended)), [members[place] for place in ended]
-        runs = self._concluded(members, results, [watches[place] for place in ended], measures)
-        spent = time.perf_counter() - begin, time.process_time() - cpu
-        for name, seconds in zip(("wall_s", "cpu_s"), spent, strict=True):
-            runs.stats[name] = np.full(len(members), seconds / len(vectors) / WIDTH)
-        return ended, runs
+        return ended, self._concluded(members, results, [watches[place] for place in ended], measures)
 
     def _concluded(
         self, members: Sequence[LaneMember], results: LaneResults, watches: Sequence[_Watch], measures: Sequence[str]
@@ -128,7 +141,7 @@ class LaneGroup:
         extremes = _Extremes(self, results, states)
         found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
         begin = time.perf_counter()
-        digests = self.hash.shared_digests(arrays) if results.work is None else {}
+        digests = self.hash.shared_digests(arrays) if results.work is None and count > 1 else {}
         settings = [start_settings(member.start.mechanism, member.table.start) for member in members]
         arrays |= {key: np.stack([own[key] for own in settings]) for key in settings[0]}
         lengths = {"time": results.rows, "interval": results.rows - 1}
@@ -138,7 +151,7 @@ class LaneGroup:
         stats = dict(results.counters)
         stats["factorizations"] = stats["factorizations"] + int(members[0].pivots is not None)
         stats["setup_s"] = np.array([member.seconds for member in members])
-        doubts = [Doubts.of(one, member.spec.accept) for one, member in zip(found, members, strict=True)]
+        doubts = [Doubts.of(one, member.settings.accept) for one, member in zip(found, members, strict=True)]
         runs = FinishedRuns(
             status="complete", reason="", stats={**stats, "finish_s": np.full(count, finish)},
             misalignment_max=extremes.misalignment, judgements=extremes.judgements(members, doubts),
@@ -170,7 +183,7 @@ class LaneGroup:
         shaped = values.reshape(count, len(values) // count, *values.shape[1:])
         return np.ascontiguousarray(shaped, self.types[key])
 
-    def _sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
+    def sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
         """Return the indices of the runs that are not lost and whose recorded states certainly exceed no limit of
         misalignment. The joints of the others must be checked one by one.
         """
@@ -209,13 +222,17 @@ class _Watch:
     """What watches the recorded states of a run in a lane."""
 
     def __init__(self, member: LaneMember, results: LaneResults, run: int):
+        self._member = member
+        self._ranges = self._watchers = None
+        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
+        if not member.watched:
+            return
         mechanism, rows, spec = member.start.mechanism, int(results.rows[run]), member.spec
         self._ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
-        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
         if self._ranges is not None:
             left = self._ranges.add(results.time[run, :rows], results.observed.forces[run, :rows])
             self.has_stopped = left is not None and self._ranges.stops
-        self._watchers, self._member = StateWatchers(spec, mechanism, member.size), member
+        self._watchers = StateWatchers(spec, mechanism, member.size)
         if self._watchers:
             observed = Observed(*(values[run, :rows] for values in results.observed))
             time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
@@ -224,7 +241,8 @@ class _Watch:
     def findings(self, energies: np.ndarray) -> tuple[Finding, ...]:
         """Return what is found in the run, from the values of its `EnergyRecord`."""
         ranges = () if self._ranges is None else self._ranges.findings()
-        return (*self._member.findings, *self._watchers.findings(EnergyRecord.of(energies), {}), *ranges)
+        watched = () if self._watchers is None else self._watchers.findings(EnergyRecord.of(energies), {})
+        return (*self._member.findings, *watched, *ranges)
 
 
 class _Extremes:
@@ -259,7 +277,7 @@ class _Extremes:
         ]
 
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
-        ended = EndedRun(mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.spec.finer)
+        ended = EndedRun(mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer)
         extremes = Extremes(
             float(self.results.time[run, -1]),
             self.misalignment[run],
@@ -281,7 +299,7 @@ def _integrals(members: Sequence[LaneMember], results: LaneResults, measures: Se
 
     They are computed from the rows of the runs, which are the ends of all steps.
     """
-    functionals = functionals_of(members[0].spec, measures)
+    functionals = functionals_of(members[0].settings, measures)
     for run, member in enumerate(members if functionals else ()):
         start, rows = member.start, int(results.rows[run])
         workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)

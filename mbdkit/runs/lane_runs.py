@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -37,9 +37,13 @@ MOST_GROUPS = 8
 
 @dataclass(eq=False)
 class LaneMember:
-    """A prepared run that can be vectorized."""
+    """A prepared run that can be vectorized.
 
-    spec: RunSpec
+    If `varied` is given, `settings` is the spec of a run that differs in numbers of its model only, and `varied`
+    returns the spec of this run.
+    """
+
+    settings: RunSpec
     method: Method
     start: MechanismAtStart
     table: Timetable
@@ -49,13 +53,20 @@ class LaneMember:
     findings: tuple[Finding, ...]
     topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
     seconds: float = 0.0  #: Wall time of the preparation [s].
+    varied: Callable[[], RunSpec] | None = None
+    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end.
+
+    @property
+    def spec(self) -> RunSpec:
+        """The spec of the run."""
+        return self.settings if self.varied is None else self.varied()
 
     @property
     def key(self) -> tuple[object, ...]:
         """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
         steps = table.interval if self.method.traits.tolerances else table.steps
-        return self.topology, self.method, pivots, steps, table.every, self.spec.output.recorded
+        return self.topology, self.method, pivots, steps, table.every, self.settings.output.recorded
 
 
 @dataclass(frozen=True)
@@ -142,7 +153,7 @@ class LaneRuns:
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
         self._measures = measures
         self._groups: dict[tuple[object, ...], LaneGroup] = {}
-        self.starts, self._pivots = starts, PivotsAtStart()
+        self.starts, self.pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
         self._table: tuple[tuple[object, ...], Timetable] | None = None
@@ -205,7 +216,7 @@ class LaneRuns:
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
             return None
-        pivots = self._pivots.of(method, start, table)
+        pivots = self.pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, extent, found, self._topology_of(start.mechanism))
 
@@ -234,7 +245,7 @@ class LaneRuns:
         for place, member in enumerate(members):
             groups[member.key].append(place)
         for key, places in groups.items():
-            group = self._group(key, members[places[0]])
+            group = self.group(members[places[0]], key)
             if members[places[0]].method.traits.tolerances:
                 places = _by_cost(members, places)
             for first in range(0, len(places), group.size):
@@ -245,7 +256,8 @@ class LaneRuns:
                 if len(ended) < len(some):
                     yield [place for number, place in enumerate(some) if number not in {*ended}], None
 
-    def _group(self, key: tuple[object, ...], first: LaneMember) -> LaneGroup:
+    def group(self, first: LaneMember, key: tuple[object, ...]) -> LaneGroup:
+        """Return the group of runs with the key of `first`."""
         group = self._groups.pop(key, None) or LaneGroup(first)
         self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
         if len(self._groups) > MOST_GROUPS:
