@@ -102,6 +102,14 @@ def recorded_rows(further: Iterable[Row] = ()) -> list[Row]:
     return [row for some in rows.values() for row in some]
 
 
+def rows_of(path: Path) -> list[Row]:
+    """Return a row for each record in a file of evidence, whose plugins need not be installed."""
+    return [
+        Row(f"{one['distribution']}:{one['name']}", one["kind"], f"by mbdkit {one['mbdkit']} on {one['date']}", one)
+        for one in read_records(path)
+    ]
+
+
 def verified_row(item: Registered, options: Mapping[str, Any], *, quick: bool) -> Row:
     """Verify a plugin now."""
     report = verify(item.kind, item.id, options, quick=quick)
