@@ -223,8 +223,8 @@ class LaneStepper:
         none = dict.fromkeys((one.name for one in fields(Counters)), np.zeros(count, int))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
-            lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work, {**none, **counts, **steps},
-            np.array(guards), turns,
+            lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work,
+            {**none, **counts, **steps}, np.array(guards), turns,
         )  # fmt: skip
 
 
