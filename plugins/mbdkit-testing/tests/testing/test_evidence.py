@@ -39,7 +39,7 @@ def mbdkit_integrators():
             create=lambda options: mbdkit.ExplicitRungeKutta(HEUN), claims=lambda options: mbdkit.Claims(order=3))]
 """
 SPEC = {"mbdkit": 1, "model": {"name": "double-pendulum"}, "integrator": {"name": "heun"}}
-SPEC |= {"time": {"end": 0.5, "step": 0.01}}
+SPEC |= {"time": {"end": 0.5, "step": 0.005}}
 
 
 class StageOptions(BaseModel):
