@@ -102,7 +102,7 @@ def builtin_features() -> list[Feature]:
         ),
         CriterionItem(
             name="method-evidence", summary="Methods of others that failed their checks, or have changed since.",
-            order=115, stage="spec", find=Target("mbdkit.runs.method_evidence:method_evidence"),
+            order=115, stage="spec", find=Target("mbdkit.runs.run_criteria:method_evidence"),
         ),
         CriterionItem(
             name="moved-start", summary="Positions and angles that assembly changes by far.", order=120, stage="start",

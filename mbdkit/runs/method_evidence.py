@@ -21,12 +21,8 @@ from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.engine.native import machine_code
 from mbdkit.registry.catalogue import Origin, Registered
-from mbdkit.runs.run_seams import spec_criterion
-from mbdkit.spec import RunSpec
-from mbdkit.trust.finding import Finding
 
 FILE, FORMAT, FORMAT_VERSION = "mbdkit-evidence.json", "mbdkit-evidence", 1
-CRITERION = "method-evidence"
 Word = Literal["verified", "changed since", "failed", "never", "checkout"]
 
 _OWN = Path(__file__).parent.parent
@@ -216,19 +212,3 @@ def _judged(item: Registered, record: Mapping[str, Any], digest: str) -> PluginE
         return PluginEvidence("failed", f"{listed(names)}{more}, {when}", digest)
     quick = ", without the slow checks" if record["quick"] else ""
     return PluginEvidence("verified", f"{when}{quick}", digest)
-
-
-@spec_criterion
-def method_evidence(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
-    """Yield a doubt about a method of another distribution that failed its checks or has changed since, and a remark on
-    one that was never verified.
-    """
-    if spec.choose == "method" or (item := spec.integrator_item).origin.distribution == MBDKIT:
-        return
-    word, why, _ = evidence_of(item, spec.integrator)
-    if word == "verified" or (word == "never" and CRITERION in spec.accept):
-        return
-    what = {"never": "was never verified", "failed": "failed its checks"}.get(word, "has changed since it was checked")
-    remedy = f"`mbdkit plugins verify {item.id} --record` checks it, and `accept: [{CRITERION}]` accepts it"
-    sentence = f"the method {item.id} {what}: {why}; {remedy}"
-    yield Finding(CRITERION, None if word == "never" else "doubtful", sentence, "integrator")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import counted, did_you_mean, listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.mechanism.beams import written_key
@@ -24,6 +25,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.methods.baumgarte_stability import stiff_baumgarte
 from mbdkit.runs.angles_in_degrees import angles_in_degrees, motions_in_degrees
+from mbdkit.runs.method_evidence import evidence_of
 from mbdkit.runs.preparation import make_method
 from mbdkit.runs.run_seams import end_criterion, spec_criterion, start_criterion
 from mbdkit.spec import RunSpec
@@ -39,6 +41,8 @@ TURNED = 0.5  #: Angle [rad] by which assembly may turn a body without a warning
 #: Share of a given velocity by which assembly may change it without a warning: more than the rounding of a value to
 #: three digits, which is at most 0.005 of it.
 CHANGED = 0.01
+
+_EVIDENCE = "method-evidence"  #: Name of a criterion.
 
 FEWEST_PER_PERIOD = 2  #: Smallest number of steps per period that resolves an oscillation.
 
@@ -251,3 +255,19 @@ def unused_parameters(spec: RunSpec, measures: Sequence[str] = ()) -> Iterator[F
             hint = did_you_mean(name, [other for other in spec.parameters if other != name])
             sentence = f"the parameter at parameters.{name} is not used{hint}"
             yield Finding("unused-parameters", None, sentence, f"parameters.{name}", is_named=False)
+
+
+@spec_criterion
+def method_evidence(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]:
+    """Yield a doubt about a method of another distribution that failed its checks or has changed since, and a remark on
+    one that was never verified.
+    """
+    if spec.choose == "method" or (item := spec.integrator_item).origin.distribution == MBDKIT:
+        return
+    word, why, _ = evidence_of(item, spec.integrator)
+    if word == "verified" or (word == "never" and _EVIDENCE in spec.accept):
+        return
+    what = {"never": "was never verified", "failed": "failed its checks"}.get(word, "has changed since it was checked")
+    remedy = f"`mbdkit plugins verify {item.id} --record` checks it, and `accept: [{_EVIDENCE}]` accepts it"
+    sentence = f"the method {item.id} {what}: {why}; {remedy}"
+    yield Finding(_EVIDENCE, None if word == "never" else "doubtful", sentence, "integrator")

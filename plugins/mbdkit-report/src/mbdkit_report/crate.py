@@ -19,13 +19,13 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import seal
 from mbdkit.archive.layout import EVIDENCE
 from mbdkit.archive.reader import load
-from mbdkit.archive.result_seams import file_problems
 from mbdkit.archive.run import Run
 from mbdkit.archive.skeleton import memory_file
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import shown
+from mbdkit.plugin.seams import file_problems
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.manager import registry
 from mbdkit.runs.method_evidence import FORMAT, FORMAT_VERSION, code_digest, evidence_file, read_records

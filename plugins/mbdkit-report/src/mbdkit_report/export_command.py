@@ -24,7 +24,7 @@ def archive_crate(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Write run archives as a crate for catalogues and repositories.
+    """Write run archives as a crate for catalogues (RO-Crate).
 
     The folder follows the RO-Crate profile Process Run Crate: copies of the archives, and
     of each the spec, a report with figures and the evidence of its method, with digests,

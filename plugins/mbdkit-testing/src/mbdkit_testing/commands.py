@@ -165,7 +165,7 @@ def plugins_matrix(
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
-    """Draw what was observed of all installed plugins, side by side.
+    """Draw what was observed of all plugins, side by side.
 
     The figures are those of recorded evidence: see `mbdkit plugins verify --record`.
     With --against, the matrix has only the plugins in that file, as they are now;
