@@ -128,9 +128,10 @@ def _concluded(
 ) -> Any:  # None only for a run that is watched
     """Return the run of which these are the results; None if it must be repeated alone."""
     runs = group.concluded([member], results, ())[1]
-    if runs is not None:
-        runs.stats.update({name: np.array([seconds]) for name, seconds in spent.items()})
-    return None if runs is None else runs.run(0)
+    if runs is None:
+        return None
+    run = runs.run(0)
+    return replace(run, stats={**run.stats, **spent})
 
 
 class _VariantLoop:
