@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -98,9 +99,10 @@ class LaneGroup:
         begin, cpu = time.perf_counter(), time.process_time()
         ended, runs = self.concluded(members, self.advance(members), measures)
         if runs is not None:
-            spent = time.perf_counter() - begin, time.process_time() - cpu
-            for name, seconds in zip(("wall_s", "cpu_s"), spent, strict=True):
-                runs.stats[name] = np.full(len(ended), seconds / -(-len(members) // WIDTH) / WIDTH)
+            spent = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
+            lanes = -(-len(members) // WIDTH) * WIDTH
+            each = {name: np.full(len(ended), seconds / lanes) for name, seconds in spent.items()}
+            runs = replace(runs, stats={**runs.stats, **each})
         return ended, runs
 
     def advance(self, members: Sequence[LaneMember]) -> LaneResults:

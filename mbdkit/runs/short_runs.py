@@ -33,6 +33,8 @@ from mbdkit.runs.preparation import guards_of
 from mbdkit.runs.varied_numbers import STATE, Variant, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 
+TRIES = 3  #: Runs of a variant are left to the ordinary way after as many consecutive ones whose starts do not suit.
+
 MOST_KINDS = 32  #: Largest number of sets of key paths whose formulas are kept.
 
 #: Arrays of a topology on which it does not depend whether a state satisfies the constraints.
@@ -93,7 +95,7 @@ class VariedRuns:
         accepts: Callable[[Variant, LaneMember], bool] = lambda _, __: True,
     ):
         self._lanes, self._spec, self._numbers = lanes, spec, VariedNumbers(paths, spec)
-        self._accepts = accepts
+        self._accepts, self._failed = accepts, 0
         self._loops: dict[Variant, _VariantLoop | None] = {}
         self.work: float = 0
 
@@ -110,7 +112,11 @@ class VariedRuns:
         with np.errstate(all="ignore"):
             member = None if loop is None else loop.member(np.array(values), spec)
         if member is None:
+            self._failed += 1
+            if self._failed >= TRIES:  # most starts of this kind are computed in the ordinary way
+                self._loops[variant] = None
             return None
+        self._failed = 0
         member.seconds = time.perf_counter() - begin
         group = self._lanes.group(member, member.key)
         results = group.advance([member])
@@ -128,9 +134,10 @@ def _concluded(
 ) -> Any:  # None only for a run that is watched
     """Return the run of which these are the results; None if it must be repeated alone."""
     runs = group.concluded([member], results, ())[1]
-    if runs is not None:
-        runs.stats.update({name: np.array([seconds]) for name, seconds in spent.items()})
-    return None if runs is None else runs.run(0)
+    if runs is None:
+        return None
+    run = runs.run(0)
+    return replace(run, stats={**run.stats, **spent})
 
 
 class _VariantLoop:

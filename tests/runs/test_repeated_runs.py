@@ -40,6 +40,7 @@ CHANGES: dict[str, Any] = {
     "impacts": "allow",
     "accept": ["moved-start"],
     "mbdkit": 2,
+    "meta": {"description": "another"},
     "choose": "step",
     "inputs": {"push": {"table": [[0.0, 1.0], [0.0, 1.0]]}},
     "estimates": {"names": ["mass"]},
