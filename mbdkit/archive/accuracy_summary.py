@@ -149,7 +149,7 @@ class RunErrors:
 
         It is empty if the run has no rows, or if its errors were not estimated.
 
-        `with_force`: whether to state the largest force if all errors are known.
+        `with_force`: whether to state the largest force.
         """
         run, accuracy = self.run, self.run.accuracy
         if accuracy is None or not len(run.time):
@@ -164,7 +164,7 @@ class RunErrors:
         if accuracy.is_complete:
             return "; ".join(filter(None, (_largest_force(joint_loads(run, "force")) if with_force else "", position)))
         until = f" until {accuracy.known_until:.4g} s"
-        force = _largest_force(known_loads(run, "force"))
+        force = _largest_force(known_loads(run, "force")) if with_force else ""
         why = f": {accuracy.unknown}" if accuracy.unknown else ""
         return "; ".join(filter(None, (force and force + until, position + until, f"errors unknown afterwards{why}")))
 

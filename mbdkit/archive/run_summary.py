@@ -61,7 +61,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         *verdict_lines(run),
         ("run", " ".join(str(spec.get("title") or "").split())),
         *answer_lines(run),
-        ("accuracy", run.errors.sentence(with_force=bool(run.measures))),
+        ("accuracy", run.errors.sentence(with_force=not _states_forces(run))),
         ("limited", limit_sentence(run)),
         ("asked", asked_sentence(run)),
         ("status", ": ".join(filter(None, (run.status, run.status_reason.removeprefix("interrupted: "))))),
@@ -89,6 +89,11 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
     ]
     added = [line for item in registry().of_kind("summary-line") for line in _added_lines(run, item)]
     return [(label, text) for label, text in [*first, *added, *last] if text]
+
+
+def _states_forces(run: Run) -> bool:
+    """Return whether the headlines state the largest force as the sentence on the errors would."""
+    return not run.measures and run.spec_kind.is_integrated and run.accuracy is not None and run.accuracy.is_complete
 
 
 def _added_lines(run: Run, item: Registered) -> list[tuple[str, str]]:

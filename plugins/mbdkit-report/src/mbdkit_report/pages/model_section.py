@@ -57,7 +57,8 @@ def model_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, Sect
 
 
 def _asked(run: Run) -> str:
-    measures = [f"{name} = {measure.get('value')}" for name, measure in run.spec.get("measures", {}).items()]
+    given = run.spec.get("measures", {})
+    measures = [f"{name} = {one['value'] if isinstance(one, dict) else one}" for name, one in given.items()]
     few = measures[:_MEASURES] + [f"{len(measures) - _MEASURES} more"] * (len(measures) > _MEASURES)
     what = listed(few, "and") if few else "the largest forces and torques in joints and drivers"
     start, end = float(run.time[0]), float(run.time[-1])
@@ -204,7 +205,7 @@ def _joint_details(joint: Any) -> str:
     if getattr(joint, "center", None) is not None:
         told += [f"center {key} = {_motion(value)} m" for key, value in joint.center.functions if value != 0.0]
     if getattr(joint, "axis", None) is not None:
-        told.append("axis ({:.4g}, {:.4g})".format(*joint.direction))
+        told.append("axis ({:.4g}, {:.4g})".format(*getattr(joint, "direction", joint.axis)))
     if getattr(joint, "angle", None) is not None:
         told.append(f"angle {joint.angle:.6g} rad")
     return ", ".join(told)
