@@ -13,7 +13,6 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
-from mbdkit.runs.preparation import build
 from mbdkit.spec.loading import load_spec, read_source
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -21,10 +20,8 @@ from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_explore.sliders import Slider, sliders
-from mbdkit_report import TONES, film_of
-from mbdkit_report.pages.report_page import chart_data
+from mbdkit_report import TONES, chart_data, film_of, plot_module
 from mbdkit_report.pages.run_report import yaml_text
-from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_studies import PreparedRun
 
 NUMBERS = 20_000  #: Approximate number of pose values of a motion.
@@ -92,7 +89,7 @@ class Explorer:
     def _starts(self, slider: Slider, value: float) -> bool:
         assert self._prepared is not None
         try:
-            build(self._prepared.spec_with({slider.key: value}))
+            self._prepared.start_with({slider.key: value})
         except MbdkitError:
             return False
         return True

@@ -167,7 +167,7 @@ def segments_of(
     return unknowns, segments, names
 
 
-def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[object, str]) -> Unknown:
+def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[float | str, str]) -> Unknown:
     from mbdkit.plugin.reports import key_unit
     from mbdkit.plugin.specs import variable_path
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.pages.methods_used import methods as methods
     from mbdkit_report.pages.model_section import drawing as drawing
     from mbdkit_report.pages.report import report as report, write_report as write_report
-    from mbdkit_report.pages.report_page import ReportPage as ReportPage
+    from mbdkit_report.pages.report_page import chart_data as chart_data, ReportPage as ReportPage
     from mbdkit_report.pages.run_report import (
         environment as environment, film_of as film_of, run_report as run_report, TONES as TONES,
     )
@@ -47,6 +47,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.pages.verdict_text import json_values as json_values, terminal_text as terminal_text
     from mbdkit_report.plot.caption import Caption as Caption
     from mbdkit_report.plot.charts import draw_chart as draw_chart
+    from mbdkit_report.plot.plot_kinds import plot_module as plot_module
     from mbdkit_report.plot.style import dress as dress, FORMATS as FORMATS, new_figure as new_figure, save as save
     from mbdkit_report.spec_words import (
         key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, stated_units as stated_units,

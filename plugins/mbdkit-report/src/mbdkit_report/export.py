@@ -98,15 +98,17 @@ def write_tables(
         check_suffix(folder, (own.suffix,), "a workbook")
         check_output(folder, overwrite=overwrite)
         with replacing(folder, overwrite=overwrite, source=source) as temporary:
-            use(item, lambda: workbook_writer.of(own.write_all)(tables, temporary))
+            use(item, lambda write=own.write_all: workbook_writer.of(write)(tables, temporary))  # type: ignore[misc]
         return [folder]
+    assert own.write is not None
+    write = own.write
     files = {folder / f"{name}{own.suffix}": table for name, table in tables.items()}
     is_new = _prepare(folder, list(files), overwrite)
     try:
         with ExitStack() as stack:
             for path, table in files.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
-                use(item, lambda table=table, file=temporary: table_writer.of(own.write)(table, file))  # type: ignore[misc]
+                use(item, lambda table=table, file=temporary: table_writer.of(write)(table, file))  # type: ignore[misc]
     except BaseException:
         if is_new:
             folder.rmdir()

@@ -8,11 +8,12 @@ from fractions import Fraction
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.mechanism.parameter_units import is_turn, outside_pure_functions, unit_of_parts
+from mbdkit.mechanism.parameter_units import is_turn, unit_of_parts
 
 _RADIAN, _SECOND = read_unit("rad"), read_unit("s")
 _SAME = frozenset({"abs", "min", "max"})
 _OF_ANGLE = frozenset({"sin", "cos", "tan"})
+_PURE = frozenset({"atan", "tanh", "exp"})
 #: Factors that are assumed to have no unit. Others may be constants of nature or densities, such as 9.81 and 7800.
 _FACTORS = frozenset({float(n) for n in range(1, 11)} | {1.0 / n for n in range(2, 11)})
 
@@ -92,8 +93,15 @@ def _factor(node: ast.expr, wanted: Unit, units: Mapping[str, Unit]) -> Unit | N
     """Return the unit of the other factor of a product."""
     if is_turn(node) and wanted.text == "rad/s":
         return Unit("rad", counts=(Fraction(1), Fraction(-1), Fraction(0)))
-    numbers = [one.value for one in outside_pure_functions(node) if isinstance(one, ast.Constant)]
-    return unit_of_parts(node, units) if {*numbers} <= _FACTORS else None
+    return unit_of_parts(node, units) if _numbers(node) <= _FACTORS else None
+
+
+def _numbers(node: ast.AST) -> set[object]:
+    """Return the numbers in an expression, but for the arguments of functions whose value has no unit."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in _OF_ANGLE | _PURE:
+        return set()
+    own = {node.value} if isinstance(node, ast.Constant) else set()
+    return own.union(*map(_numbers, ast.iter_child_nodes(node)))
 
 
 def _product(unit: Unit, other: Unit, power: int) -> Unit:

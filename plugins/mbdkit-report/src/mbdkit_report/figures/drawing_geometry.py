@@ -269,9 +269,9 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
                 sketch.parts["shapes"].append(sketch.points([(joint.bodies[side], place) for side, place in line]))
     for name, joint in mechanism.joints.items():
         held = sketch.places(joint)
-        anchor = (*held, 0.5) if joint.mark == "bar" else (held[-1], held[-1], 0.0) if held else None
-        kind = "driver" if joint.is_driver else "joint"
-        sketch.name(name, kind, [anchor or sketch.between(mechanism, joint.bodies)])
+        first = held[0] if joint.mark == "bar" else held[-1] if held else 0
+        anchor = (first, held[-1], 0.5) if held else sketch.between(mechanism, joint.bodies)
+        sketch.name(name, "driver" if joint.is_driver else "joint", [anchor])
     for name, marker in mechanism.markers.items():
         place = sketch.marker(name, marker.body, marker.held)
         sketch.name(name, "marker", [(place, place, 0.0)] if name not in mechanism.joints else [])
@@ -294,11 +294,11 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
                 sketch.parts["coils"].append(anchors[0][0])
         if name not in loads:
             sketch.name(name, "force" if load is None else "load", anchors)
-    for key, kind in element_kinds().items():
+    for key, own in element_kinds().items():
         for name, element in mechanism.elements.get(key, {}).items():
-            lines = [sketch.points(line) for line in lines_of(kind, mechanism, element)]
+            lines = [sketch.points(line) for line in lines_of(own, mechanism, element)]
             sketch.parts["muscles"] += lines
-            sketch.name(name, kind.name, [anchor for line in lines for anchor in _middles(line)])
+            sketch.name(name, own.name, [anchor for line in lines for anchor in _middles(line)])
     contacts: Mapping[str, Any] = mechanism.elements.get("contacts", {})
     for contact in contacts.values():
         for _, _, body, shape in contact.by_body:
@@ -446,7 +446,8 @@ class _Sketch:
         ]  # fmt: skip
         moving = next((name for name in bodies[::-1] if name != "ground"), "ground")
         _, a, b = min(pairs, default=(0.0, (moving, (0.0, 0.0)), (moving, (0.0, 0.0))))
-        return (*self.points([a, b]), 0.5)
+        first, second = self.points([a, b])
+        return (first, second, 0.5)
 
     def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
         """Add the line of a sliding joint between two distances along its axis [m]."""

@@ -218,7 +218,7 @@ class Figure:
     def _on_page(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
         """Return the coordinates of the visible points of a line, and their logarithms on logarithmic axes."""
         seen = self.visible(line)
-        return tuple(  # type: ignore[return-value]
+        return tuple(
             np.log10(values[seen]) if axis.log else values[seen]
             for values, axis in ((line.x, self.x), (line.y, self.y))
         )

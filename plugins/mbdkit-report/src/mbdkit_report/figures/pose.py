@@ -120,9 +120,9 @@ class PoseArtists:
             self._coils.append((coil, index))
         rim = [patheffects.withStroke(linewidth=2.5, foreground=PAPER)]
         self._tags = [
-            (tag, axes.annotate(tag.text, (0.0, 0.0), np.array(tag.beside) * (0.72, -0.72), size=8.0, color=tag.color,
-                                textcoords="offset points", va="center", zorder=9, path_effects=rim, parse_math=False,
-                                annotation_clip=False))
+            (tag, axes.annotate(tag.text, (0.0, 0.0), (0.72 * tag.beside[0], -0.72 * tag.beside[1]), size=8.0,
+                                color=tag.color, textcoords="offset points", va="center", zorder=9, path_effects=rim,
+                                parse_math=False, annotation_clip=False))
             for tag in tags
         ]  # fmt: skip
         self.artists += [text for _, text in self._tags]
