@@ -15,7 +15,7 @@ from mbdkit.base.errors import ArchiveError, MbdkitError, ResourceError, SpecErr
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit_studies.compute.compute_block import MISALIGNMENT
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
-from mbdkit_studies.compute.tasks import Outcome, Task, forget_run_at_work
+from mbdkit_studies.compute.tasks import DIFFERS, Outcome, Task, forget_run_at_work
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
@@ -88,8 +88,10 @@ class RunBlocks(RunStore[int]):
         yield Round(self._tasks, sum(task.runs for task in self._tasks))
 
     def note(self, task: Task, outcome: Outcome) -> None:
-        """See `RunStore.note`."""
+        """See `RunStore.note`; raises MbdkitError if a run that was computed twice has different results."""
         self.note_file(task.key, outcome)
+        if outcome.status == DIFFERS:
+            raise MbdkitError(outcome.reason)
         if outcome.status == "complete":
             self._sound[task.key] = state = _state(task.path)
             self._read[task.key] = state, self._from_file(task.key)  # while further blocks are computed

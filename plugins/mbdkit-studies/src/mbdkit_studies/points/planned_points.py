@@ -27,8 +27,8 @@ from mbdkit_studies.points.sampled_values import rows_of, table_place, values_of
 from mbdkit_studies.spec.method_claims import METHOD, claims_of
 from mbdkit_studies.spec.sample_section import unit_of
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, Family, StudySpec
-from mbdkit_studies.store.block_writer import UNSET, BlockPoints
 from mbdkit_studies.spec.value_sets import Value, expand, size
+from mbdkit_studies.store.block_writer import UNSET, BlockPoints
 
 HOW = ("formulation", "stabilization")  #: Keys of a run spec that belong to a method.
 
