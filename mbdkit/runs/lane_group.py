@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +35,10 @@ from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
-    from mbdkit.runs.lane_runs import LaneMember
+    from mbdkit.engine.consistent_start import MechanismAtStart
+    from mbdkit.integrators.interface import Timetable
+    from mbdkit.integrators.lanes.lane_collocation import StagePivots
+    from mbdkit.methods.kinds import Method
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
@@ -45,6 +48,30 @@ BYTES = 1 << 22
 ROWS = 200  #: Assumed number of recorded states of a run with controlled steps.
 
 MOST_TOGETHER = 32 * WIDTH  #: Largest number of runs whose arrays are computed together.
+
+
+@dataclass(eq=False)
+class LaneMember:
+    """A prepared run that can be vectorized."""
+
+    spec: RunSpec
+    method: Method
+    start: MechanismAtStart
+    table: Timetable
+    pivots: StagePivots | None  #: Pivots of the stage matrix; None if the method is explicit.
+    size: float  #: Size of the mechanism at its start [m]; its characteristic length if all points coincide.
+    extent: float  #: Size of the mechanism at its start [m].
+    findings: tuple[Finding, ...]
+    topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
+    seconds: float = 0.0  #: Wall time of the preparation [s].
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
+        table, pivots = self.table, None if self.pivots is None else self.pivots.key
+        steps = table.interval if self.method.traits.tolerances else table.steps
+        settings = self.spec.output.recorded, tuple(self.spec.accept)
+        return self.topology, self.method, pivots, steps, table.every, settings
 
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:

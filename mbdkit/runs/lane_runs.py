@@ -20,7 +20,6 @@ from mbdkit.engine.lane_starts import at_starts
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lane_stepper import PivotsAtStart, VariedStarts
-from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.size import mechanism_sizes
@@ -28,7 +27,7 @@ from mbdkit.methods.kinds import Method
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import criteria, findings
 from mbdkit.runs.integrals import functionals_of
-from mbdkit.runs.lane_group import LaneGroup, PreparedRuns, VariedRuns
+from mbdkit.runs.lane_group import LaneGroup, LaneMember, PreparedRuns, VariedRuns
 from mbdkit.runs.law_ranges import has_ranges, steps_are_rows
 from mbdkit.runs.preparation import guards_of, make_method, timetable
 from mbdkit.runs.state_watchers import StateWatchers
@@ -38,30 +37,6 @@ from mbdkit.trust.finding import Finding
 
 #: Largest number of loops that are stored for later batches; each loop is for one mechanism and method.
 MOST_GROUPS = 8
-
-
-@dataclass(eq=False)
-class LaneMember:
-    """A prepared run that can be vectorized."""
-
-    spec: RunSpec
-    method: Method
-    start: MechanismAtStart
-    table: Timetable
-    pivots: StagePivots | None  #: Pivots of the stage matrix; None if the method is explicit.
-    size: float  #: Size of the mechanism at its start [m]; its characteristic length if all points coincide.
-    extent: float  #: Size of the mechanism at its start [m].
-    findings: tuple[Finding, ...]
-    topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
-    seconds: float = 0.0  #: Wall time of the preparation [s].
-
-    @property
-    def key(self) -> tuple[object, ...]:
-        """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
-        table, pivots = self.table, None if self.pivots is None else self.pivots.key
-        steps = table.interval if self.method.traits.tolerances else table.steps
-        settings = self.spec.output.recorded, tuple(self.spec.accept)
-        return self.topology, self.method, pivots, steps, table.every, settings
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.finish import run_in_memory
-from mbdkit.runs.lane_runs import LaneMember, LaneRuns
+from mbdkit.runs.lane_group import LaneMember
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.spec.run_spec import RunSpec
 
 #: Largest number of prepared specs that are remembered.

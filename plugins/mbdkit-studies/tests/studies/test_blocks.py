@@ -568,7 +568,7 @@ ENSEMBLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
     "lengths": ({"name": "single-pendulum"}, {"model.length": [0.5, 1.5, -1, 1], "model.mass": [0.7, 2, 3, 0.1]}),
     "springs": (
         {"name": "four-bar-knee", "springs": {"a": {"points": [[0.05, 0.1], [0.05, -0.1]], "stiffness": 1.0}}},
-        {"model.springs.a.stiffness": [1000.0, 2e3, 0.0, 4e3], "model.springs.a.damping": [20.0, 0.0, 1.0, -0.0]},
+        {"model.springs.a.stiffness": [1000.0, 2e3, 0.0, 4e3], "model.springs.a.damping": [20.0, 3, 1, -0.0]},
     ),
 }  # fmt: skip
 

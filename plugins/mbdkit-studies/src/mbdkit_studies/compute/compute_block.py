@@ -27,6 +27,7 @@ from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
 from mbdkit.base.terminal import say
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
@@ -41,7 +42,7 @@ from mbdkit_studies.compute.tasks import Outcome, mark_of, run_at_work
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
 from mbdkit_studies.compute.varied_runs import DifferenceError, VariedRuns, drawn, is_determined
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import PlannedPoint
+from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints
 from mbdkit_studies.spec.measures import (
     MEASURES,
     OF_CHECKED_RUNS,
@@ -51,7 +52,7 @@ from mbdkit_studies.spec.measures import (
     other_values,
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import BlockHeading, BlockRuns, kept, write_block
+from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
@@ -241,9 +242,22 @@ def _compute_block(
                 if unfinished.is_due:
                     add()
             add()
-        write_block(files.block(block), heading, plan.points.in_block(places), runs)
+        write_block(files.block(block), heading, _points(plan.points, places), runs)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
+
+
+def _points(points: PlannedPoints, places: range) -> BlockPoints:
+    """Return the points of a study at some places for a block."""
+    numbers, table = [place + 1 for place in places], points.table()
+    if table is not None:
+        values = {key: column[places.start : places.stop] for key, column in table.items()}
+        return BlockPoints(numbers, [points.grids[0].base_json] * len(numbers), values)
+    some = [points[place] for place in places]
+    own = [{path_text(setting.path): setting.value for setting in point.settings} for point in some]
+    keys = dict.fromkeys(key for values in own for key in values)
+    columns = {key: [values.get(key, UNSET) for values in own] for key in keys}
+    return BlockPoints(numbers, [point.grid.base_json for point in some], columns)
 
 
 def _taken_over(saved: Mapping[int, BlockRuns], members: Sequence[_Member]) -> dict[int, BlockRuns]:
