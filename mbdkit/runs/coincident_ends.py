@@ -59,7 +59,7 @@ class CoincidentEnds:
         """
         values = np.empty((*time.shape, len(self._names), 4))
         values[..., :3], values[..., 3] = forces[:, :, self._columns, :3], time[:, :, None]
-        return np.isfinite(self._times(values.swapaxes(0, 1))).any(axis=(0, 2))
+        return np.asarray(np.isfinite(self._times(values.swapaxes(0, 1))).any(axis=(0, 2)))
 
     @staticmethod
     def _times(values: np.ndarray) -> np.ndarray:

@@ -10,54 +10,50 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from mbdkit.base.plain_data import Path, canonical_text
+from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path, canonical_text, path_text
 from mbdkit.spec.run_spec import RunSpec
-
-
-class UnknownTextError(Exception):
-    """The texts of specs cannot be made from a template."""
-
-
-def path_in(data: Any, path: Path) -> Path:
-    """Return a key path with integers as indices of lists; raises LookupError, TypeError or ValueError if the
-    data lack it.
-    """
-    keys: list[str | int] = []
-    for key in path:
-        keys.append(int(key) if isinstance(data, list) else key)
-        data = data[keys[-1]]
-    return tuple(keys)
 
 
 class SpecTexts:
     """The canonical JSON of specs that differ only in the numbers at some key paths.
 
+    Parameters
+    ----------
+    spec
+        One of the specs.
+    keys
+        The key paths; indices of lists may be texts, as in ``model.angles.0``.
+
+    Attributes
+    ----------
+    paths
+        The key paths with integers as indices.
+
     Raises
     ------
-    UnknownTextError
+    SpecError
         If a number is not in the text, or if its text depends on more than the number.
     """
 
-    def __init__(self, spec: RunSpec, paths: Sequence[Path]):
+    def __init__(self, spec: RunSpec, keys: Sequence[Path]):
         text = spec.canonical_json()
         data = json.loads(text)
         if canonical_text(data) != text:
-            raise UnknownTextError
-        self._kinds, self._defaults = [], [_default(spec, path) for path in paths]
-        for number, path in enumerate(paths):
+            raise SpecError("the text of the spec is not canonical")
+        self.paths = [_path_in(data, key) for key in keys]
+        self._kinds, self._defaults = [], [_default(spec, path) for path in self.paths]
+        for number, path in enumerate(self.paths):
             holder: Any = data
-            try:
-                for key in path[:-1]:
-                    holder = holder[key]
-                self._kinds.append(type(holder[path[-1]]))
-            except LookupError as error:
-                raise UnknownTextError from error
+            for key in path[:-1]:
+                holder = holder[key]
+            self._kinds.append(type(holder[path[-1]]))
             holder[path[-1]] = f"\0{number}\0"
         if not {*self._kinds} <= {int, float}:
-            raise UnknownTextError
+            raise SpecError("a value is no number")
         template = canonical_text(data)
-        marks = [json.dumps(f"\0{number}\0") for number in range(len(paths))]
-        self._order = sorted(range(len(paths)), key=lambda number: template.index(marks[number]))
+        marks = [json.dumps(f"\0{number}\0") for number in range(len(keys))]
+        self._order = sorted(range(len(keys)), key=lambda number: template.index(marks[number]))
         self._parts: list[str] = []
         for number in self._order:
             before, _, template = template.partition(marks[number])
@@ -101,15 +97,31 @@ def _default(spec: RunSpec, path: Path) -> float:
         if isinstance(holder, BaseModel):
             field = type(holder).model_fields.get(str(key))
             if field is None:
-                raise UnknownTextError
+                raise _unknown(path)
             default, holder = field.default, getattr(holder, str(key))
         elif isinstance(holder, Mapping | list | tuple):
             try:
                 holder = holder[key]  # type: ignore[index]
             except LookupError as error:
-                raise UnknownTextError from error
+                raise _unknown(path) from error
             is_item = isinstance(key, int) and isinstance(default, list | tuple) and len(default) > key
             default = default[key] if is_item else np.nan
         else:
-            raise UnknownTextError
+            raise _unknown(path)
     return float(default) if isinstance(default, int | float) else np.nan
+
+
+def _path_in(data: Any, path: Path) -> Path:
+    """Return a key path with integers as indices of lists."""
+    keys: list[str | int] = []
+    for key in path:
+        try:
+            keys.append(int(key) if isinstance(data, list) else key)
+            data = data[keys[-1]]
+        except (LookupError, TypeError, ValueError) as error:
+            raise _unknown(path) from error
+    return tuple(keys)
+
+
+def _unknown(path: Path) -> SpecError:
+    return SpecError("the text of the spec lacks this number", key=path_text(path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 
@@ -14,7 +13,7 @@ from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.spec_texts import SpecTexts, UnknownTextError, path_in
+from mbdkit.spec.spec_texts import SpecTexts
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoints
 
@@ -55,20 +54,18 @@ class VariedRuns:
         self._keys = [parse_key(key) for key in self._table]
         try:
             self.base = points[0].spec
-            data = json.loads(self.base.canonical_json())
-            paths = [path_in(data, key) for key in self._keys]
-            self.texts = SpecTexts(self.base, paths)
-        except (MbdkitError, LookupError, TypeError, ValueError, UnknownTextError):
+            self.texts = SpecTexts(self.base, self._keys)
+        except MbdkitError:
             self.reason = "the text of their specs depends on more than these values"
             return
         if not is_determined(self.base):
             self.reason = "a plugin builds their mechanisms, which are stored"
             self.note = f"each run is prepared by itself, which takes longer, because {self.reason}"
             return
-        if any(path[0] not in ("model", "parameters") for path in paths):
+        if any(path[0] not in ("model", "parameters") for path in self.texts.paths):
             self.reason = "values outside of the model differ"
             return
-        self.numbers = VariedNumbers(paths, self._with, measures)
+        self.numbers = VariedNumbers(self.texts.paths, self._with, measures)
 
     def _with(self, numbers: Sequence[float]) -> RunSpec:
         return self._specs.spec([*zip(self._keys, numbers, strict=True)])
