@@ -103,6 +103,7 @@ higher_layers.check_gradients = _of_higher_layer("mbdkit_gradients.gradient", "c
 higher_layers.gradients_json = _of_higher_layer("mbdkit_gradients.gradient", "gradients_json", "the key gradients")
 higher_layers.gradient_of_run = _of_higher_layer("mbdkit_gradients.gradient", "gradient_of_run_spec", "a gradient")
 higher_layers.run_errors = _of_higher_layer("mbdkit.archive.accuracy_summary", "RunErrors")
+higher_layers.write_answers = _of_higher_layer("mbdkit.archive.headlines", "write_answers")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
 higher_layers.run_frame = _of_higher_layer("mbdkit_report.group_table", "to_frame", "Run.to_frame")
 higher_layers.run_datatree = _of_higher_layer("mbdkit_report.xarray_tree", "to_datatree", "Run.to_xarray")

@@ -25,7 +25,7 @@ _EXAMPLES = {
 }
 
 _PAGES = {
-    "Start": "first-steps mini spec",
+    "Start": "first-steps mini spec glossary",
     "Model": "mechanism beams events control",
     "Analyse": "methods capabilities measures environments coupling",
     "Trust and extend": "trust reliability performance files plugins joints elements kernels changes",
@@ -99,6 +99,10 @@ def builtin_features() -> list[Feature]:
         CriterionItem(
             name="corners", summary="Tables that overshoot, and too many discontinuities.", order=110, stage="spec",
             find=Target("mbdkit.runs.corners:overshoots_and_corners"), criteria=("corners", "overshoots"),
+        ),
+        CriterionItem(
+            name="method-evidence", summary="Methods of others that failed their checks, or have changed since.",
+            order=115, stage="spec", find=Target("mbdkit.runs.method_evidence:method_evidence"),
         ),
         CriterionItem(
             name="moved-start", summary="Positions and angles that assembly changes by far.", order=120, stage="start",

@@ -11,9 +11,18 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from mbdkit.archive.accuracy import largest_known
-from mbdkit.archive.headlines import MESH_ERROR, excluded_words, headline_items, largest_forces, plus_minus
+from mbdkit.archive.headlines import (
+    MESH_ERROR,
+    Headline,
+    excluded_words,
+    headline_items,
+    joint_loads,
+    known_loads,
+)
+from mbdkit.archive.largest_values import LargestValues
 from mbdkit.archive.peak_errors import (
     BETWEEN,
+    errors_of_largest,
     excess_between_rows,
     jumps,
     measures_of_largest,
@@ -23,13 +32,11 @@ from mbdkit.archive.peak_errors import (
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.registry.feature_items import HeadlineItem
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-_ATTRIBUTES = {"reaction_error": "joints.force", "torque_error": "joints.torque"}
 
 
 class RunErrors:
@@ -74,41 +81,52 @@ class RunErrors:
         excluded = " and ".join(filter(None, (self.excluded, unknown)))
         return f"errors estimated{f', except {excluded}; ' if excluded else ', '}nothing suspicious seen"
 
-    def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """Return the errors (E,) of the largest values of elements.
+    def of_largest(
+        self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray | None = None
+    ) -> LargestValues:
+        """Return the largest values of elements with their bars.
 
         `quantity`: quantity of which `size` has the magnitudes, such as ``joints.force``. `names`: names of the
-        elements. `size`, `errors`: (T, E) magnitudes in the leading rows of the run, and their errors.
+        elements. `size`, `errors`: (T, E) magnitudes in the leading rows of the run, and their errors; None if these
+        are unknown.
 
-        The error is the sum of two terms: the largest error of the method in any of these rows, because the true peak
-        may be in another row, and the height by which the largest value during the run exceeds the recorded one, with
-        its error. This height is known only for all rows. For fewer rows, it is estimated by interpolation if every
-        step is recorded; otherwise the errors are nan. If the largest value is also a measure, the error is the sum of
-        the height and the error of the measure, so that a number has the same error wherever it is printed.
+        If the largest value is also a measure, its bar is that of the measure, so that a number has the same bar
+        wherever it is printed.
         """
-        run, missed = self.run, self.missed(quantity, names, size)
-        if missed is not None and len(size) == len(run.time):
+        missed = self.missed(quantity, names, size) if len(size) == len(self.run.time) else None
+        accuracy, bars = self.run.accuracy, None
+        if errors is not None:
+            bars = self.errors_of_largest(quantity, names, size, errors, missed)
+        elif accuracy is not None:
+            bars = errors_of_largest(self.run.integrals, accuracy.compared_measures, quantity, names)
+        largest = LargestValues.of(size, missed, bars)
+        for index, _, _ in self.of_measures(quantity, names):
+            if np.isfinite(largest.bars[index, 0]):
+                largest.recorded[index] = largest.value[index]  # a measure does not depend on rows
+        return largest
+
+    def errors_of_largest(
+        self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray, missed: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the errors (E,) of the largest values of elements; see `of_largest`.
+
+        `missed`: (E,) by how much the largest values exceed those of all rows; None if it is not known.
+
+        The error has two terms: the largest error of the method in any of these rows, because the true peak may be in
+        another row, and the error of the height by which the largest value during the run exceeds the recorded one.
+        This height is known only for all rows. For fewer rows, it is estimated by interpolation, and the error contains
+        it, if every step is recorded; otherwise the errors are nan.
+        """
+        run, of_run = self.run, np.max(errors, axis=0)
+        if missed is not None:
             steps_per_row = max(1.0, float(run.stats.get("steps", 1)) / max(1, len(run.time) - 1))
-            between = BETWEEN * missed / steps_per_row**2  # peaks are parabolas near their vertices
-            of_run = np.max(errors, axis=0) + between
+            of_run = of_run + BETWEEN * missed / steps_per_row**2  # peaks are parabolas near their vertices
             for index, _, error in self.of_measures(quantity, names):
                 of_run[index] = error
-            return np.asarray(of_run + missed)
+            return np.asarray(of_run)
         if skips_steps(run.spec):
-            missed = np.full(size.shape[1], np.nan)
-        else:
-            missed = excess_between_rows(np.asarray(run.time)[: len(size)], size, jumps(run))
-        return np.asarray(np.max(errors, axis=0) + missed)
-
-    def of_reactions(self, name: str, size: np.ndarray) -> np.ndarray | None:
-        """Return the errors (J,) of the largest values of the joints in the leading rows; None without a check.
-
-        `name`: ``reaction_error`` or ``torque_error``. `size`: (T, J) magnitudes of the joints, in at least one row.
-        """
-        if self.run.accuracy is None:
-            return None
-        errors: np.ndarray = getattr(self.run.accuracy, name)
-        return self.of_largest(_ATTRIBUTES[name], self.run.joint_names, size, errors[: len(size)])
+            return np.full(size.shape[1], np.nan)
+        return np.asarray(of_run + excess_between_rows(np.asarray(run.time)[: len(size)], size, jumps(run)))
 
     def of_measures(self, quantity: str, names: Sequence[str]) -> Iterator[tuple[int, float, float]]:
         """Yield the index of each element whose largest magnitude is a measure with a known error, the value of this
@@ -144,30 +162,17 @@ class RunErrors:
         given += ["outputs of controllers in Python"] * run.records("samples/value")
         position += f" for given {listed(given, 'and')}" if given else ""
         if accuracy.is_complete:
-            return "; ".join(filter(None, (_largest_force(run) if with_force else "", position)))
+            return "; ".join(filter(None, (_largest_force(joint_loads(run, "force")) if with_force else "", position)))
         until = f" until {accuracy.known_until:.4g} s"
-        force = _largest_known_force(run, accuracy.rows_known) if accuracy.rows_known > 1 else ""
+        force = _largest_force(known_loads(run, "force"))
         why = f": {accuracy.unknown}" if accuracy.unknown else ""
         return "; ".join(filter(None, (force and force + until, position + until, f"errors unknown afterwards{why}")))
 
 
-def _largest_force(run: Run) -> str:
-    """Return the largest force of all joints with its error, as headlines state it; empty if unknown."""
-    largest = next(iter(largest_forces(run)), None)
-    return "" if largest is None or math.isnan(largest.error) else f"{largest.label} {largest.text()}"
-
-
-def _largest_known_force(run: Run, count: int) -> str:
-    """Return the largest force of joints in the first `count` rows with its error; empty if there is none."""
-    if not run.joints or not run.records("joints/reaction_force"):
-        return ""
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)[:count]
-    errors = run.errors.of_reactions("reaction_error", size)
-    joint = int(np.argmax(np.max(size, axis=0)))
-    largest = float(np.max(size[:, joint]))
-    if errors is None or math.isnan(errors[joint]) or largest <= 0:
-        return ""
-    return f"largest force in {run.joint_names[joint]} {plus_minus(largest, float(errors[joint]))} N"
+def _largest_force(forces: Sequence[Headline]) -> str:
+    """Return the largest of forces with its error, as headlines state it; empty if unknown."""
+    largest = next(iter(forces), None)
+    return "" if largest is None or not largest.bar.is_known else f"{largest.label} {largest.text()}"
 
 
 def asked_sentence(run: Run) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import h5py
 import numpy as np
 
+from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import blocks, datasets, is_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import is_hashed
@@ -15,7 +16,7 @@ from mbdkit.archive.run import Run
 from mbdkit.base.text import shown
 
 #: Provenance attributes that cannot affect the results.
-_NOT_VERSIONS = {"command"}
+_NOT_VERSIONS = {"command", layout.EVIDENCE}
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class Comparison:
     - `differences`: largest difference of each array except timings, relative to the largest magnitude of that array in
       either run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite
       values differ.
+    - `code`: plugins whose code differs.
     - `versions`: provenance attributes that differ, except the command, with the values of the first and the second
       run.
     """
@@ -35,6 +37,7 @@ class Comparison:
     same_spec: bool
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
+    code: Sequence[str] = ()
 
     @property
     def largest(self) -> float:
@@ -47,6 +50,8 @@ class Comparison:
             lines = ["the data are the same to the bit"]
         else:
             lines = [f"the data differ by {self.largest:.2g}, relative to the largest value of the array"]
+            for name in sorted(self.code):
+                lines.append(f"the cause is probably that the code of {name} has changed since the first run")
             worst = sorted(self.differences.items(), key=lambda item: -item[1])
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
         if not self.same_spec:
@@ -66,15 +71,18 @@ def compare(first: Run, second: Run) -> Comparison:
     for path in sorted({*left, *right}):
         with reading(path, None):
             differences[path] = 0.0 if same else _difference(left.get(path), right.get(path))
+    versions = {
+        name: pair
+        for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
+        if len(set(pair := (str(first.provenance.get(name, "")), str(second.provenance.get(name, ""))))) == 2
+    }
+    changed = [name.removesuffix("_digest") for name in versions if name.endswith("_digest")]
     return Comparison(
         same_data=same,
         same_spec=first.spec_json == second.spec_json,
         differences=differences,
-        versions={
-            name: pair
-            for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
-            if len(set(pair := (str(first.provenance.get(name, "")), str(second.provenance.get(name, ""))))) == 2
-        },
+        versions=versions,
+        code=[str(first.provenance[kind]) for kind in changed if kind in first.provenance],
     )
 
 

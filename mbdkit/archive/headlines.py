@@ -1,38 +1,37 @@
 """Headlines, the main numbers of a run: its measures or, if it has none, its largest forces, torques and
-activations.
+activations. `answers` returns all numbers with error bars, from which every summary, report, plot and archive takes
+them, so that a number has one value and one bar.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
+import h5py
 import numpy as np
 
-from mbdkit.archive.peak_errors import measures_of_largest
+from mbdkit.archive import layout
+from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.peak_errors import expression_of_largest
+from mbdkit.archive.run import Run
+from mbdkit.base.errors import PluginError
+from mbdkit.base.logs import logger_of
+from mbdkit.base.plain_data import json_text
+from mbdkit.base.text import Bar, plus_minus
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import HeadlineItem
-from mbdkit.registry.manager import registry
+from mbdkit.registry.manager import registry, use
 from mbdkit.registry.seam import Seam
-from mbdkit.registry.use import use
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 MOST = 5  #: Number of headlines of a run.
 
-MOST_DIGITS = 10  #: Largest number of significant digits of a number with an error.
-
 DIGITS_ALONE = 6  #: Number of significant digits of a number whose error was not estimated.
 
-#: The value between recorded rows is printed if the number misses more than this share of it: with a known error, and
-#: without one.
+#: The largest recorded value is printed too if it is smaller by this share: with a known error, and without one.
 MISSED, NEGLIGIBLE = 0.01, 1e-5
-
-#: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
-SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
 #: Values up to this share of the largest value of their kind count as zero. Torques of drivers [N m] also count as zero
 #: up to this share of the largest force in a joint [N].
@@ -54,73 +53,91 @@ MESH_ERROR = "the error of the mesh of beams"  #: What error bars of runs with b
 #: Residuals [m or rad], overlaps [m] and creep [m/s] up to this value are rounding errors.
 EXACT = 1e-12
 
+#: Unit of the loads of joints, and the attribute of `Accuracy` with their errors.
+LOADS = {"force": ("N", "reaction_error"), "torque": ("N m", "torque_error")}
+
 
 class Headline(NamedTuple):
-    """A number of a run with its unit and its estimated error, which is nan if unknown.
+    """A number of a run with its unit and its bar.
 
-    `missed` is by how much the value between recorded rows exceeds the number; nan if rows skip steps and the value
-    between them is unknown. It is a part of the error.
+    A largest value is that between recorded rows, too, if it is known.
     """
 
     label: str
     value: float
     unit: str
-    error: float = math.nan
-    missed: float = 0.0
+    bar: Bar = Bar()
+    id: str = ""
+    """Identifier, the same in every output: the expression of a largest value, or the name of a measure."""
+    recorded: float = math.nan
+    """Largest value in the recorded rows; nan if the number is not a largest value."""
+    is_of_rows: bool = False
+    """Whether the largest value between recorded rows is unknown, so that the number is that of the rows."""
+    quantity: str = ""
     element: str = ""
+    """Quantity and element of a largest value, such as ``joints.force``."""
     time: float = math.nan
-    """Time of the recorded row with the number [s]."""
+    """Time of the recorded row with the largest value [s]."""
     is_checked: bool = False
     """Whether the errors of the run were estimated, so that an unknown error is stated."""
     is_at_end: bool = False
     """Whether the number is that at the end of the run, so that a longer run may exceed it."""
     is_unique: bool = True
     """Whether the motion determines the number; otherwise it is one of the possible reactions of redundant joints."""
-
-    @property
-    def largest(self) -> float:
-        """The number, or the larger value between rows if it is known."""
-        return self.value if math.isnan(self.missed) else self.value + self.missed
+    by_parameters: float = math.nan
+    """A further bar, by the estimates of parameters; nan without."""
+    until: float = math.nan
+    """Time until which the number is the largest value [s]; nan if that is the end of the run."""
+    is_main: bool = True
+    """Whether the number is one of the headlines if the run has no measures."""
 
     @property
     def misses(self) -> bool:
-        """Whether the value between rows is known, and clearly larger than the number."""
-        return self.missed > (NEGLIGIBLE if math.isnan(self.error) else MISSED) * abs(self.largest)
+        """Whether the number is clearly larger than the largest recorded value."""
+        return self.value - self.recorded > (MISSED if self.bar.is_known else NEGLIGIBLE) * abs(self.value)
 
     def text(self, sign: str = "+-") -> str:
-        """Return the number with the digits that its error justifies, its error and its unit.
+        """Return the number with the digits that its bar justifies, its bar and its unit.
 
-        The number is the largest value between recorded rows if that is known; if it is clearly larger than the value
-        in the rows, the text has both. If it is unknown, the text says that the number is that of the rows.
+        If the largest recorded value is clearly smaller, the text has both. If the value between rows is unknown, the
+        text says that the number is that of the rows.
         """
         if not self.is_unique:
-            return f"{self.largest:.4g} {self._unit}".rstrip() + NOT_UNIQUE
-        if math.isnan(self.missed):
-            return self._with_error(self.value, self.error, sign) + " in the recorded rows"
-        between = self._with_error(self.largest, self.error - self.missed, sign)
-        if self.misses:
-            return f"{self.value:.4g} {self._unit}".rstrip() + f" in the recorded rows, {between} between them"
-        return between
+            return self._with_unit(f"{self.value:.4g}") + NOT_UNIQUE
+        text = self._with_unit(self.number(sign))
+        if self.is_checked and not self.bar.is_known:
+            text = self._with_unit(f"{self.value:.4g}") + " (error unknown)"
+        if self.is_of_rows:
+            text += " in the recorded rows"
+        elif self.misses:
+            text = f"{self._with_unit(f'{self.recorded:.4g}')} in the recorded rows, {text} between them"
+        if not math.isnan(self.by_parameters):
+            text += self._with_unit(f", and {sign} {self.by_parameters:.2g}") + " by parameters"
+        return text
+
+    def number(self, sign: str = "+-") -> str:
+        """Return the number and its bar, without unit."""
+        return plus_minus(self.value, self.bar, sign) if self.bar.is_known else f"{self.value:.{DIGITS_ALONE}g}"
 
     def answer(self, sign: str = "+-") -> str:
         """Return `text`, and say if the number is that at the end of the run."""
         return self.text(sign) + (" at the end of the run" if self.is_at_end else "")
 
-    @property
-    def _unit(self) -> str:
-        return self.unit.removesuffix("1")
+    def to_dict(self) -> dict[str, Any]:
+        """Return the number, its bar and its text; numbers that are unknown are nan, or left out."""
+        found = {"id": self.id, "label": self.label, "value": self.value, "unit": self.unit}
+        found |= {"lower": self.bar.lower, "upper": self.bar.upper, "text": self.text()}
+        return found if math.isnan(self.by_parameters) else {**found, "by_parameters": self.by_parameters}
 
-    def _with_error(self, value: float, error: float, sign: str) -> str:
-        if not math.isnan(error):
-            return f"{plus_minus(value, error, sign)} {self._unit}".rstrip()
-        if self.is_checked:
-            return f"{value:.4g} {self._unit}".rstrip() + " (error unknown)"
-        return f"{value:.{DIGITS_ALONE}g} {self._unit}".rstrip()
+    def _with_unit(self, number: str) -> str:
+        return f"{number} {self.unit.removesuffix('1')}".rstrip()
 
 
 @Seam
 def run_headlines(run: Run, /) -> Iterable[Headline]:
-    """Return headlines of a run, the most important first."""
+    """Return numbers of a run with their bars, the most important first. Those that are not `Headline.is_main` are no
+    headlines, but have an id.
+    """
     raise NotImplementedError
 
 
@@ -130,49 +147,61 @@ def excluded_words(run: Run, /) -> str:
     raise NotImplementedError
 
 
-def plus_minus(value: float, error: float, sign: str = "+-", digits: int = MOST_DIGITS) -> str:
-    """Return a value and its error as text, such as ``368.2 +- 0.3``.
-
-    The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
-    without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``. A value that is
-    smaller than its error keeps as many digits of its own, as in ``430 +- 1800``, so that it is not rounded to zero.
-    If the value has too few digits for its error, the error is half a unit of its last digit, which is what rounding
-    may change. A value without an error is exact. A value that is not finite has no known error.
-
-    `value`, `error`: the value and its error, in the same unit; an error that is nan is unknown. `sign`: sign between
-    the value and the error. `digits`: largest number of significant digits of the value.
+def answers(run: Run) -> list[Headline]:
+    """Return all numbers of a run that has rows which may have bars: measures and their derivatives, numbers of
+    plugins, and the largest loads of joints; each once.
     """
-    if not (math.isfinite(value) and math.isfinite(error)):
-        return f"{value:.4g} (error unknown)"
-    if error <= 0:
-        return f"{value:.{digits}g}"
-    of_error = math.floor(math.log10(error))
-    own = math.floor(math.log10(abs(value))) if value else of_error
-    first = max(own, of_error)
-    error = max(error, 0.5 * 10.0 ** (first - digits + 1)) if of_error < first - digits + 1 else error
-    if has_exponent(first):
-        return f"{value:.{min(first - of_error, digits - 1)}e} {sign} {error:.2g}"
-    last = max(min(own, of_error), first - digits + 1)
-    last -= of_error > 0 or last > 0
-    error_text = f"{round(error, 1 - of_error):.0f}" if of_error > 0 else f"{error:.2g}"
-    return f"{round(value, -last):.{max(0, -last)}f} {sign} {error_text}"
+    if not len(run.time):
+        return []
+    every = [*measured(run), *_derivatives(run), *_added(run)]
+    every += [*largest_loads(run), *joint_loads(run, "torque"), *known_loads(run, "force"), *known_loads(run, "torque")]
+    return list({one.id: one for one in reversed(every)}.values())[::-1]
 
 
-def has_exponent(place: int) -> bool:
-    """Return whether numbers whose first digit has this power of ten are printed with an exponent."""
-    return not SMALLEST_PLACE <= place <= LARGEST_PLACE
+def write_answers(file: h5py.File) -> None:
+    """Write the root attribute ``answers`` of an archive that is otherwise complete."""
+    try:
+        found = [answer.to_dict() for answer in answers(Run(file))]
+    except PluginError as error:  # the results are not affected
+        logger_of(__name__).warning("answers are not stored: %s", error)
+    else:
+        set_text(file, layout.ANSWERS, json_text(found))
 
 
 def headlines(run: Run, most: int = MOST) -> list[Headline]:
     """Return up to `most` headlines of a run that has rows, the most important first."""
     if not len(run.time):
         return []
-    measured = [
-        Headline(name, value, run.measures.units[name], run.measure_errors[name])
+    known = [one for one in measured(run) if math.isfinite(one.value)]
+    return (known or [*(one for one in _added(run) if one.is_main), *largest_loads(run)])[:most]
+
+
+def measured(run: Run) -> list[Headline]:
+    """Return the measures of a run; the value of a measure that could not be computed is nan."""
+    units, own = run.measures.units, run.measures.parameter_errors
+    return [
+        Headline(
+            name, value, units[name], Bar.even(run.measure_errors[name]), f"measures.{name}", by_parameters=own[name]
+        )
         for name, value in run.measures.items()
-        if math.isfinite(value)
     ]
-    return (measured or [*_added(run), *largest_loads(run)])[:most]
+
+
+def _derivatives(run: Run) -> list[Headline]:
+    return [
+        Headline(
+            parameter,
+            value,
+            "",
+            Bar.even(math.nan if error is None else error),
+            f"d({measure})/d({parameter})",
+            is_checked=True,
+        )
+        for measure, gradient in run.gradients.items()
+        for parameter, value in gradient.get("derivatives", {}).items()
+        for error in [gradient.get("errors", {}).get(parameter)]
+        if value is not None
+    ]
 
 
 def not_unique(run: Run) -> frozenset[str]:
@@ -196,17 +225,17 @@ def _taken(item: Registered, run: Run) -> list[Headline]:
     return list(run_headlines.of(cast(HeadlineItem, item.plugin).take)(run))
 
 
-def headline_texts(run: Run, sign: str = "+-", *, all_measures: bool = False) -> list[tuple[str, str]]:
-    """Return label and text of up to `MOST` headlines, or of all measures. If any has an error bar, and the error bars
-    do not include an error such as that of the mesh of beams, a last pair says so.
+def headline_texts(run: Run, sign: str = "+-", *, all_measures: bool = False) -> list[tuple[str, str, str]]:
+    """Return label, text and id of up to `MOST` headlines, or of all measures. If any has an error bar, and the error
+    bars do not include an error such as that of the mesh of beams, a last entry says so.
 
     `sign`: sign between a number and its error.
     """
     every = headlines(run, max(MOST, len(run.measures)) if all_measures else MOST)
-    pairs = [(headline.label, headline.answer(sign)) for headline in every]
-    if (excluded := run.errors.excluded) and any(math.isfinite(headline.error) for headline in every):
-        pairs.append(("error bars", f"without {excluded}"))
-    return pairs
+    texts = [(headline.label, headline.answer(sign), headline.id) for headline in every]
+    if (excluded := run.errors.excluded) and any(headline.bar.is_known for headline in every):
+        texts.append(("error bars", f"without {excluded}", ""))
+    return texts
 
 
 def is_at_end(values: np.ndarray) -> bool:
@@ -221,86 +250,79 @@ def largest_loads(run: Run) -> list[Headline]:
 
     Values that count as zero are left out.
     """
-    forces = largest_forces(run)
-    floor = ROUND_OFF * max((headline.largest for headline in forces), default=0.0)
-    of_drivers = [torque for torque in largest_torques(run) if torque.element in run.drivers] if run.drivers else []
-    return [*(headline for headline in of_drivers if headline.largest > floor), *forces]
+    forces = joint_loads(run, "force")
+    floor = ROUND_OFF * max((headline.value for headline in forces), default=0.0)
+    torques = joint_loads(run, "torque") if run.drivers else []
+    return [*(one for one in torques if one.element in run.drivers and one.value > floor), *forces]
 
 
-def largest_forces(run: Run) -> list[Headline]:
-    """Return the largest force of each joint in descending order, without those that count as zero."""
-    if not run.joint_names or not run.records("joints/reaction_force"):
+def joint_loads(run: Run, kind: str) -> list[Headline]:
+    """Return the largest load of each joint, a ``force`` or ``torque``, in descending order, without those that count
+    as zero; none if these were not recorded.
+    """
+    size, accuracy, (unit, errors) = _sizes(run, kind), run.accuracy, LOADS[kind]
+    if size is None:
         return []
-    vectors = run.array("joints/reaction_force")
-    force = np.hypot(vectors[..., 0], vectors[..., 1])  # does not overflow after a motion that flew apart
-    errors = _errors(run, "reaction_error", force)
-    missed = run.errors.missed("joints.force", run.joint_names, force)
-    return _as_measured(
-        run, "joints.force", largest_of(run.errors.force_in, run, run.joint_names, force, "N", errors, missed)
-    )
+    known = getattr(accuracy, errors) if accuracy is not None and accuracy.is_complete else None
+    return largest_of(_words(run, kind), run, f"joints.{kind}", run.joint_names, size, unit, known)
 
 
-def largest_torques(run: Run) -> list[Headline]:
-    """Return the largest torque of each joint in descending order, without those that count as zero."""
-    if not run.joint_names or not run.records("joints/reaction_torque"):
+def known_loads(run: Run, kind: str) -> list[Headline]:
+    """Return the largest loads of joints until the time until which errors are known, as `joint_loads` does; none if
+    all errors are known, or none.
+    """
+    size, accuracy, (unit, errors) = _sizes(run, kind), run.accuracy, LOADS[kind]
+    if size is None or accuracy is None or accuracy.is_complete or (count := accuracy.rows_known) < 2:
         return []
-    torque = np.abs(run.array("joints/reaction_torque"))
-    errors = _errors(run, "torque_error", torque)
-    missed = run.errors.missed("joints.torque", run.joint_names, torque)
-    torques = largest_of("torque of", run, run.joint_names, torque, "N m", errors, missed)
-    return _as_measured(run, "joints.torque", torques)
+    known, until = getattr(accuracy, errors)[:count], accuracy.known_until
+    found = largest_of(_words(run, kind), run, f"joints.{kind}", run.joint_names, size[:count], unit, known)
+    return [one._replace(id=f"{one.id} until {until:.4g} s", is_at_end=False, until=until) for one in found]
 
 
-def _as_measured(run: Run, quantity: str, found: list[Headline]) -> list[Headline]:
-    """Return headlines in which a number that is also a measure does not depend on rows."""
-    known = measures_of_largest(run.spec.get("measures") or {}, quantity, run.joint_names).keys() & {
-        headline.element for headline in found if math.isfinite(headline.error) and math.isfinite(headline.missed)
-    }
-    return [
-        headline._replace(value=headline.largest, error=headline.error - headline.missed, missed=0.0)
-        if headline.element in known
-        else headline
-        for headline in found
-    ]
+def _words(run: Run, kind: str) -> str:
+    return f"largest {run.errors.force_in}" if kind == "force" else "largest torque of"
 
 
-def _errors(run: Run, name: str, size: np.ndarray) -> np.ndarray | None:
-    is_known = run.accuracy is not None and run.accuracy.is_complete
-    return run.errors.of_reactions(name, size) if is_known else None
+def _sizes(run: Run, kind: str) -> np.ndarray | None:
+    """Return the magnitudes (T, J) of the loads of joints; None if they were not recorded."""
+    path = f"joints/reaction_{kind}"
+    if not run.joint_names or not run.records(path):
+        return None
+    values = run.array(path)
+    # unlike a norm, `hypot` does not overflow after a motion that flew apart
+    size: np.ndarray = np.abs(values) if kind == "torque" else np.hypot(values[..., 0], values[..., 1])
+    return size
 
 
 def largest_of(
     words: str,
     run: Run,
-    names: list[str] | tuple[str, ...],
+    quantity: str,
+    names: Sequence[str],
     size: np.ndarray,
     unit: str,
     errors: np.ndarray | None,
-    missed: np.ndarray | None = None,
 ) -> list[Headline]:
-    """Return the largest value of each element, from values `size` (T, J), with its error, in descending order.
+    """Return the largest value of each element with its bar, in descending order, without those that count as zero.
 
-    `missed` (J,) is by how much the values between rows exceed them, nan where unknown; None if every step is recorded.
-
-    Values that count as zero are left out.
+    `words`: words before the name of the element in the label. `quantity`: quantity of the elements, such as
+    ``joints.force``. `size`, `errors`: (T, E) values in the rows, and their errors; see `RunErrors.of_largest`.
     """
-    rows, is_integrated = _peak_rows(size), run.spec_kind.is_integrated
+    rows = np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)
+    largest = run.errors.of_largest(quantity, names, size, errors)
     shared = not_unique(run) if names is run.joint_names else frozenset()
-    beyond = np.zeros(len(rows)) if missed is None else missed
     headlines = []
-    for column, row in enumerate(rows):
-        error = math.nan if errors is None else float(errors[column])
-        label = f"largest {words} {names[column]}" if words else names[column]
-        value, at, is_checked = float(size[row, column]), float(run.time[row]), run.accuracy is not None
-        ends = is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
-        name = names[column]
-        error, extra = (error, float(beyond[column])) if name not in shared else (math.nan, 0.0)
-        headlines.append(Headline(label, value, unit, error, extra, name, at, is_checked, ends, name not in shared))
-    most = max((headline.largest for headline in headlines), default=0.0)
-    return sorted(
-        (headline for headline in headlines if headline.largest > ROUND_OFF * most), key=lambda one: -one.largest
-    )
-
-
-def _peak_rows(size: np.ndarray) -> np.ndarray:
-    return np.argmax(np.nan_to_num(size), axis=0) if size.size else np.zeros(0, int)
+    for column, (name, row) in enumerate(zip(names, rows.tolist(), strict=True)):
+        ends = run.spec_kind.is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
+        is_unique = name not in shared
+        values = largest.recorded[column], largest.value[column]
+        headlines.append(
+            Headline(
+                f"{words} {name}", float(values[int(is_unique)]), unit,
+                Bar(*largest.bars[column].tolist()) if is_unique else Bar(), expression_of_largest(quantity, name),
+                float(values[0]), bool(largest.is_of_rows[column]), quantity, name, float(run.time[row]),
+                run.accuracy is not None, ends, is_unique,
+            )
+        )  # fmt: skip
+    floor = ROUND_OFF * max((headline.value for headline in headlines), default=0.0)
+    return sorted((headline for headline in headlines if headline.value > floor), key=lambda one: -one.value)

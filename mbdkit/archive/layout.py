@@ -14,6 +14,7 @@ from mbdkit.quantities.registered_kinds import groups, kind_of_group, kinds, kin
 from mbdkit.quantities.table import KINDS
 
 FORMAT = "mbdkit-run"
+FORMAT_VERSION = "1.0"
 
 #: Attribute of the group ``trajectory`` while the run is in progress: numbers of rows of the tables at the last flush.
 ROWS_FLUSHED = "rows_flushed"
@@ -34,11 +35,17 @@ ROOT_ATTRIBUTES = (
 )
 #: Root attribute with the values and units of the measures of a run, in JSON; absent without measures.
 MEASURES = "measures"
+ANSWERS = "answers"  #: Root attribute with the numbers of a checked run and their bars, in JSON.
 #: Root attribute with the integrals over time and the extrema that the measures need, by expression, as JSON in SI
 #: units.
 INTEGRALS = "integrals"
 #: Root attribute with the derivatives of the measures with respect to parameters, in JSON; absent without `gradients`.
 GRADIENTS = "gradients"
+#: Root attribute with a word for what is known of the verification of the method; see `Word` in
+#: `mbdkit.runs.method_evidence`.
+METHOD_EVIDENCE = "method_evidence"
+EVIDENCE = "integrator_evidence"  #: Attribute of the provenance with this word and the reason.
+CONVENTIONS = f"{FORMAT}-{FORMAT_VERSION}"  #: Root attribute ``Conventions``.
 MECHANISM = "mechanism"  #: Root attribute with the mechanism that was run, in JSON.
 #: Root attribute with name, size and SHA-256 of every file that was read for the run, in JSON; absent without files.
 FILES = "files"
@@ -66,8 +73,6 @@ SOME_COUNTERS = ("host_evaluations",)
 TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 #: Times that only some runs have: those with integrals over the continuous motion, and those that are checked.
 SOME_TIMINGS = ("integrals_s", "check_s")
-
-FORMAT_VERSION = "1.0"
 
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)

@@ -15,7 +15,7 @@ from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Recorded
 from mbdkit.quantities.registered_kinds import added_kinds, array_at, kind_of_group
 from mbdkit.registry.element_items import QuantityKind
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 
 
 class NotRecordedError(MbdkitError, KeyError):

@@ -31,6 +31,7 @@ from mbdkit.archive.run_writer import Ending, Origin, SharedForces
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
@@ -473,14 +474,17 @@ class ArrayContents(RunContents):
             shared=finished.shared,
         )
         finished.write(writer)
-        file = writer.finish(finished, measured=self._write_measures if self.measures else None)
+        file = writer.finish(finished, completed=self._complete)
         assert file is not None
         return file
 
-    def _write_measures(self, file: h5py.File) -> str:
+    def _complete(self, file: h5py.File) -> None:
+        if self.measures:
+            set_text(file, layout.MEASURES, self.measures.to_json())
         if self._gradients:
             set_text(file, layout.GRADIENTS, self._gradients)
-        return self.measures.to_json()
+        if self.accuracy is not None:
+            higher_layers.write_answers(file)
 
     def _check_open(self) -> None:
         if self._closed:

@@ -8,26 +8,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
-from mbdkit.archive import result_seams
+from mbdkit.archive import layout, result_seams
 from mbdkit.archive.accuracy_summary import asked_sentence, limit_sentence
 from mbdkit.archive.headlines import (
     JOINTS_NAMED,
     ROUND_OFF,
-    Headline,
     headlines,
-    largest_forces,
-    largest_torques,
-    plus_minus,
+    joint_loads,
+    measured,
 )
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
-from mbdkit.base.text import counted, shown
+from mbdkit.base.text import counted, plus_minus, shown
 from mbdkit.mechanism.beams import beam_of
 from mbdkit.mechanism.mechanism import gravity_text
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import SummaryLine
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import rounding
 
@@ -73,6 +70,7 @@ def summary_lines(run: Run) -> list[tuple[str, str]]:
         ("redundancy", run.redundancy and f"{run.redundancy}{_LEAST_NORM}"),
         ("start", _start(run)),
         ("integrator", _method(spec) if "integrator" in spec else ""),
+        ("evidence", str(run.provenance.get(layout.EVIDENCE, ""))),
         ("stabilization", _stabilization(run)),
         *(("warning", warning) for warning in run.warnings if warning not in run.verdict_reasons),
         ("time", _time(run)),
@@ -254,11 +252,11 @@ def _energy(run: Run) -> str:
 def _drivers(run: Run) -> str:
     if not run.drivers or not run.records("joints/reaction_torque") or len(run.time) == 0:
         return ""
-    forces, torques = largest_forces(run), largest_torques(run)
-    floor = ROUND_OFF * max((headline.largest for headline in (*forces, *torques)), default=0.0)
+    forces, torques = (joint_loads(run, kind) for kind in ("force", "torque"))
+    floor = ROUND_OFF * max((headline.value for headline in (*forces, *torques)), default=0.0)
     parts = []
     for largest in (torques, forces):
-        own = [headline for headline in largest if headline.element in run.drivers and headline.largest > floor]
+        own = [headline for headline in largest if headline.element in run.drivers and headline.value > floor]
         parts += [
             f"{headline.label} {headline.text()}{'' if headline.misses else f' at {headline.time:.4g} s'}"
             for headline in own[:1]
@@ -316,12 +314,9 @@ def answer_lines(run: Run) -> list[tuple[str, str]]:
     headlines. Further lines name an error that the error bars do not include, and say when a run stopped early.
     """
     lines: list[tuple[str, str]] = []
-    for name, value in run.measures.items():
-        text = run.measures.reasons.get(name, "undefined")
-        if math.isfinite(value):
-            unit, by_parameters = run.measures.units[name], run.measures.parameter_errors[name]
-            text = Headline(name, value, unit, run.measure_errors[name]).text()
-            text += "" if math.isnan(by_parameters) else f", and +- {by_parameters:.2g} {unit} by parameters"
+    for one in measured(run):
+        name = one.label
+        text = one.text() if math.isfinite(one.value) else run.measures.reasons.get(name, "undefined")
         remark = f" ({run.measures.remarks[name]})" if name in run.measures.remarks else ""
         lines.append(("" if lines else "measures", f"{name} {text}{remark}"))
     answer = "; ".join(f"{headline.label} {headline.answer()}" for headline in headlines(run)) if not lines else ""

@@ -15,6 +15,8 @@ from mbdkit.registry.manager import registry
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from mbdkit.archive.largest_values import LargestValues
+
 Names = str | Sequence[str] | None  #: Names of the elements to draw; None for those with the largest values.
 Gap = Literal["position", "velocity", "angle"]
 Components = Literal["magnitude", "global", "body", "x", "y", "axial", "shear"]
@@ -54,11 +56,10 @@ class StatedErrors(Protocol):
     def without_suspicion(self) -> str:
         """Clause for a run whose verdict has no reasons."""
 
-    def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """Return the errors (E,) of the largest values of elements."""
-
-    def of_reactions(self, name: str, size: np.ndarray) -> np.ndarray | None:
-        """Return the errors (J,) of the largest values of the joints; None without a check."""
+    def of_largest(
+        self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray | None = None
+    ) -> LargestValues:
+        """Return the largest values of elements with their bars."""
 
     def missed(self, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
         """Return by how much the largest values (E,) exceed those of the rows; None if nothing happens between rows."""

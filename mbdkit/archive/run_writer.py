@@ -101,10 +101,24 @@ class Origin:
             "mass": np.array([body.mass for body in bodies], FLOAT),
             "inertia": np.array([body.inertia or 0.0 for body in bodies], FLOAT),
         }
-        texts = {layout.MECHANISM: mechanism_json(mechanism)}
+        texts = {layout.MECHANISM: mechanism_json(mechanism), **catalogue_texts(spec.catalogue)}
         if spec.files_read:
             texts[layout.FILES] = files_json(spec.files_read)
+        if evidence := str(provenance.get(layout.EVIDENCE, "")):
+            texts[layout.METHOD_EVIDENCE] = evidence.partition(":")[0]
         return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance, bodies=masses, texts=texts)
+
+
+def catalogue_texts(known: Mapping[str, str]) -> dict[str, str]:
+    """Return the root attributes by which catalogues find an archive: what the spec gives, and defaults.
+
+    `known`: see `ModelSpec.catalogue`.
+    """
+    model, method = (known[key].rpartition(":")[2] for key in ("model", "integrator"))
+    by = f", computed by {method}" if method not in ("", model) else ""
+    defaults = {"title": model, "description": f"Planar motion of the model {model}{by}."}
+    given = {key: known.get(key) or defaults.get(key, "") for key in ("title", "description", "creator", "license")}
+    return {"Conventions": layout.CONVENTIONS, **{key: text for key, text in given.items() if text}}
 
 
 @dataclass(frozen=True)

@@ -74,6 +74,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
         text = str(error)
         if "signature not found" in text:
             why = f"this is not an HDF5 file, so not a {what}"
+            if path.suffix in (".yaml", ".yml", ".toml", ".json"):
+                why += "; if it is a spec of runs, `mbdkit run` makes an archive from it"
         elif "truncated" in text:
             why = f"this {noun} is truncated: its end is missing, as after an incomplete copy"
         else:

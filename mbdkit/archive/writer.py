@@ -198,12 +198,12 @@ class ArchiveWriter(RunWriter):
         assert self._target is not None
         self._target.take_place_of(part)
 
-    def finish(self, ending: Ending, *, measured: Callable[[h5py.File], str] | None = None) -> h5py.File | None:
+    def finish(self, ending: Ending, *, completed: Callable[[h5py.File], None] | None = None) -> h5py.File | None:
         """Write the remaining rows, the hash and the status, and rename the archive to its final name.
 
         `ending`: results known at the end. Besides `Ending.stats`, this method stores its own duration up to the last
-        write [s], as ``finish_s``. `measured`: function that evaluates the measures from the HDF5 file, which is
-        otherwise complete, and returns the attribute ``measures``. Returns the open archive in memory; None if it is a
+        write [s], as ``finish_s``. `completed`: function that adds what is computed from the HDF5 file, which is
+        otherwise complete: measures, gradients and answers. Returns the open archive in memory; None if it is a
         file on disk, which this method closes. Raises ResourceError if the archive cannot be written or renamed.
         """
         if ending.status not in layout.STATUSES[1:]:
@@ -229,8 +229,8 @@ class ArchiveWriter(RunWriter):
                     self._change_head(file)
                 else:
                     self._write_head(file, self.head)
-                if measured is not None:
-                    set_text(file, layout.MEASURES, measured(file))
+                if completed is not None:
+                    completed(file)
                 seconds = ending.stats.get("finish_s") or time.perf_counter() - started
                 replace_number(file["stats"], "finish_s", np.float64(seconds))
                 self._known["stats@finish_s"] = attribute_line("stats@finish_s", np.float64(seconds))

@@ -5,14 +5,24 @@ handles of the same process, but no reading and writing.
 
 The packages filelock and portalocker do not suffice: filelock locks files of its own only. On Windows, portalocker
 locks the content of a file, which neither HDF5 nor another process can then read, and needs pywin32 for shared locks.
+
+Objects that one thread may use at a time, such as simulations, refuse meanwhile the calls of other threads.
+A lock for which they wait would not help: where threads share a simulation, its time and inputs after a call are not
+those that the thread left.
 """
 
 from __future__ import annotations
 
 import os
 import sys
+import threading
 import time
+from collections.abc import Callable
+from functools import wraps
 from types import ModuleType
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+from mbdkit.base.errors import SpecError
 
 IS_WINDOWS = sys.platform == "win32"
 
@@ -100,3 +110,38 @@ def unlock(handle: int) -> None:
         import fcntl
 
         fcntl.flock(handle, fcntl.LOCK_UN)
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class UseLock:
+    """Held by the thread that uses an object; copies are locks of their own.
+
+    `refusal`: the sentence for other threads.
+    """
+
+    def __init__(self, refusal: str):
+        self.refusal = refusal
+        lock = threading.RLock()
+        self.acquire, self.release = lock.acquire, lock.release
+
+    def __reduce__(self) -> tuple[type[UseLock], tuple[str]]:
+        return UseLock, (self.refusal,)
+
+
+def one_thread_at_a_time(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any, P], R]:
+    """Let a method of an object with the `UseLock` `in_use` raise SpecError while another thread is in one of them."""
+
+    @wraps(method)
+    def exclusive(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
+        lock: UseLock = self.in_use
+        if not lock.acquire(blocking=False):
+            raise SpecError(lock.refusal)
+        try:
+            return method(self, *args, **kwargs)
+        finally:
+            lock.release()
+
+    return exclusive

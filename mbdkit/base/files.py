@@ -67,7 +67,7 @@ def check_suffix(path: str | os.PathLike[str], allowed: Sequence[str], what: str
     """Return `path` as a Path after checking its suffix. Raises SpecError if the suffix is not one of `allowed`."""
     target = Path(path)
     if target.suffix.lower() not in allowed:
-        names = ", ".join(allowed[:-1]) + " or " + allowed[-1]
+        names = " or ".join(filter(None, (", ".join(allowed[:-1]), allowed[-1])))
         text = f"ends in {target.suffix!r}" if target.suffix else "has no suffix"
         raise SpecError(f"{what} cannot be written to {str(target)!r}, which {text}; its name must end in {names}")
     return target

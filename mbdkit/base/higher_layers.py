@@ -45,6 +45,9 @@ gradient_of_run: Callable[..., object]
 #: Returns what is known of the errors of a simulated run; see `mbdkit.archive.accuracy_summary.RunErrors`.
 run_errors: Callable[..., object]
 
+#: Writes the root attribute ``answers`` of an archive; see `mbdkit.archive.headlines.write_answers`.
+write_answers: Callable[..., None]
+
 run_summary: Callable[..., str]  #: Returns the summary of a run as lines of text.
 
 run_frame: Callable[[Any, str], Any]  #: Returns a group of a run as a pandas DataFrame.

@@ -2,6 +2,9 @@
 
 stdout is reserved for the results that `show` and `show_json` print. While a command runs, everything else that is
 written to stdout, such as output of a plugin, goes to stderr.
+
+Archives record the command of this process: subcommands and file names only, because command lines may contain private
+data, such as tokens, or paths in a user's home.
 """
 
 from __future__ import annotations
@@ -9,9 +12,10 @@ from __future__ import annotations
 import errno
 import functools
 import os
+import shlex
 import sys
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from pathlib import PurePath
 from typing import Any, TextIO
@@ -19,10 +23,48 @@ from typing import Any, TextIO
 import typer
 from typer.core import TyperGroup
 
-from mbdkit.base.command_words import executing
 from mbdkit.base.errors import ArchiveError, MbdkitError, PluginError, ResourceError, RunError, SpecError, file_error
 from mbdkit.base.interrupts import INTERRUPTED as INTERRUPTED
 from mbdkit.base.text import bounded, one_line, shown
+
+_words: Sequence[str] = ()
+
+
+def command_line() -> str:
+    """Return the command that is executed, such as ``mbdkit run knee.yaml``; empty outside of commands.
+
+    Bytes of file names that are not UTF-8 are escaped. If the locale is C, Python does not decode bytes beyond ASCII.
+    """
+    return os.fsencode(shlex.join(_words)).decode("utf-8", "backslashreplace")
+
+
+def for_shell(words: Sequence[str]) -> str:
+    """Return a command with the quotes that the shell of this system needs, so that users can copy it."""
+    if os.name != "nt":
+        return shlex.join(words)
+    import subprocess
+
+    return subprocess.list2cmdline(words)
+
+
+def command_words() -> list[str]:
+    """Return the words of `command_line`, which are passed to processes that execute a part of the command."""
+    return list(_words)
+
+
+@contextmanager
+def executing(words: Sequence[str]) -> Iterator[None]:
+    """Make `command_line` return these words within a block.
+
+    A worker process receives the words of the command that started it.
+    """
+    global _words
+    before, _words = _words, words
+    try:
+        yield
+    finally:
+        _words = before
+
 
 DONE, BUG, WRONG_INPUT, STOPPED_EARLY, PLUGIN_FAILED = 0, 1, 2, 3, 4
 DIFFERS = NOT_VERIFIED = 1

@@ -1,4 +1,4 @@
-"""Formats messages: lists of names, "did you mean" hints, plain-text tables."""
+"""Formats messages: lists of names, "did you mean" hints, numbers with error bars, plain-text tables."""
 
 from __future__ import annotations
 
@@ -6,19 +6,51 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+MOST_DIGITS = 10  #: Largest number of significant digits of a number with an error.
+
+#: Numbers are printed without an exponent if the power of ten of their first digit is in this range.
+SMALLEST_PLACE, LARGEST_PLACE = -3, 8
 
 _HARMFUL = re.compile(
     "[\0-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff"  # not allowed in XML, or interpreted by terminals
     "\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069\ufeff]"  # reverse or hide text
 )
 
+#: Names of this package for what other programs and textbooks call by another name.
+SYNONYMS = {
+    name: meant.split()
+    for names, meant in {
+        "pin hinge rotational": "revolute",
+        "slider translational sliding": "prismatic point-on-line",
+        "fixed rigid": "weld",
+        "rod link": "distance",
+        "motor actuator": "driver",
+        "world base frame": "ground",
+        "k": "stiffness",
+        "c d": "damping",
+        "l0 rest_length length": "free_length",
+        "m": "mass",
+        "j izz moment_of_inertia": "inertia",
+        "dt h timestep step_size": "step",
+        "duration t_end tend tfinal": "end",
+        "rk45 ode45": "dopri5",
+        "lsoda": "scipy-lsoda",
+    }.items()
+    for name in names.split()
+}
+
 
 def did_you_mean(word: str, known: Iterable[str], most: int = 1) -> str:
-    """Return ``" (did you mean 'x'?)"`` for the known names closest to `word`, at most `most`, or an empty string."""
+    """Return ``" (did you mean 'x'?)"`` for the known names that are meant by `word` elsewhere, or else for at most
+    `most` that are closest to it; an empty string if there are none.
+    """
     if len(word) > 300:
         return ""
     names = {name.casefold(): name for name in known}
-    close = difflib.get_close_matches(word.casefold(), names, n=most, cutoff=0.6)
+    close = [name for name in SYNONYMS.get(word.casefold(), []) if name in names]
+    close = close or difflib.get_close_matches(word.casefold(), names, n=most, cutoff=0.6)
     return f" (did you mean {listed([repr(names[key]) for key in close], 'or')}?)" if close else ""
 
 
@@ -42,6 +74,67 @@ def told_apart(first: float, second: float, digits: int = 6) -> tuple[str, str]:
     if apart > 0.0 and math.isfinite(size) and math.isfinite(apart):
         digits = min(17, max(digits, 2 + math.ceil(math.log10(size / apart))))
     return f"{first:.{digits}g}", f"{second:.{digits}g}"
+
+
+class Bar(NamedTuple):
+    """How far the true value may lie below and above a number, in its unit; nan if unknown."""
+
+    lower: float = math.nan
+    upper: float = math.nan
+
+    @classmethod
+    def even(cls, error: float) -> Bar:
+        """Return the bar with two equal ends."""
+        return cls(error, error)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether both ends are known."""
+        return math.isfinite(self.lower + self.upper)
+
+
+def plus_minus(value: float, error: float | tuple[float, float], sign: str = "+-", digits: int = MOST_DIGITS) -> str:
+    """Return a value and its error as text, such as ``368.2 +- 0.3``.
+
+    The value is rounded to the place of the error's first digit. If the error is 10 or more and the value is printed
+    without an exponent, it is rounded to the place of the error's second digit, as in ``3600 +- 210``. A value that is
+    smaller than its error keeps as many digits of its own, as in ``430 +- 1800``, so that it is not rounded to zero.
+    If the value has too few digits for its error, the error is half a unit of its last digit, which is what rounding
+    may change. A value without an error is exact. A value that is not finite has no known error.
+
+    `value`, `error`: the value and its error, in the same unit; an error that is nan is unknown. An error with two
+    different ends is written as ``1970 (-380, +900)``; the smaller one determines the digits. `sign`: sign between the
+    value and the error. `digits`: largest number of significant digits of the value.
+    """
+    if isinstance(error, tuple):
+        lower, upper = error
+        if Bar(*error).is_known and lower != upper:
+            number = plus_minus(value, min(error), sign, digits).partition(" ")[0]
+            return f"{number} (-{_error_text(lower)}, +{_error_text(upper)})"
+        error = max(error) if Bar(*error).is_known else math.nan
+    if not (math.isfinite(value) and math.isfinite(error)):
+        return f"{value:.4g} (error unknown)"
+    if error <= 0:
+        return f"{value:.{digits}g}"
+    of_error = math.floor(math.log10(error))
+    own = math.floor(math.log10(abs(value))) if value else of_error
+    first = max(own, of_error)
+    error = max(error, 0.5 * 10.0 ** (first - digits + 1)) if of_error < first - digits + 1 else error
+    if has_exponent(first):
+        return f"{value:.{min(first - of_error, digits - 1)}e} {sign} {error:.2g}"
+    last = max(min(own, of_error), first - digits + 1)
+    last -= of_error > 0 or last > 0
+    return f"{round(value, -last):.{max(0, -last)}f} {sign} {_error_text(error)}"
+
+
+def _error_text(error: float) -> str:
+    place = math.floor(math.log10(error)) if 0 < error < math.inf else 0
+    return f"{round(error, 1 - place):.0f}" if 0 < place <= LARGEST_PLACE else f"{error:.2g}"
+
+
+def has_exponent(place: int) -> bool:
+    """Return whether numbers whose first digit has this power of ten are printed with an exponent."""
+    return not SMALLEST_PLACE <= place <= LARGEST_PLACE
 
 
 def counted(number: int, one: str, many: str = "") -> str:

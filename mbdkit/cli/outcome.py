@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from mbdkit.base import terminal
-from mbdkit.base.command_words import for_shell
-from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.terminal import for_shell, say, show, show_json
 
 if TYPE_CHECKING:
     from mbdkit.archive.accuracy import Accuracy
@@ -58,6 +57,8 @@ def _errors(result: Run) -> dict[str, float]:
 
 
 def _outcome(result: Run) -> dict[str, object]:
+    from mbdkit.archive.headlines import answers  # importing NumPy, like SciPy, would delay --help
+
     return {
         "path": None if result.path is None else str(result.path),
         "status": result.status,
@@ -68,6 +69,7 @@ def _outcome(result: Run) -> dict[str, object]:
         "run_id": result.run_id,
         "stats": dict(result.stats),
         "misalignment_max": result.misalignment_max,
+        "answers": [answer.to_dict() for answer in answers(result)],
         "events": [asdict(event) for event in result.events],
         **({"measures": _measures(result)} if result.measures else {}),
         **({"gradients": dict(result.gradients)} if result.gradients else {}),
@@ -78,25 +80,14 @@ def _outcome(result: Run) -> dict[str, object]:
 
 def _accuracy(result: Run, accuracy: Accuracy) -> dict[str, object]:
     """Return the estimated errors in numbers; None where they are unknown."""
-    import numpy as np  # importing NumPy, like SciPy, would delay --help
-
     from mbdkit.archive.accuracy_summary import limit_sentence
 
-    joints, excluded = {}, result.errors.excluded
-    if result.records("joints/reaction_force") and len(result.time):
-        size = np.linalg.norm(result.array("joints/reaction_force"), axis=2)
-        errors = result.errors.of_reactions("reaction_error", size) if accuracy.is_complete else None
-        known = np.full(len(result.joint_names), np.nan) if errors is None else errors
-        joints = {
-            name: {"largest_force": float(largest), "error": _number(float(error))}
-            for name, largest, error in zip(result.joint_names, np.max(size, axis=0), known, strict=True)
-        }
+    excluded = result.errors.excluded
     return {
         "known_until": _number(accuracy.known_until),
         "order_observed": _number(accuracy.order_observed),
         "position_error": _number(accuracy.position_error_max),
         "angle_error": _number(accuracy.angle_error_max),
-        "joints": joints,
         **({"limited": limit} if (limit := limit_sentence(result)) else {}),
         "method": accuracy.method,
         **({"not_included": excluded} if excluded else {}),

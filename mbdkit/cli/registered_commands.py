@@ -10,15 +10,20 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from mbdkit.base.distributions import MBDKIT
-from mbdkit.base.errors import MbdkitError, blaming
+from mbdkit.base.errors import MbdkitError, SpecError, blaming
 from mbdkit.base.terminal import Commands, guard, show_json
 from mbdkit.cli.common_options import CONTEXT, PLAIN, Debug
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
-from mbdkit.registry.manager import built_in, installed
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import built_in, installed, use
+
+#: Commands by the names that other programs use for them.
+OTHER_NAMES = {
+    "compare": "archive diff", "diff": "archive diff", "info": "archive info", "summary": "archive info",
+    "export": "archive export", "check": "archive check", "resume": "run --resume", "continue": "run --resume",
+}  # fmt: skip
 
 
 class RegisteredCommands(TyperGroup):
@@ -48,6 +53,8 @@ class RegisteredCommands(TyperGroup):
             self.commands = _stubs(items)
             for clashing in (item for item in items.values() if item.plugin.name == cmd_name):
                 installed().get(clashing.kind, clashing.name)
+            if cmd_name in OTHER_NAMES and not self.group:
+                raise SpecError(f"there is no command '{cmd_name}'; see `mbdkit {OTHER_NAMES[cmd_name]}`")
             return None
         command = _imported(item)
         guard(command, ("mbdkit", *self.group.split(), cmd_name))

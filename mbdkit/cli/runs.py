@@ -190,8 +190,7 @@ def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: l
 
 
 def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:
-    from mbdkit.registry.manager import registry
-    from mbdkit.registry.use import use
+    from mbdkit.registry.manager import registry, use
     from mbdkit.spec.spec_kinds import spec_check, spec_loader
 
     item = registry().get("spec-kind", kind.name)

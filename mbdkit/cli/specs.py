@@ -27,8 +27,13 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     """
     if context.invoked_subcommand is not None:
         return
-    from mbdkit.spec.example_notebooks import notebook_names, notebook_title
-    from mbdkit.spec.loading import example_groups, example_names, read_source  # no validation, which imports plugins
+    from mbdkit.spec.loading import (  # no validation, which imports plugins
+        example_groups,
+        example_names,
+        notebook_names,
+        notebook_title,
+        read_source,
+    )
     from mbdkit.spec.spec_kinds import spec_kinds
 
     rows: list[tuple[str, str, str]] = []
@@ -42,7 +47,7 @@ def examples(context: typer.Context, debug: Debug = False) -> None:
     show(grouped_table(rows))
 
 
-_NAMES = completing(Target("mbdkit.spec:example_names"), Target("mbdkit.spec.example_notebooks:notebook_names"))
+_NAMES = completing(Target("mbdkit.spec:example_names"), Target("mbdkit.spec.loading:notebook_names"))
 
 
 @examples_app.command("copy")
@@ -64,8 +69,7 @@ def examples_copy(
     from mbdkit.base.errors import SpecError
     from mbdkit.base.files import check_suffix, replacing
     from mbdkit.spec import example_names, example_text
-    from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text
-    from mbdkit.spec.loading import example_files, nearest_examples
+    from mbdkit.spec.loading import example_files, jupyter_text, nearest_examples, notebook_names, notebook_text
 
     notebooks = notebook_names()
     known = [*example_names(), *notebooks]
@@ -92,8 +96,6 @@ def examples_copy(
 
 _TOPICS = completing(Target("mbdkit.guide.pages:pages"))
 
-HITS = 12  #: Largest number of sections that a search of the guide prints.
-
 
 def guide(
     words: Annotated[
@@ -106,7 +108,7 @@ def guide(
 
     Pages are Markdown. A pager helps with long ones, as in
     `mbdkit guide spec | less`. Words that are not the name of a page
-    are searched for, as in `mbdkit guide gas spring`.
+    are searched for, as in `mbdkit guide how do I add a spring`.
     """
     from mbdkit.guide.pages import find_page, pages, search
 
@@ -114,9 +116,7 @@ def guide(
     if not topic:
         show(grouped_table((page.group, page.topic, page.summary) for page in pages().values()))
     elif topic not in pages() and (hits := search(topic)):
-        for hit in hits[:HITS]:
+        for hit in hits:
             show(f"{hit.topic}: {hit.heading}\n    {hit.line}")
-        if len(hits) > HITS:
-            show(f"and {len(hits) - HITS} more sections")
     else:
         show(find_page(topic).text.rstrip("\n"))

@@ -15,8 +15,7 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import plain
 from mbdkit.base.traced_numbers import float_array, largest, smallest
-from mbdkit.engine.compile_forces import Lowering, Numbers, acting_kinds, table
-from mbdkit.engine.compile_motions import CompiledMotions
+from mbdkit.engine.compile_forces import CompiledMotions, Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
 from mbdkit.engine.elimination_order import neighbours
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL

@@ -17,9 +17,8 @@ from mbdkit.engine.friction_forces import FollowingForce
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.pose_functions import OF_TIME
 from mbdkit.engine.kernels.table_rows import BODIES, FUNCTION, LAW_ROW, LINEAR, PAIR, STATE_ROW
-from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.element_kinds import ChosenTreatment, element_kinds, reacting_among
 from mbdkit.mechanism.pathways import LawForce
-from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.values import Motion
 from mbdkit.registry.element_items import ElementKind
 

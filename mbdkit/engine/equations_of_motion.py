@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import workspace_at_start
-from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.elimination_order import SingularSystemError, new_factors
 from mbdkit.engine.evaluated_equations import EvaluatedEquations
 from mbdkit.engine.iteration_matrix import (
     Coefficients,
@@ -25,13 +25,14 @@ from mbdkit.engine.iteration_matrix import (
     put,
     vector,
 )
-from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels import equations
 from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE
-from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS
+from mbdkit.engine.kernels.between_positions import accelerations_between
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, JACOBIAN, RESIDUAL_Q, STIFFNESS, new_matrix
 from mbdkit.engine.kernels.frames import Reactions, reactions_in_frames
-from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.engine.solution_between import SolutionBetween
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.observed_states import GivenForces, StateObserver, joint_sums
+from mbdkit.engine.repeated_call import RepeatedCall
 from mbdkit.engine.state_derivatives import Rates
 from mbdkit.engine.tangents import SparseParts, Tangents
 from mbdkit.engine.workspace import Workspace
@@ -40,6 +41,28 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
     from mbdkit.mechanism.mechanism import Mechanism
+
+
+class SolutionBetween:
+    """A kernel with its storage; see `mbdkit.engine.equations_of_motion.EquationsOfMotion.solve_between`.
+
+    - `pivots`: the pivots of the matrix. `address`: address of the `Equations` bundle. `upper`: number of the terms of
+      the matrix in rows of coordinates.
+    - `q`, `force`, `q_end`, `v_end`, `x`, `mu`: (n,) arguments, and (n,) and (m,) results.
+    - `solve`: takes the times of both positions and the factor of the accelerations, all as floats; returns the largest
+      relative residual, or ``-1 - k`` if the pivot at position k has become too small.
+    """
+
+    def __init__(self, pivots: Pivots, address: int, upper: int):
+        self.pivots = pivots
+        factors = new_factors(pivots.pattern, np.float64)._replace(reference=pivots.reference)
+        self._pinned = PinnedBundle(new_matrix(pivots.pattern, factors, pivots.scatter))
+        n, m = pivots.shape
+        self.q, self.force, self.q_end, self.v_end, self.x = np.zeros((5, n))
+        self.mu = np.zeros(m)
+        given = (None, self.q, self.force, None, self.q_end, self.v_end, None)
+        self.solve = RepeatedCall(accelerations_between, address, self._pinned.address, upper, *given, self.x, self.mu)
+
 
 T = TypeVar("T")
 

@@ -22,8 +22,7 @@ from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE
 from mbdkit.engine.native.kernel import LawFunction
 from mbdkit.engine.native.machine_code import BUILDER, builder
 from mbdkit.laws import exponential, gas_spring, linear, one_sided, tabulated
-from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw, LawState, TracedLaw
-from mbdkit.mechanism.law_parameters import law_parameters
+from mbdkit.mechanism.force_law import ExpressionLaw, ForceLaw, LawState, TracedLaw, law_parameters
 
 #: The packaged laws, which have their own machine code.
 _STORED: Mapping[ForceLaw, LawFunction] = {

@@ -54,10 +54,15 @@ _WITH_UNIT = re.compile(
 )
 
 
-def _has_unit(match: re.Match[str]) -> bool:
-    with suppress(SpecError):
-        return bool(read_unit(match[1]))
-    return False
+def _number_with_unit(match: re.Match[str]) -> str:
+    """Return the beginning of a match that is a number with a unit; empty if there is none."""
+    number, unit = match[0].removesuffix(match[1]), match[1]
+    while unit:
+        with suppress(SpecError):
+            read_unit(unit)
+            return number + unit
+        unit = re.sub(r"[^A-Za-z%]*[A-Za-z%]+$", "", unit)
+    return ""
 
 
 class ExpressionError(SpecError):
@@ -182,9 +187,10 @@ class Compiler:
             return ast.parse(self.source, mode="eval").body
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
-            if match := next(filter(_has_unit, _WITH_UNIT.finditer(self.source)), None):
-                how = f"make '{match[0].strip()}' a parameter and write its name, or convert it to SI units"
-                self.refuse(f"numbers in expressions have no units; {how}", match.start())
+            for match in _WITH_UNIT.finditer(self.source):
+                if quantity := _number_with_unit(match):
+                    how = f"make '{quantity}' a parameter and write its name, or convert it to SI units"
+                    self.refuse(f"numbers in expressions have no units; {how}", match.start())
             self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested") from None
@@ -239,6 +245,9 @@ class Compiler:
             hint = (TIME.get(name) if self.variable == "t" else "") or did_you_mean(name, known)
             hint = hint or f"; known: {listed([*self.names(), 'pi', *self.parameters])} and functions"
             self.refuse(f"unknown name '{name}'{hint}", node)
+        if isinstance(node, ast.Compare):
+            sides = f"{ast.unparse(node.left)} - ({ast.unparse(node.comparators[0])})"
+            self.refuse(f"expressions have no comparisons; write the difference of both sides, {sides}", node)
         self.refuse(
             f"'{self.segment(node)}' is not part of {self.wanted}, + - * / **, "
             f"parentheses and the functions {', '.join(FUNCTIONS)}",

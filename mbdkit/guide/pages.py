@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import heapq
+import math
 import re
+from collections import Counter
 from dataclasses import dataclass
 from typing import cast
 
@@ -26,6 +30,11 @@ class Page:
     group: str
 
     @property
+    def title(self) -> str:
+        """The heading of the page."""
+        return self.text.partition("\n")[0].lstrip("# ")
+
+    @property
     def summary(self) -> str:
         """The first sentence of the first paragraph, on one line."""
         paragraphs = (" ".join(block.split()) for block in self.text.split("\n\n"))
@@ -44,7 +53,7 @@ def pages() -> dict[str, Page]:
 
 @dataclass(frozen=True)
 class Hit:
-    """A section of the guide that contains the words of a search, and the line that contains most of them."""
+    """A section of the guide that answers a search, and its line that has most of the words."""
 
     topic: str
     heading: str
@@ -52,24 +61,82 @@ class Hit:
 
 
 def search(words: str) -> list[Hit]:
-    """Return the sections of the guide that contain all words; sections in which the words are adjacent come first."""
-    wanted = _plain(words).split()
-    matches: list[tuple[bool, int, Hit]] = []
-    for page in pages().values():
-        for section in re.split(r"^(?=#+ )", page.text, flags=re.MULTILINE):
-            text = _plain(section)
-            if not wanted or not all(word in text for word in wanted):
-                continue
-            heading, *lines = section.splitlines()
-            best = max(lines or [""], key=lambda line: sum(word in _plain(line) for word in wanted))
-            away = sum(word not in _plain(heading) for word in wanted)
-            matches.append((" ".join(wanted) not in text, away, Hit(page.topic, heading.lstrip("# "), best.strip())))
-    return [hit for *_, hit in sorted(matches, key=lambda match: match[:2])]
+    """Return the sections of the guide that have words of a search, the most relevant one first.
+
+    The order is that of BM25 (Robertson and Zaragoza 2009), in which a word counts more in the heading of a section, in
+    the name of its page and in the first sentence of the page (`WEIGHTS`).
+    """
+    wanted = set(_terms(words))
+    sections = [section for page in pages().values() for section in _sections(page)]
+    mean_length = sum(section.length for section in sections) / len(sections)
+    rarity = {}
+    for word in wanted:
+        number = sum(word in section.counts for section in sections)
+        rarity[word] = math.log(1 + (len(sections) - number + 0.5) / (number + 0.5))
+
+    def score(section: _Section) -> float:
+        damping = SATURATION * (1 - LENGTH + LENGTH * section.length / mean_length)
+        counts = {word: section.counts[word] for word in wanted}
+        return sum(rarity[word] * count * (SATURATION + 1) / (count + damping) for word, count in counts.items())
+
+    found = [section for section in sections if wanted & section.counts.keys()]
+    return [section.hit(wanted) for section in heapq.nlargest(HITS, found, key=score)]
 
 
-def _plain(text: str) -> str:
-    """Return text in lower case, in which hyphens and line ends are replaced by single spaces."""
-    return " ".join(text.lower().replace("-", " ").split())
+HITS = 12  #: Largest number of sections that a search returns.
+
+
+SATURATION, LENGTH = 1.2, 0.75
+"""Constants k1 and b of BM25, at their usual values."""
+
+WEIGHTS = {"heading": 4, "page": 2}
+"""How often words of the heading of a section, and words of the page, are counted."""
+
+QUESTION_WORDS = frozenset(
+    re.findall(
+        r"\w+",
+        "a add an and are be can do does for from get how i in is it large make many mean much my of on or should that "
+        "the there this to use was what when where which why with would",
+    )
+)
+"""Words that say nothing about the subject of a question."""
+
+
+@dataclass(frozen=True)
+class _Section:
+    topic: str
+    lines: list[str]
+    counts: Counter[str]
+
+    @property
+    def length(self) -> int:
+        return self.counts.total()
+
+    def hit(self, wanted: set[str]) -> Hit:
+        heading, *lines = self.lines
+        best = max(lines or [""], key=lambda line: len(wanted.intersection(_terms(line))))
+        return Hit(self.topic, heading.lstrip("# "), best.strip())
+
+
+@functools.cache
+def _sections(page: Page) -> list[_Section]:
+    about = Counter(_terms(f"{page.topic} {page.title} {page.summary}"))
+    sections = []
+    for text in re.split(r"^(?=#+ )", page.text, flags=re.MULTILINE):
+        if lines := text.splitlines():
+            counts = Counter(_terms(text))
+            for _ in range(WEIGHTS["heading"]):
+                counts.update(_terms(lines[0]))
+            for _ in range(WEIGHTS["page"]):
+                counts.update(about)
+            sections.append(_Section(page.topic, lines, counts))
+    return sections
+
+
+def _terms(text: str) -> list[str]:
+    """Return the words of a text in lower case and in the singular, without words of questions."""
+    words = re.findall(r"[^\W_]+", text.lower())
+    return [re.sub(r"(?<=ss)es$|(?<=[^isu])s$", "", word) for word in words if word not in QUESTION_WORDS]
 
 
 def find_page(topic: str) -> Page:

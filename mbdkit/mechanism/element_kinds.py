@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, Never, Protocol, TypeVar, cast
+from typing import Any, NamedTuple, Never, Protocol, TypeVar, cast
 
 from pydantic import Field, TypeAdapter, create_model
 from pydantic.fields import FieldInfo
@@ -24,11 +24,47 @@ from mbdkit.mechanism.model_methods import of_models
 from mbdkit.mechanism.pathways import LawForce
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ElementDerivatives, ElementFailures, ElementForces, ElementKind, JointKind
+from mbdkit.registry.feature_items import Treatment
 from mbdkit.registry.item import described
-from mbdkit.registry.manager import log, registry
+from mbdkit.registry.manager import log, registry, use
 from mbdkit.registry.seam import OwnSeam, Seam
 from mbdkit.registry.target import Target
-from mbdkit.registry.use import use
+
+
+class ChosenTreatment(NamedTuple):
+    """The treatment of the elements of a kind in a run.
+
+    `key`: key of the elements in the model. `section`: the section of the run spec, see
+    `mbdkit.plugin.ElementKind.section_model`.
+    """
+
+    key: str
+    section: Any
+
+    @property
+    def item(self) -> Treatment:
+        """The treatment; raises SpecError if it is not installed."""
+        return cast(Treatment, registry().get(Treatment.kind, self.section.treatment).plugin)
+
+    @property
+    def section_key(self) -> str:
+        """Key of the section in run specs."""
+        return element_kinds()[self.key].section
+
+    @property
+    def content(self) -> tuple[object, ...]:
+        """The values of the section."""
+        return tuple(value for _, value in self.section)
+
+    def replaced(self, name: str) -> ChosenTreatment:
+        """Return the same section with another treatment."""
+        return self._replace(section=self.section.model_copy(update={"treatment": name}))
+
+
+def reacting_among(treatments: Sequence[ChosenTreatment]) -> ChosenTreatment | None:
+    """Return the treatment of elements whose reactions the steps determine; None if there is none."""
+    return next((chosen for chosen in treatments if chosen.item.reacting), None)
+
 
 AnyModel = TypeVar("AnyModel", bound=StrictModel)
 

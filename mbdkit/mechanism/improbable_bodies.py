@@ -14,8 +14,8 @@ from mbdkit.base.text import listed
 from mbdkit.base.traced_numbers import dist, hypot, largest, second_largest, sqrt
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.extent import points_of_elements, size_if_below, smaller_units
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.size import points_of_elements, size_if_below, smaller_units
 from mbdkit.mechanism.values import Point
 
 #: An inertia is improbable if it exceeds the mass of the heaviest body times the square of this many sizes of the

@@ -9,12 +9,12 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.base.traced_numbers import dist, hypot, largest, sqrt
 from mbdkit.mechanism.beams import Beam
-from mbdkit.mechanism.extent import size_if_below, smaller_units
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_radii
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Coordinate
+from mbdkit.mechanism.size import size_if_below, smaller_units
 
 #: A coefficient of friction above this is improbable. Rubber on rough ground reaches about 1, racing tyres about 2,
 #: and percentages are usually larger.

@@ -18,7 +18,14 @@ from mbdkit.base.text import counted
 from mbdkit.mechanism.beams import last_nodes, parts_of
 from mbdkit.mechanism.bodies import GROUND, Element
 from mbdkit.mechanism.checks import check_centers, check_mechanism, check_name, check_names, check_tables
-from mbdkit.mechanism.element_kinds import builder_of, check_elements, element_kinds, kind_built_by
+from mbdkit.mechanism.element_kinds import (
+    ChosenTreatment,
+    builder_of,
+    check_elements,
+    element_kinds,
+    kind_built_by,
+    reacting_among,
+)
 from mbdkit.mechanism.element_methods import ElementMethods
 from mbdkit.mechanism.joint_base import Constraint, JointBase, Pose
 from mbdkit.mechanism.joint_kinds import joint_builder, joint_builders
@@ -26,7 +33,6 @@ from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism_data import ELEMENTS, Assembly, MechanismData, NamedCoordinate, check_coordinates
 from mbdkit.mechanism.parameters import parameter_values, with_expressions
 from mbdkit.mechanism.traced_elements import traced
-from mbdkit.mechanism.treatments import ChosenTreatment, reacting_among
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.mechanism.values import Motion, Point
 from mbdkit.registry.accessors import accessors, computed

@@ -1,16 +1,14 @@
-"""Size of a mechanism: the reference length for the misalignments of its joints."""
+"""Size of a mechanism, the reference length for misalignments; its extent at the start, and units that fit lengths."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from mbdkit.base import elementary
-
-if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.base.traced_numbers import as_float, largest, smallest
+from mbdkit.mechanism.mechanism import Mechanism
 
 
 def mechanism_size(mechanism: Mechanism, position: np.ndarray) -> float:
@@ -49,3 +47,31 @@ def joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, flo
     numbers = {name: number for number, name in enumerate(mechanism.bodies)}
     attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
     return [numbers.get(name, len(numbers)) for _, name, _ in attachments], [point for *_, point in attachments]
+
+
+def smaller_units(length: float, limit: float) -> list[str]:
+    """Return those of cm and mm in which a length is at most `limit` metres; if there are none, mm."""
+    return [unit for unit, factor in (("cm", 1e-2), ("mm", 1e-3)) if factor * length <= limit] or ["mm"]
+
+
+def size_if_below(mechanism: Mechanism, limit: float) -> float:
+    """Return the size of a mechanism if it may be below `limit`, otherwise a lower bound of the size, which takes less
+    time to compute [m].
+    """
+    centres = [body.position for body in mechanism.bodies.values()]
+    least = extent(centres) if centres else 0.0
+    if limit <= least:
+        return least
+    return extent([*centres, *(mechanism.to_global(*points) for points in points_of_elements(mechanism))])
+
+
+def extent(points: Sequence[tuple[float, float]]) -> float:
+    """Return the longer side of the bounding box of points, parallel to the axes [m]."""
+    return as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
+
+
+def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield the bodies of the points of all elements, and the points in the frames of these bodies."""
+    for elements in mechanism.elements.values():
+        for element in elements.values():
+            yield from element.extent_points()

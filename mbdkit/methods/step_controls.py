@@ -16,7 +16,7 @@ from mbdkit.methods.step_filter import StepFilter, step_filter
 from mbdkit.methods.step_methods import ExternalMethod
 from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.registry.items import StepControl
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 
 SODERLIND = """@article{soderlind2003,
   author = {S{\\"o}derlind, Gustaf},

@@ -12,7 +12,6 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit.archive.headlines import plus_minus as plus_minus
     from mbdkit.archive.run import Run as Run
     from mbdkit.base.errors import (
         MbdkitError as MbdkitError, RunError as RunError, SpecError as SpecError, UnknownNameError as UnknownNameError,
@@ -23,7 +22,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.base.plain_data import path_text as path_text, quoted as quoted, value_text as value_text
     from mbdkit.base.strict_model import FormatVersion as FormatVersion, StrictModel as StrictModel
     from mbdkit.base.terminal import show as show
-    from mbdkit.base.text import counted as counted, did_you_mean as did_you_mean, listed as listed, table as table
+    from mbdkit.base.text import (
+        counted as counted, did_you_mean as did_you_mean, listed as listed, plus_minus as plus_minus, table as table,
+    )
     from mbdkit.base.units import read_quantity as read_quantity, read_unit as read_unit
     from mbdkit.cli.common_options import SpecCommand as SpecCommand
     from mbdkit.engine.compile_forces import Lowering as Lowering

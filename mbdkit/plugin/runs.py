@@ -11,7 +11,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit.runs.given_start import GivenStart as GivenStart
     from mbdkit.runs.simulation_batch import SimulationBatch as SimulationBatch
     from mbdkit_biomech.inverse_dynamics.compute import Inverse as Inverse
-    from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion as data_criterion
+    from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion as data_criterion
     from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars as ResultBars
     # fmt: on
 else:

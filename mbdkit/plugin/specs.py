@@ -17,7 +17,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.spec.schema import schema_with_bases as schema_with_bases
     from mbdkit.spec.sections import Count as Count, Section as Section
-    from mbdkit.spec.table_files import read_columns as read_columns
+    from mbdkit.spec.input_tables import read_columns as read_columns
     from mbdkit.spec.yaml_reader import write_yaml as write_yaml
     # fmt: on
 else:

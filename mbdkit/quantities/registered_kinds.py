@@ -22,8 +22,7 @@ from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.table import KINDS
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import QuantityKind
-from mbdkit.registry.manager import log, registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import log, registry, use
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism

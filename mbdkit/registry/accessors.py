@@ -11,9 +11,8 @@ from mbdkit.base.errors import MissingPartError, PluginError
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import Accessor
-from mbdkit.registry.manager import log, registry
+from mbdkit.registry.manager import log, registry, use
 from mbdkit.registry.target import Target
-from mbdkit.registry.use import use
 
 
 class AccessorAttributeError(PluginError, AttributeError):

@@ -455,16 +455,19 @@ class TableFormat(Feature):
         Suffix of the files, with its dot.
     write
         Function that writes a table to a file.
+    write_all
+        Function that writes all tables to one file; a format has this function or `write`.
     needs
         Name of the package that the function imports, if it is not part of mbdkit's requirements.
     """
 
     kind: ClassVar[str] = "table-format"
     key: ClassVar[str] = "to"
-    seams: ClassVar[Mapping[str, str]] = {"write": "table_writer"}
+    seams: ClassVar[Mapping[str, str]] = {"write": "table_writer", "write_all": "workbook_writer"}
 
     suffix: str
-    write: Target
+    write: Target | None = None
+    write_all: Target | None = None
     needs: str = ""
 
     def _check_suffix(self) -> None:

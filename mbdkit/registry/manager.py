@@ -9,8 +9,8 @@ import functools
 import logging
 import sys
 import time
-from collections.abc import Iterable, Iterator
-from typing import Protocol, cast
+from collections.abc import Callable, Iterable, Iterator
+from typing import Protocol, TypeVar, cast
 
 import pluggy
 
@@ -21,7 +21,7 @@ from mbdkit.base.distributions import (
     name_and_version,
     own_entry_points,
 )
-from mbdkit.base.errors import MbdkitError, PluginError, SpecError, in_this_process, with_place
+from mbdkit.base.errors import MbdkitError, PluginError, SpecError, blaming, in_this_process, with_place
 from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import listed
 from mbdkit.registry import hookspecs
@@ -262,3 +262,38 @@ def _origin(entry_point: EntryPoint) -> Origin:
 
 def _sentence(error: BaseException) -> str:
     return str(error) if type(error) is PluginError else with_place(error)
+
+
+T = TypeVar("T")
+
+
+def use(item: Registered, work: Callable[[], T], of: type | tuple[type, ...] = object) -> T:
+    """Return what `work`, which calls the code of an item, returns.
+
+    Errors of mbdkit itself and of its own items pass unchanged.
+
+    Parameters
+    ----------
+    of
+        Class of the result.
+
+    Raises
+    ------
+    PluginError
+        If the target of the item is missing, or its code raises another error or returns an object of another class.
+    """
+    if item.origin.distribution == MBDKIT:
+        return work()
+    name = f"the {KINDS[item.kind].label()} '{item.id}'"
+    try:
+        with blaming(f"{name} failed", MbdkitError):
+            result = work()
+    except PluginError as error:
+        raise error if str(error).startswith(name) else PluginError(f"{name} failed: {error}") from error
+    if not isinstance(result, of):
+        raise PluginError(f"{name} returned {described(result)}, not {_words(of)}")
+    return result
+
+
+def _words(of: type | tuple[type, ...]) -> str:
+    return f"an object of type {' or '.join(kind.__name__ for kind in (of if isinstance(of, tuple) else (of,)))}"

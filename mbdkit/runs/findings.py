@@ -8,8 +8,7 @@ from typing import Any, Literal, cast
 
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import CriterionItem
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 from mbdkit.trust.finding import Finding
 
 Stage = Literal["spec", "start", "rows", "end", "data"]

@@ -13,6 +13,7 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.hdf5 import set_text
+from mbdkit.archive.headlines import write_answers
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArchiveContents, ArrayContents
@@ -49,14 +50,16 @@ def finish(
         return run_in_memory(writer.finish(ending), spec, writer.created_utc, gradients)
     evaluate = measured or partial(_taken, spec)
 
-    def stored(file: h5py.File) -> str:
-        values = evaluate(Run(file))
+    def complete(file: h5py.File) -> None:
+        if spec.defined_measures():
+            set_text(file, layout.MEASURES, evaluate(Run(file)).to_json())
         if gradients:
             set_text(file, layout.GRADIENTS, gradients)
-        return values.to_json()
+        if ending.accuracy is not None:
+            write_answers(file)
 
     assert isinstance(writer, ArchiveWriter)
-    file = writer.finish(ending, measured=stored if spec.defined_measures() else None)
+    file = writer.finish(ending, completed=complete)
     return Run(ArchiveContents.just_written(writer) if file is None else file)
 
 

@@ -14,9 +14,9 @@ from mbdkit.archive.disk_space import row_bytes
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.engine.input_schedule import start_settings
-from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
+from mbdkit.engine.observed_states import joint_sums
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Stretch
 from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, LaneStepper, VariedStarts

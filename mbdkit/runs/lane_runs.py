@@ -15,8 +15,7 @@ import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
-from mbdkit.engine.lane_starts import at_starts
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts, at_starts
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lane_stepper import PivotsAtStart, VariedStarts

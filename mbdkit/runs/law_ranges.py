@@ -21,9 +21,8 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.integrators.interface import Failure, Nodes
 from mbdkit.mechanism.element_kinds import forces_of
-from mbdkit.mechanism.force_law import ARGUMENTS
+from mbdkit.mechanism.force_law import ARGUMENTS, law_range
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.law_parameters import law_range
 from mbdkit.trust.finding import Finding
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
-from mbdkit.base.command_words import command_line
+from mbdkit.archive import layout
 from mbdkit.base.distributions import MBDKIT, own_version
+from mbdkit.base.terminal import command_line
 from mbdkit.engine.native.machine_code import code_id
 from mbdkit.mechanism.joint_kinds import joint_kinds
 from mbdkit.quantities.registered_kinds import kinds_of_others
@@ -21,6 +22,7 @@ from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
+from mbdkit.runs.method_evidence import code_digest, evidence_of
 from mbdkit.spec import RunSpec
 from mbdkit.spec.model_spec import ModelSpec
 
@@ -96,7 +98,13 @@ def plugins_of(spec: RunSpec) -> dict[str, str]:
     own = [("spec_kind", kind) for kind in kinds if kind.origin.distribution != MBDKIT and _is_of(spec, kind)]
     own += [] if spec.step_control_item is None else [("step_control", spec.step_control_item)]
     items = {"model": spec.model_item, "integrator": spec.integrator_item, **dict(own)}
-    return _plugins(items, spec) | _of_elements(spec)
+    return _plugins(items, spec) | _of_elements(spec) | _of_method(spec)
+
+
+def _of_method(spec: RunSpec) -> dict[str, str]:
+    """Return the digest of the code of the integrator, and what is known of its verification."""
+    evidence = evidence_of(spec.integrator_item, spec.integrator)
+    return {"integrator_digest": evidence.digest, layout.EVIDENCE: str(evidence)}
 
 
 def _is_of(spec: RunSpec, kind: Registered) -> bool:
@@ -113,6 +121,8 @@ def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
         versions[f"{kind}_distribution"] = item.origin.distribution
         versions[f"{kind}_version"] = item.origin.version
         versions[f"{kind}_entry_point"] = item.origin.entry_point
+        if item.origin.distribution != MBDKIT:  # versions of mbdkit and its machine code are known
+            versions[f"{kind}_digest"] = code_digest(item.origin)
     return versions | _entries("force_laws", spec.force_law_items)
 
 
@@ -121,6 +131,8 @@ def _entries(key: str, items: Sequence[Registered]) -> dict[str, str]:
     names = {key: ", ".join(item.id for item in items)}
     for part in ("distribution", "version", "entry_point"):
         names[f"{key}_{part}"] = ", ".join(getattr(item.origin, part) for item in items)
+    if others := [item for item in items if item.origin.distribution != MBDKIT]:
+        names[f"{key}_digest"] = ", ".join(dict.fromkeys(code_digest(item.origin) for item in others))
     return names if items else {}
 
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.observed_states import StateObserver, joint_sums
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Stretch
 from mbdkit.quantities.states import NONE, States

@@ -11,10 +11,9 @@ from mbdkit.archive.run_writer import RunWriter, SharedForces
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.input_schedule import Setting, setting_rows
-from mbdkit.engine.joint_sums import joint_sums
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import SPARE
-from mbdkit.engine.observed_states import SingularState, StateObserver
+from mbdkit.engine.observed_states import SingularState, StateObserver, joint_sums
 from mbdkit.engine.redundant_joints import units_of_pairs
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.stored_arrays import fill, solver_of, stored_solver

@@ -26,12 +26,12 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import file_locks
 from mbdkit.base.called_functions import Returned, calls_allowed, returning
-from mbdkit.base.command_words import command_line
 from mbdkit.base.errors import ArchiveError, ResourceError, SpecError
 from mbdkit.base.files import check_regular, rename_new, replace_file
 from mbdkit.base.files_read import only_known
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.progress_bars import in_notebook, progress_bar
+from mbdkit.base.terminal import command_line
 from mbdkit.base.text import listed, shown
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.runs.preparation import RunSetup, check_calls, make_method
@@ -227,7 +227,7 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, objec
     except ValueError:
         raise _refused(part, "its spec is damaged") from None
     now = provenance(spec)
-    keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version")))]
+    keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version", "_digest")))]
     other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
     if other:
         changes = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
@@ -334,4 +334,6 @@ def _word(key: str, provenance: Mapping[str, object]) -> str:
     kind, _, part = key.rpartition("_")
     if part == "version":
         return f"{provenance[kind]} {part}"
+    if part == "digest":
+        return f"{provenance[kind]} with the digest"
     return str(provenance[kind]) + " from" if part == "distribution" else key

@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
+from mbdkit.base.file_locks import UseLock, one_thread_at_a_time
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.bundle import PinnedBundle

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from mbdkit.quantities.states import States
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import use
 from mbdkit.runs.findings import as_findings, criteria, findings
 from mbdkit.runs.run_seams import StateWatcher, rows_criterion
 

@@ -30,7 +30,7 @@ from mbdkit.registry.model_keys import model_keys
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.estimates import Estimated, Estimates
 from mbdkit.spec.reading import Document
-from mbdkit.spec.sections import QUANTITIES, Section
+from mbdkit.spec.sections import QUANTITIES, Meta, Section
 from mbdkit.spec.spec_kinds import kind_of
 
 if TYPE_CHECKING:
@@ -142,6 +142,8 @@ class ModelSpec(StrictSpec):
     """Version of the spec format."""
     title: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
     """Title of the run, free text."""
+    meta: Meta = Meta()
+    """Description, creator and licence, which archives name."""
     parameters: dict[str, float | str] = Field(default_factory=dict)
     """Named numbers. Any number of the model may be an expression of them, such as `0.5*crank`. Motions, events and
     other parameters, in any order, may also contain them. Angles may be written as `degrees(45)`. `from: FILE.h5` takes
@@ -169,6 +171,12 @@ class ModelSpec(StrictSpec):
     @abstractmethod
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the result."""
+
+    @property
+    def catalogue(self) -> dict[str, str]:
+        """Title, description, creator and licence, of which some may be empty, and the names of model and method."""
+        names = {"model": self.model_item.name, "integrator": getattr(self, "integrator_item", self.model_item).name}
+        return {"title": self.title, **dict(self.meta), **names}
 
     @property
     def estimated(self) -> Estimated | None:

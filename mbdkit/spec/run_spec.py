@@ -29,10 +29,9 @@ from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.input_schedule import InputSchedule
 from mbdkit.engine.stabilization import Stabilization
-from mbdkit.mechanism.element_kinds import element_kinds, kinds_with_section
+from mbdkit.mechanism.element_kinds import ChosenTreatment, element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit.mechanism.parameters import parameters_in_use
-from mbdkit.mechanism.treatments import ChosenTreatment
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.item_options import is_of_item, item_of
@@ -118,6 +117,7 @@ class RunSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit run spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "meta",
         "parameters",
         "estimates",
         "inputs",

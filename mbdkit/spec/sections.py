@@ -13,7 +13,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import canonical, value_text
+from mbdkit.base.plain_data import LONGEST_TITLE, canonical, value_text
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
@@ -173,6 +173,19 @@ def named_events(events: dict[str, Event]) -> dict[str, Event]:
     for name in events:
         check_name(name, name)
     return events
+
+
+class Meta(Section):
+    """What catalogues show of an archive, besides the title of the spec."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("description", "creator", "license")
+
+    description: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
+    """What the run shows, in one or a few sentences; by default, its model and its method."""
+    creator: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
+    """Who made the run, such as `Ada Lovelace <https://orcid.org/0000-0000-0000-0000>`; unnamed by default."""
+    license: Annotated[str, Field(max_length=LONGEST_TITLE)] = ""
+    """Licence of the results: an SPDX identifier such as `CC-BY-4.0`, or an address; none by default."""
 
 
 class Limits(Section):

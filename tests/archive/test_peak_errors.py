@@ -10,9 +10,10 @@ from scipy.optimize import brentq
 
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.headlines import headlines, largest_loads, plus_minus
+from mbdkit.archive.headlines import headlines, largest_loads
 from mbdkit.archive.peak_errors import BETWEEN, excess_between_rows, jumps
 from mbdkit.archive.run_summary import summary, summary_lines
+from mbdkit.base.text import plus_minus
 from tests.margins import assert_within
 
 
@@ -56,8 +57,8 @@ def test_the_largest_force_of_a_pendulum_between_rows_is_covered(step: float) ->
     run = mbdkit.run("pendulum", time={"end": 2.0, "step": step}, check=True)
     largest = largest_loads(run)[0]
     true = 2.5 * 9.81
-    assert_within(true - largest.value, largest.error)  # margin: an error bar of mbdkit
-    assert largest.error < 0.1 * true
+    assert_within(true - largest.value, largest.bar.upper)  # margin: an error bar of mbdkit
+    assert largest.bar.upper < 0.1 * true
 
 
 @pytest.mark.parametrize("jump", [0.71, 0.749, 0.7001])
@@ -108,10 +109,10 @@ def test_peaks_that_all_rows_miss_make_a_run_bad(output: dict[str, float]) -> No
     run = _turning(**output)
     torque, force = largest_loads(run)
     turning, weight = MASS * ARM * SPEED**2, MASS * 9.81
-    assert force.value == pytest.approx(turning - weight, rel=1e-9)
-    assert force.largest == pytest.approx(turning + weight, rel=1e-6)
-    assert force.error == pytest.approx(2.0 * weight * (1.0 + BETWEEN / 200**2), rel=1e-6)
-    assert torque.largest == pytest.approx(weight * ARM, rel=1e-6)
+    assert force.recorded == pytest.approx(turning - weight, rel=1e-9)
+    assert force.value == pytest.approx(turning + weight, rel=1e-6)
+    assert force.bar.upper == pytest.approx(2.0 * weight * BETWEEN / 200**2, rel=1e-3)
+    assert torque.value == pytest.approx(weight * ARM, rel=1e-6)
     assert force.text() == "19.86 N in the recorded rows, 59.0984 +- 0.00098 N between them"
     assert run.verdict == "bad"
     assert "the force in joint 'pin' reaches 59.1 N, in the recorded rows 19.86 N" in run.verdict_reasons[0]
@@ -122,8 +123,8 @@ def test_a_largest_load_that_is_a_measure_has_the_error_of_the_measure_everywher
     run = _turning({"peak": {"value": "max(abs(joints.motor.torque))", "unit": "mN m"}}, every=200)
     error = run.measure_errors["peak"]
     torque = next(one for one in largest_loads(run) if one.element == "motor")
-    assert torque.largest == pytest.approx(MASS * 9.81 * ARM, abs=1e-3 * error)
-    assert (torque.error, torque.missed) == (pytest.approx(1e-3 * error, rel=1e-6), 0.0)
+    assert torque.value == pytest.approx(MASS * 9.81 * ARM, abs=1e-3 * error)
+    assert (*torque.bar, torque.recorded) == (1e-3 * error, 1e-3 * error, torque.value)
     told = next(text for label, text in summary_lines(run) if label == "drivers")
     assert told.startswith(f"largest torque of motor {plus_minus(MASS * 9.81 * ARM, 1e-3 * error)} N m at ")
 
@@ -133,16 +134,16 @@ def test_peaks_between_coarse_steps_are_covered_and_count_in_the_verdict() -> No
     run = _turning(step=1.0 / 7.0)
     torque, force = largest_loads(run)
     for one, true in ((torque, MASS * 9.81 * ARM), (force, MASS * (ARM * SPEED**2 + 9.81))):
-        assert one.value < 0.99 * true
-        assert one.largest == pytest.approx(true, rel=1e-6)
-        assert true - one.value <= one.error <= 2.01 * (true - one.value)
-        assert_within(one.largest - true, one.error - one.missed)
+        assert one.recorded < 0.99 * true
+        assert one.value == pytest.approx(true, rel=1e-6)
+        assert one.bar.upper <= 1.01 * (true - one.recorded)
+        assert_within(one.value - true, one.bar.upper)
     assert run.verdict == "doubtful"
     assert "use smaller steps" in run.verdict_reasons[0]
     told = next(text for label, text in summary_lines(run) if label == "drivers")
-    assert told.startswith(f"largest torque of motor {torque.value:.4g} N m in the recorded rows, 9.8 +- 0.25 N m")
+    assert told.startswith(f"largest torque of motor {torque.recorded:.4g} N m in the recorded rows, 9.8 +- 0.25 N m")
     peak = mbdkit.workload(run)["motor"].load
-    assert peak.peak + peak.peak_error == pytest.approx(torque.value + torque.error)
+    assert (peak.peak, peak.peak_error, peak.id) == (torque.value, torque.bar, torque.id)
     assert run.plot.torques().get_figure() is not None
 
 
@@ -150,9 +151,8 @@ def test_errors_are_unknown_if_rows_skip_steps_of_an_archive_without_largest_val
     run = _turning(every=8)
     run.__dict__["integrals"] = {}
     size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    errors = run.errors.of_reactions("reaction_error", size)
-    assert errors is not None
-    assert np.all(np.isnan(errors))
+    largest = run.errors.of_largest("joints.force", run.joint_names, size, 0.0 * size)
+    assert np.all(np.isnan(largest.bars))
     assert run.errors.sentence().startswith("positions known to")
     assert " N (error unknown) in the recorded rows\n" in summary(run)
 
@@ -173,6 +173,6 @@ def test_an_impact_between_rows_has_its_force_and_overlap() -> None:
     )  # fmt: skip
     depth = brentq(lambda d: mass * 9.81 * (height + d) - 0.4 * stiffness * d**2.5, 1e-4, 0.1)
     (force,) = headlines(run)
-    assert force.value == 0.0
-    assert force.largest == pytest.approx(stiffness * depth**1.5, rel=1e-6)
+    assert force.recorded == 0.0
+    assert force.value == pytest.approx(stiffness * depth**1.5, rel=1e-6)
     assert f"floor overlaps by up to {depth:.3g} m between the recorded rows" in summary(run)

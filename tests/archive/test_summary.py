@@ -11,12 +11,13 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.archive.headlines import headlines, plus_minus
+from mbdkit.archive.headlines import headlines
 from mbdkit.archive.layout import CORRECTIONS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
 from mbdkit.base.errors import MbdkitError
+from mbdkit.base.text import plus_minus
 
 from .making import SPEC, STATS, largest, make, names, rows, steps, writer
 

@@ -11,9 +11,8 @@ from typing import Any
 
 import pytest
 
-from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import ResourceError, RunError, SpecError
-from mbdkit.base.terminal import PlainStream
+from mbdkit.base.terminal import PlainStream, command_line, executing
 from mbdkit.base.text import csv_cell, shown, table
 from mbdkit.spec import load_spec
 

@@ -62,22 +62,14 @@ force therefore do not make a run `doubtful`.
 
 Energy errors below {rounding:g} times the rounding error of the largest energy count as zero. A run that fails before
 its end is `bad`, and a run that was interrupted is at least `doubtful`: its summary says up to which time its results
-are valid. Warnings that question the result make a run `doubtful`: for example, warnings about angles that look like
-degrees, a coefficient of friction above 5, and an inertia above m d^2, where m is the mass of the heaviest body and d
-is ten times the size of the mechanism. Other examples are the optimal length of a muscle above three times this size,
-the free length of a spring above three times this size and ten times its length at the start, a body whose joints are
-more than 300 times as far from its centre of mass as all other bodies are large, a body longer than 10 m whose mass is
-below 0.0005 kg/m^2 times the square of its length (at 100 m, below 5 kg), and a person taller than 3 m or heavier than
-400 kg. A rope or tether may be that light: three or more links of equal mass and length cause no doubt. A run whose
-[gradients](../../plugins/mbdkit-gradients/src/mbdkit_gradients/guide/gradients.md) fail their check is
-doubtful as well.
+are valid. Warnings that question the result make a run `doubtful`, as do
+[gradients](../../plugins/mbdkit-gradients/src/mbdkit_gradients/guide/gradients.md) that fail their check.
 
 The *branch* of a run is the family of positions that the mechanism can reach continuously from its start. In a singular
-position, several branches meet, and a run can continue on the wrong one. A run is `bad` if its direction of motion
-changes sharply in a singular position, because it has then probably left its branch. The change counts as sharp if its
-angle [rad] is at least {angle:g}, and at least {ratio:g} r, where r is the length of the path on which the direction
-changes, divided by the length of the longest link. If joints that are redundant and consistent at the start become
-inconsistent, the run has certainly left its branch, and stops with the reason `branch-left`.
+position, several branches meet. A run is `bad` if its direction of motion changes sharply there (by at least {angle:g}
+rad, and {ratio:g} r, where r is the path on which it changes, divided by the length of the longest link), because it
+has then probably left its branch. If joints that are redundant and consistent at the start become inconsistent, the run
+stops with the reason `branch-left`.
 
 ### Criteria of warnings
 
@@ -94,47 +86,31 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
 ## What you can ask for
 
 - **`mbdkit run SPEC --check`** (`check: true`) estimates the errors by *comparison runs*: runs by the same method with
-  half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between these
-  runs give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time
-  at which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
-  last recorded time before that time, and the summary and the verdict give the reason. The summary prints, for example,
-  `largest force in J1 24.525000 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive
-  contains them. A force may have its peak between two recorded times. A check therefore determines the largest forces
-  and torques between recorded times as well. By how much they exceed the largest recorded values is part of the errors
-  of these values, and counts in the verdict. It does not count for a joint whose largest force is a measure, such as
-  `max(abs(joints.J1.force))`. To reduce this error, use smaller steps or, if not every step is recorded
-  (`output.every`, `output.interval`), record more of them. The errors of the largest normal forces of compliant
-  contacts are estimated like those of [measures](measures.md#errors), and count in the verdict with the limits for
-  joint forces. A check usually takes 10 to 20 times as long as the run, and longer with beams, controllers or
-  time-stepping methods ([performance](performance.md#a-single-run)). In 504 runs of 21 mechanisms with known motions
-  (6 methods, with 4 steps or tolerances each), errors are known for 95 % of the time, and all true errors are 0.39 to
-  1.08 times their estimates (`python -m tests.benchmarks.error_bars`).
+  half and a quarter of the step, or with tighter tolerances, and a run by another method. The differences between them
+  give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time at
+  which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
+  last recorded time before, and the summary and the verdict give the reason. The summary prints, for example, `largest
+  force in J1 24.525000 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive contains
+  them. A force may have its peak between two recorded times: by how much the largest forces and torques there exceed
+  the recorded ones is part of the errors, and counts in the verdict, except for a joint whose largest force is a
+  measure. To reduce this error, use smaller steps, or record more of them. A check usually takes 10 to 20 times as long
+  as the run, and longer with beams, controllers or time-stepping methods ([performance](performance.md#a-single-run)).
 - **`check: true` with estimated parameters** (`parameters: {{from: fit.h5}}`) states the errors by the estimates as
-  well. With K parameters, mbdkit makes 2 K more runs, at one standard deviation on either side of the estimates along
-  each column of the Cholesky factor of their covariance. The root of the sum of the squares of half the differences,
-  times 1.96, is a bound of 95 % for normally distributed estimates, to first order in their deviations.
-  `run.accuracy.position_error_parameters` and `run.accuracy.reaction_error_parameters`, arrays of the group
-  `accuracy`, have the shapes of `position_error` and `reaction_error`. They are bounds at each time, not envelopes,
-  and nan where one of these runs stopped early or is not possible. The line `limited` of the summary compares both
-  kinds of errors, as in `positions by the data (0.0099 m from parameters, 3e-09 m from integration)`; measures have
-  such a bound in `run.measures.parameter_errors`. These errors do not count in the verdict. They include neither an
-  error of the model nor that of parameters that are not estimated.
+  well, by 2 K more runs for K parameters: bounds of 95 % at each time for normally distributed estimates, to first
+  order. They are `run.accuracy.position_error_parameters`, `run.accuracy.reaction_error_parameters`, and
+  `run.measures.parameter_errors`; nan where one of these runs stopped early or is not possible. The line `limited` of
+  the summary compares both kinds of errors, as in `positions by the data (0.0099 m from parameters, 3e-09 m from
+  integration)`. They do not count in the verdict, and include neither an error of the model nor that of parameters that
+  are not estimated.
 - **`mbdkit run SPEC --accuracy 1e-6`** (`accuracy: 1e-6`) requests that all positions over the whole run are accurate
-  to this fraction of the mechanism's size. mbdkit chooses the method and the step from short trial runs (*pilots*), and
-  confirms the accuracy by a check. The error of an angle counts as a displacement: it is multiplied by the distance
-  from the centre of mass to the farthest joint point of the body. `integrator` and `time.step` may be omitted; if the
-  spec gives an integrator, only its step or tolerance is chosen. The summary says what was chosen and why. The archive
-  stores the choice, so that `rerun` repeats the run bit for bit. If no attempt reaches the accuracy, the best attempt
-  is returned, and its verdict says so. All 30 runs of ten mechanisms with known motions reached the requested accuracy
-  of 1e-3, 1e-6 or 1e-9 (`python -m tests.benchmarks.asked_accuracy`; [performance](performance.md) has the cost). The
-  request does not apply to forces, which are less accurate than positions; `run.accuracy` contains estimates of their
-  errors as well. With explicit adaptive methods, the last pilot becomes the result, and its errors are estimated from
-  the previous pilots. These estimates take no additional time, but they are less accurate than those of comparison
-  runs: usually several times too large, sometimes too small. The estimates were tested with 147 runs of 21 mechanisms
-  with known motions, for accuracies of 1e-2 to 1e-6. In 13 of these runs (9 for positions, 7 for forces), the true
-  error exceeds the estimate at some time: in 11 runs by a factor below 2.5, in two by factors of 8 and 12. Ten of the
-  13 runs had an accuracy of 3e-4 or coarser. If the errors of forces matter, add `--check`, which estimates them by
-  comparison runs.
+  to this fraction of the mechanism's size; the error of an angle is multiplied by the distance from the centre of mass
+  to the farthest joint point of the body. mbdkit chooses the method and the step from short trial runs (*pilots*), and
+  confirms the accuracy by a check. `integrator` and `time.step` may be omitted; if the spec gives an integrator, only
+  its step or tolerance is chosen. The summary says what was chosen and why, and `rerun` repeats the run bit for bit. If
+  no attempt reaches the accuracy, the best one is returned, and its verdict says so. The request does not apply to
+  forces, which are less accurate than positions; add `--check` if their errors matter: with explicit adaptive methods,
+  errors are otherwise estimated from the pilots, usually several times too large, in 13 of 147 runs with known motions
+  too small, by a factor of 12 at most.
 - **`limits`** stop a run. `limits.misalignment` (default 1) limits the misalignment of joints as a share of the
   mechanism's size, or of 1 rad for angles. `limits.energy_jump` (off by default) limits the change of the energy
   balance in one step, as a share of the largest kinetic energy so far. `limits.law_range: stop` stops the run when a

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mbdkit.engine.linear_systems import symmetric_eigenvectors
-from mbdkit.engine.stacked_matrices import (
+from mbdkit.engine.linear_systems import (
     complete_qr,
     least_norms,
     products,
     pseudoinverses,
     singular_values,
     solve_triangles,
+    symmetric_eigenvectors,
 )
 
 FRAMES = 7

@@ -9,7 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit.base.errors import RunError
-from mbdkit.mechanism.law_parameters import law_range
+from mbdkit.mechanism.force_law import law_range
 from mbdkit.registry.manager import registry
 from tests.laws.thrown_mass import FREE, GAUSS, thrown
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from mbdkit.base.errors import SpecError
-from mbdkit.spec.table_files import read_columns
+from mbdkit.spec.input_tables import read_columns
 
 
 def read(folder: Path, text: str) -> list[list[float]]:

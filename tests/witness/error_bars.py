@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 import mbdkit
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.observed_states import JointSums, StateObserver
 from mbdkit.runs.preparation import build
 from mbdkit.spec import load_spec
 

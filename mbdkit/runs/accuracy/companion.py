@@ -18,7 +18,7 @@ from mbdkit.integrators.interface import SAME_TIME, Stepper, Stretch, Timetable,
 from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
-from mbdkit.mechanism.treatments import ChosenTreatment
+from mbdkit.mechanism.element_kinds import ChosenTreatment
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_seams import Progress

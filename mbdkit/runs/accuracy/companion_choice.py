@@ -16,7 +16,7 @@ from pydantic import BaseModel
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Timetable
-from mbdkit.mechanism.treatments import ChosenTreatment
+from mbdkit.mechanism.element_kinds import ChosenTreatment
 from mbdkit.methods import dop853, gauss, radau_iia
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method, Tolerances
 from mbdkit.methods.step_controls import controlled

@@ -16,11 +16,11 @@ from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.file_locks import UseLock, one_thread_at_a_time
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, one_line, shown
-from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
 from mbdkit.engine.compiled_mechanism import CompiledInput
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.stored_arrays import restore_solver, stored_solver

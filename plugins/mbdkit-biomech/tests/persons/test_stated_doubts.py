@@ -19,13 +19,13 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
+from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile_of_many
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.plate_contacts import plate_numbers
 from mbdkit_biomech.uncertainty.changed_problem import Changer
-from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
+from mbdkit_biomech.uncertainty.compression_criterion import misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult
 from tests.benchmarks.person_markers import Walker, columns_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from mbdkit.engine.native import machine_code
 from mbdkit.laws import exponential, gas_spring, linear, one_sided
-from mbdkit.mechanism.law_parameters import law_parameters
+from mbdkit.mechanism.force_law import law_parameters
 from mbdkit.symbolic.symbolic_law import law_source
 
 TARGET = machine_code.PACKAGE / "engine/kernels/law_kernels.py"

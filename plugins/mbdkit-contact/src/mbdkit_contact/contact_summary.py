@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, MISSED, Headline, largest_of, run_headlines
-from mbdkit.archive.peak_errors import errors_of_largest
 from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few, ranked, summarize_impacts
@@ -19,17 +18,12 @@ from mbdkit_contact.modes import SLIP, STICK
 
 @run_headlines
 def largest_forces(run: Run) -> list[Headline]:
-    """Return the two largest normal forces of contacts."""
+    """Return the largest normal forces of contacts; the two largest are headlines."""
     if not run.records("contacts/normal_force"):
         return []
     names, force = list(run.contacts), run.array("contacts/normal_force")
-    missed = run.errors.missed("contacts.normal_force", names, force)
-    errors = None
-    if run.accuracy is not None and missed is not None:
-        errors = missed + errors_of_largest(
-            run.integrals, run.accuracy.compared_measures, "contacts.normal_force", names
-        )
-    return largest_of("normal force at", run, names, force, "N", errors, missed)[:2]
+    found = largest_of("normal force at", run, "contacts.normal_force", names, force, "N", None)
+    return [one._replace(is_main=number < 2) for number, one in enumerate(found)]
 
 
 @summary_lines

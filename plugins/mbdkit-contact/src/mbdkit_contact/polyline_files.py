@@ -15,7 +15,7 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.element_kinds import element_files
 from mbdkit.mechanism.validation_errors import spec_error
-from mbdkit.spec.table_files import read_columns
+from mbdkit.spec.input_tables import read_columns
 from mbdkit_contact.contact import PolylineFile
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.iteration_matrix import StepMatrix
 from mbdkit.engine.native.bundle import PinnedBundle
-from mbdkit.engine.step_matrix import StepMatrix
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_contact.contact_state import ContactState

@@ -164,8 +164,7 @@ def validate_design(source: Document | str, name: str, assignments: list[str]) -
     """
     from mbdkit_design.design_loading import load_design_spec
     from mbdkit_design.evaluation import Evaluator
-    from mbdkit_design.gains import measure_units, variable_unit
-    from mbdkit_design.limits_in_degrees import limits_in_degrees
+    from mbdkit_design.gains import limits_in_degrees, measure_units, variable_unit
     from mbdkit_design.search import check_installed
     from mbdkit_report import heading
 

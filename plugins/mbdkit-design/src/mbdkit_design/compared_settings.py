@@ -12,7 +12,7 @@ from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import goal_units, variable_unit
-from mbdkit_design.point import DesignPoint, point_of
+from mbdkit_design.known_points import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
 from mbdkit_design.stages import Stages

@@ -18,10 +18,18 @@ from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.front import front_table, pareto_front
-from mbdkit_design.gains import Gain, gains, goal_units, goal_words, measure_units, variable_unit, violations
+from mbdkit_design.gains import (
+    Gain,
+    gains,
+    goal_units,
+    goal_words,
+    limits_in_degrees,
+    measure_units,
+    variable_unit,
+    violations,
+)
 from mbdkit_design.identifiability import sentence, undetermined
-from mbdkit_design.limits_in_degrees import limits_in_degrees
-from mbdkit_design.point import DesignPoint, Stored, point_of
+from mbdkit_design.known_points import DesignPoint, Stored, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages

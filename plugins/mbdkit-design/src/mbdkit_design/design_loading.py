@@ -1,4 +1,4 @@
-"""Loading of design specs from files and mappings, with the specs of their scenarios."""
+"""Loading of design specs, with their scenarios, and the JSON schema."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import cast
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registry
 from mbdkit.spec.loading import example_names, read_source
 from mbdkit.spec.reading import Document, parse_key, put, variable_path
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit.spec.spec_kinds import kind_of, spec_loader
+from mbdkit.spec.schema import schema_with_bases
+from mbdkit.spec.spec_kinds import kind_of, spec_loader, spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import DesignSpec, Scenario
 from mbdkit_report import stated_units
@@ -169,3 +171,16 @@ def _located(error: SpecError, given: Given, document: Document, place: str) -> 
         if path[: len(key)] == key:
             return SpecError(f"{error.key}: {error.message}", key=where)
     return document.place(error) if os.path.basename(document.file) else error.located(prefix=place)
+
+
+@spec_schema
+def design_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the design spec; its bases are run specs and specs of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    bases = {"RunBase": "run", "InverseBase": "inverse"}
+    return schema_with_bases(DesignSpec, bases, installed, holder="Scenario", units={"Variable", "Limit"})

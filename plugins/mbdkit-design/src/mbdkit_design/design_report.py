@@ -16,13 +16,19 @@ from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design import Design
-from mbdkit_design.design_charts import POINT_WORDS, Pair, front_charts, landscape_charts, load_charts
+from mbdkit_design.design_charts import (
+    POINT_WORDS,
+    Pair,
+    front_charts,
+    landscape_charts,
+    load_charts,
+    sensitivity_section,
+)
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
+from mbdkit_design.known_points import DesignPoint
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
-from mbdkit_design.point import DesignPoint
 from mbdkit_design.robustness import robustness
-from mbdkit_design.sensitivity_bars import sensitivity_section
 from mbdkit_design.solve_design import WORKER, evaluating
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import WHICH, DesignFolder, runs_of

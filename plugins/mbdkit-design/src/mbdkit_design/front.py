@@ -11,7 +11,7 @@ from mbdkit.base.text import counted, table
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import goal_units, variable_unit
-from mbdkit_design.point import DesignPoint, Notify
+from mbdkit_design.known_points import DesignPoint, Notify
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
 from mbdkit_report import heading

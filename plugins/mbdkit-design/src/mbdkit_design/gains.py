@@ -1,15 +1,18 @@
-"""The gains of a design, which are changes of its goals, and its costs, which are changes of the loads of joints."""
+"""Gains of a design, changes of its goals, and costs, changes of loads; limits that may be meant in degrees."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import largest_loads
+from mbdkit.base.plain_data import path_text
 from mbdkit.measures.take import SpecMeasure
+from mbdkit.runs.angles_in_degrees import looks_like_degrees
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.problem import FEASIBLE
@@ -17,7 +20,7 @@ from mbdkit_report import key_unit, with_unit
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit_design.point import DesignPoint
+    from mbdkit_design.known_points import DesignPoint
     from mbdkit_design.trust import Trust
 
 LEAST_CHANGE = 0.01  #: Smallest relative change of a load that is reported as a cost.
@@ -152,8 +155,27 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     for scenario, pair in pairs.items():
         before = {load.label: load for load in largest_loads(pair["start"])}
         for one in largest_loads(pair["best"]):
-            start = before[one.label].largest if one.label in before else 0.0
-            cost = Cost(scenario, one.label, one.unit, start, one.largest)
+            start = before[one.label].value if one.label in before else 0.0
+            cost = Cost(scenario, one.label, one.unit, start, one.value)
             if abs(cost.share) >= LEAST_CHANGE:
                 found.append(cost)
     return sorted(found, key=lambda cost: -cost.share)
+
+
+#: What expressions contain that convert radians to degrees, or whose angles are multiples of pi.
+_CONVERSION = re.compile(r"\bpi\b|\b180\b|\b57\.[23]|\b0?\.0174")
+
+
+def limits_in_degrees(spec: DesignSpec) -> Iterator[str]:
+    """Yield a warning for each limit without a unit of an angle that is above one turn, and probably in degrees."""
+    angles = {name for (_, name), unit in measure_units(spec).items() if unit == "rad"}
+    for name, limit in spec.subject_to.items():
+        if name not in angles or "unit" in limit.measure or _CONVERSION.search(limit.value):
+            continue
+        for key, value in (("max", limit.max), ("min", limit.min)):
+            if value is not None and looks_like_degrees(value):
+                yield (
+                    f"the angle of {value:g} rad at {path_text(('subject_to', name, key))} is more than a full "
+                    f"rotation; if degrees are intended, write `{key}: {value:.16g} deg`, otherwise "
+                    f"`{key}: {value:.16g} rad`"
+                )

@@ -1,19 +1,60 @@
-"""The points that a design has evaluated, stored in memory and in a file from which the next call continues."""
+"""Points of a design, stored in memory and in a file from which the next call continues."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from zlib import crc32
+
+import numpy as np
+from pydantic import BeforeValidator
 
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_regular, replacing
 from mbdkit.base.text import counted, shown
 from mbdkit_design.computing import is_passing, outcome_of, plain_outcome
-from mbdkit_design.evaluation import Job, Outcome
-from mbdkit_design.point import Notify
+from mbdkit_design.evaluation import Evaluator, Job, Outcome
+
+#: A number; stored results have null in place of nan.
+Stored = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+
+Notify = Callable[[str], None]  #: Function that receives a sentence for the user.
+
+
+@dataclass(frozen=True)
+class DesignPoint:
+    """Values of the variables and the results for them.
+
+    Attributes
+    ----------
+    variables
+        Values of the variables by name.
+    goals
+        Goals by name, summed over the scenarios by their weights.
+    measures
+        Goals and limits by name, for each scenario. The name of the scenario is empty if there is only the base.
+    """
+
+    variables: dict[str, Stored]
+    goals: dict[str, Stored]
+    measures: dict[str, dict[str, Stored]]
+
+
+def point_of(evaluator: Evaluator, x: np.ndarray) -> DesignPoint:
+    """Return the point at these shares (n,) of the bounds."""
+    values, goals = evaluator.values(x[None])[0], evaluator.totals(x)
+    return DesignPoint(
+        variables=evaluator.variables(x),
+        goals=dict(zip(evaluator.spec.totals, goals.tolist(), strict=True)),
+        measures={
+            name: dict(zip(evaluator.names, row.tolist(), strict=True))
+            for name, row in zip(evaluator.spec.situations, values, strict=True)
+        },
+    )
 
 
 def read_versioned(text: str | bytes, name: str, path: Path) -> dict[str, Any]:

@@ -29,7 +29,7 @@ def mbdkit_items() -> Iterable[Item]:
             heading="Designs",
             load=Target("mbdkit_design.design_loading:load_design_spec"),
             validate=Target("mbdkit_design.commands:validate_design"),
-            schema=Target("mbdkit_design.design_schema:design_schema"),
+            schema=Target("mbdkit_design.design_loading:design_schema"),
         ),
         Command(
             name="design",

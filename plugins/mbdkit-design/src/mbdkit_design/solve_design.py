@@ -14,8 +14,7 @@ from mbdkit_design.design import Design, solve, with_comparisons
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.known_points import KnownPoints, PointFile
-from mbdkit_design.point import Notify
+from mbdkit_design.known_points import KnownPoints, Notify, PointFile
 from mbdkit_design.search import check_installed
 from mbdkit_design.stages import Stages
 from mbdkit_design.store import DesignFolder

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.point import Notify
+from mbdkit_design.known_points import Notify
 
 #: Function called with the number of runs so far, the number of failed runs, and a text that names the stage and its
 #: best goal so far.

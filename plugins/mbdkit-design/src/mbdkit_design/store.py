@@ -31,8 +31,7 @@ from mbdkit_design.design import Design
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import ScenarioRuns
-from mbdkit_design.known_points import NOT_READ, read_versioned
-from mbdkit_design.point import DesignPoint
+from mbdkit_design.known_points import NOT_READ, DesignPoint, read_versioned
 from mbdkit_design.trust import check_of
 from mbdkit_studies import OwnedFolder
 

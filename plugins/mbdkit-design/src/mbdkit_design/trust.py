@@ -13,7 +13,7 @@ from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasu
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.evaluation import Evaluator, Job, Outcome, Settings
-from mbdkit_design.point import Stored
+from mbdkit_design.known_points import Stored
 from mbdkit_report import with_unit
 
 WORST = ("failed", "bad", "doubtful", "unknown", "good")  #: Verdicts from the worst to the best.

@@ -12,10 +12,10 @@ from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments
 
 import mbdkit
 from mbdkit_design.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
+from mbdkit_design.design_charts import _svg
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.landscape import sensitivities
-from mbdkit_design.sensitivity_bars import _svg
 
 LIMITS = {"stored": {"value": "max(forces.brace.potential)", "max": 50.0}}
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import cast
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
 
@@ -18,16 +19,16 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import kind_of, spec_loader
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import inverse
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_explore.sliders import sliders
+from mbdkit_explore.sliders import Slider, sliders
 from mbdkit_report import TONES, film_of
+from mbdkit_report.pages.report_page import chart_data
 from mbdkit_report.pages.run_report import yaml_text
+from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_studies import PreparedRun
 
 NUMBERS = 20_000  #: Approximate number of pose values of a motion.
+BISECTIONS = 6  #: Steps in which the end of a slider is found if the spec refuses its usual end.
 ROWS = 300  #: Largest number of points of a curve.
-#: Largest number of curves: the joints with the largest forces or, in inverse dynamics, the actuators with the largest
-#: values.
-CURVES = 6
 
 
 class Explorer:
@@ -42,10 +43,13 @@ class Explorer:
     """
 
     def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
-        self.spec, self.sliders = spec, sliders(spec, names)
+        self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
+        every = sliders(spec, names)
+        within = [self._in_range(slider) for slider in every]
+        free = [slider for slider in within if slider.low < slider.high]  # others are held, such as by a driver
+        self.spec, self.sliders = spec, every if names and len(free) < len(every) else free or every
         self._by_key = {slider.key: slider for slider in self.sliders}
         self._data = plain(read_source(spec).data)
-        self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
         self.title = str(spec.title or self._data["model"]["name"])
 
     def answer(self, values: Mapping[str, float]) -> dict[str, object]:
@@ -68,6 +72,30 @@ class Explorer:
         except MbdkitError as error:
             return {"error": shown(str(error)), "spec": yaml_text(data)}
 
+    def _in_range(self, slider: Slider) -> Slider:
+        """Return a slider whose ends are valid and can be assembled; of an end that is not, the place nearest to it on
+        the way to the value of the spec, found by bisection.
+        """
+        ends = [self._reached(slider, end) for end in (slider.low, slider.high)]
+        return replace(slider, low=ends[0], high=ends[1])
+
+    def _reached(self, slider: Slider, end: float) -> float:
+        if self._prepared is None or self._starts(slider, end):
+            return end
+        valid, wrong = slider.value, end
+        for _ in range(BISECTIONS):
+            middle = (valid + wrong) / 2
+            valid, wrong = (middle, wrong) if self._starts(slider, middle) else (valid, middle)
+        return valid
+
+    def _starts(self, slider: Slider, value: float) -> bool:
+        assert self._prepared is not None
+        try:
+            self._prepared.start_with({slider.key: value})
+        except MbdkitError:
+            return False
+        return True
+
     def _inverse(self, data: dict[str, object]) -> Run:
         document = read_source(self.spec)
         document.data = copied(data)
@@ -80,29 +108,21 @@ class Explorer:
             "verdict": made.verdict if made.status == "complete" else f"{made.status}: {made.status_reason}",
             "reasons": [shown(reason) for reason in made.verdict_reasons],
             "tone": TONES.get(made.verdict, "") if made.status == "complete" else "alarm",
-            "headlines": [[shown(label), text] for label, text in every],
-            "curves": _curves(made),
+            "headlines": [[shown(label), text, shown(key)] for label, text, key in every],
+            "charts": _charts(made),
             "spec": yaml_text(data),
         }
 
 
-def _curves(made: Run) -> dict[str, object]:
-    """Return the curves of a run over time: forces of joints or, in inverse dynamics, values of actuators. At most
-    `CURVES` are included, those with the largest values.
-    """
-    time = np.asarray(made.time)
-    if made.kind == "inverse":
-        names, unit = list(made.actuators), "N or N m"
-        values = made.array("actuators/value")
-    elif made.records("joints/reaction_force") and made.joint_names:
-        names, unit = list(made.joint_names), "N"
-        values = np.linalg.norm(made.array("joints/reaction_force"), axis=2)
-    else:
-        return {"time": [], "names": [], "values": [], "unit": ""}
-    order = np.argsort(-np.max(np.abs(np.nan_to_num(values)), axis=0), kind="stable")[:CURVES]
-    rows = np.unique(np.linspace(0, len(time) - 1, min(ROWS, len(time))).astype(int))
-    lines = [[float(f"{value:.5g}") for value in np.nan_to_num(values[rows, column])] for column in order]
-    return {"time": time[rows].tolist(), "names": [shown(names[k]) for k in order], "values": lines, "unit": unit}
+def _charts(made: Run) -> list[dict[str, Any]]:
+    """Return the charts of the forces of joints and of the torques of drivers, joints and actuators, as in reports."""
+    charts = [chart for kind in ("reactions", "torques") for chart in plot_module(kind).charts(made)]
+    return [data | {"lines": [_thinned(line) for line in data["lines"]]} for data in map(chart_data, charts)]
+
+
+def _thinned(line: dict[str, Any]) -> dict[str, Any]:
+    rows = np.unique(np.linspace(0, len(line["x"]) - 1, min(ROWS, len(line["x"]))).astype(int)).tolist()
+    return line | {"band": None, "label": shown(line["label"])} | {key: [line[key][k] for k in rows] for key in "xy"}
 
 
 def explorer_of(source: object, names: Sequence[str] | None = None, assignments: Iterable[str] = ()) -> Explorer:

@@ -12,11 +12,11 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
+from mbdkit.base.text import plus_minus
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
@@ -46,6 +46,8 @@ from mbdkit_gradients.measured_derivatives import DerivedMeasure, derived_measur
 from mbdkit_gradients.other_method import Reference
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
+from mbdkit_report import Cell, Column, Table, View, columns_of
+from mbdkit_report.notebook.result_views import object_view
 
 
 @dataclass(frozen=True)
@@ -382,3 +384,17 @@ class _RunProblem(GradientProblem[RunSpec]):
     def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference:
         step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
         return Reference(self.spec, self.expressions, prepared, self._needs, step)
+
+
+@object_view
+def gradient_view(found: Gradient) -> View:
+    """Return the view of a gradient."""
+    columns = [*columns_of("measure; unit; value"), *(Column(f"by {name}") for name in found.parameters)]
+    rows: list[tuple[Cell, ...]] = [
+        (name, unit, float(value), *found.texts(name, "\u00b1"))
+        for name, unit, value in zip(found.measures, found.units, found.value, strict=True)
+    ]
+    check = () if found.check is None else (str(found.check),)
+    note = "In the unit of the measure for each SI unit of the parameter."
+    table = Table("gradient", "Derivatives", tuple(columns), tuple(rows), note)
+    return View("Gradient", (*found.doubts, *found.remarks, *check), tables=(table,))

@@ -22,9 +22,8 @@ from itertools import compress
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.plain_data import Path
-from mbdkit.base.text import counted, listed, told_apart
+from mbdkit.base.text import counted, listed, plus_minus, told_apart
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 

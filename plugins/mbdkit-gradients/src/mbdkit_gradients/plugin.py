@@ -19,7 +19,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="gradient",
             summary="Measures of a run and their derivatives.",
             of="mbdkit_gradients.gradient:Gradient",
-            make=Target("mbdkit_gradients.views:gradient_view"),
+            make=Target("mbdkit_gradients.gradient:gradient_view"),
         ),
         *GuidePage.folder(Path(__file__).parent / "guide", "Analyse"),
     ]

@@ -1,4 +1,4 @@
-"""Loading of specs of identifications, with their bases."""
+"""Loading of specs of identifications, with their bases, and the JSON schema."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from copy import deepcopy
 from pathlib import Path
 
 from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, path_text
-from mbdkit.plugin.seams import spec_loader
+from mbdkit.plugin.seams import spec_loader, spec_schema
 from mbdkit.plugin.specs import (
     Document,
+    Registry,
     example_names,
     parameter_values,
     parse_key,
     put,
     read_source,
+    schema_with_bases,
     variable_path,
 )
 from mbdkit.plugin.studies import base_document, document_of
@@ -162,3 +164,19 @@ def _check_number(base: RunSpec, name: str) -> None:
             raise SpecError(message, key=path_text(("parameters", name))) from None
     if not isinstance(holder, int | float):
         raise SpecError(f"'{name}' is not a number in the base", key=path_text(("parameters", name)))
+
+
+@spec_schema
+def identify_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the spec of an identification, whose base is a run spec.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    schema = schema_with_bases(IdentifySpec, {"RunBase": "run"}, installed, units=set())
+    for key in ("observed", "inputs"):  # the heading of a column stands for a signal
+        columns = schema["$defs"]["Experiment"]["properties"][key]
+        columns["additionalProperties"] = {"anyOf": [{"type": "string"}, columns["additionalProperties"]]}
+    return schema

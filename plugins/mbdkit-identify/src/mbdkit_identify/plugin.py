@@ -25,7 +25,7 @@ def mbdkit_items() -> Iterable[Item]:
             heading="Identifications",
             load=Target("mbdkit_identify.loading:load_identify_spec"),
             validate=Target("mbdkit_identify.commands:validate_identify"),
-            schema=Target("mbdkit_identify.identify_schema:identify_schema"),
+            schema=Target("mbdkit_identify.loading:identify_schema"),
         ),
         Command(
             name="identify",

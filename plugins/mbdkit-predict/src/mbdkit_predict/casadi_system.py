@@ -13,8 +13,7 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.engine.interpreted_mechanism import InterpretedMechanism
-from mbdkit.engine.interpreted_tree import Motion
+from mbdkit.engine.interpreted_mechanism import InterpretedMechanism, Motion
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import value_of
 from mbdkit.quantities.names import archive_names

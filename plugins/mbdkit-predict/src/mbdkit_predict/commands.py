@@ -15,8 +15,8 @@ from mbdkit.spec.spec_kinds import spec_check
 @spec_check
 def validate_predict(source: object, name: str, assignments: list[str]) -> None:
     """Check the spec of a prediction and all its expressions, and print what would be computed."""
-    from mbdkit_predict.export import require_casadi
     from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
+    from mbdkit_predict.prediction import require_casadi
 
     spec = load_predict_spec(source, assignments)
     require_casadi("the check of a prediction needs")

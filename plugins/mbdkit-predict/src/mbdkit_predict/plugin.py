@@ -99,7 +99,7 @@ def mbdkit_items() -> Iterable[Item]:
             name="to_casadi",
             summary="Equations of motion and quantities as functions of CasADi.",
             of="Mechanism",
-            target=Target("mbdkit_predict.export:exported"),
+            target=Target("mbdkit_predict.prediction:exported"),
         ),
         SummaryLine(
             name="predict",
@@ -110,7 +110,7 @@ def mbdkit_items() -> Iterable[Item]:
         ReportSection(
             name="prediction",
             summary="Optimum, meshes and sensitivities of a prediction.",
-            make=Target("mbdkit_predict.report_section:section"),
+            make=Target("mbdkit_predict.run_results:section"),
         ),
         *Example.folder(_HERE / "examples"),
         *GuidePage.folder(_HERE / "guide", "Analyse"),

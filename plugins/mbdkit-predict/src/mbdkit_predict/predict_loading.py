@@ -48,6 +48,9 @@ spec_loader(load_predict_spec)
 
 def _with_base(data: Mapping[str, object], document: Document) -> dict[str, object]:
     sections = dict(data)
+    if {"mbdkit", "integrator", "time"} <= sections.keys():
+        wanted = "a spec of a prediction can name it as its `base`, and has `controls` and `minimize`"
+        raise SpecError(f"this is a run spec: run it with `mbdkit run`; {wanted}", key="integrator")
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:
             raise SpecError(f"unknown key{did_you_mean(key, KEYS)}; known here: {listed(KEYS)}", key=key)

@@ -1,10 +1,10 @@
-"""What predictions add to runs: the objective, its error, the meshes, controls, optimized numbers and sensitivities."""
+"""What predictions add to runs and their reports: objective, error, meshes, controls, sensitivities."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,9 @@ from mbdkit.archive.result_seams import run_attribute, summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import parse_path
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_report import Section, Table, columns_of
+from mbdkit_report.seams import report_sections
 
 SAME = 1e-4  #: Optima on the first mesh whose relative difference is below this count as one.
 
@@ -138,3 +141,31 @@ for attribute in (
     objective, objective_error, mesh, parameters, controls, sensitivities, starts, forward_run, gain,
 ):  # fmt: skip
     run_attribute(attribute)  # not as decorators, which would hide the classes of the results
+
+
+_METHOD = (
+    "The motion minimizes {minimize}. It was found by direct collocation with the stages of {method} with {points} "
+    "points; constraints and their rates are zero at all collocation points. The nonlinear program was solved by "
+    "IPOPT. The error of the objective is estimated from its changes on finer meshes, and the controls were integrated "
+    "by another method. The optimum is a local one: other first guesses may lead to a smaller objective."
+)
+
+
+@report_sections
+def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
+    """Yield the section of a prediction; nothing for other runs."""
+    if run.kind != "predicted":
+        return
+    spec, names = run.spec, {"radau": "Radau IIA methods", "gauss": "Gauss methods"}
+    collocation = spec["collocation"]
+    text = _METHOD.format(minimize=spec["minimize"], method=names[collocation["method"]], points=collocation["points"])
+    meshes = tuple((" + ".join(map(str, n)) if isinstance(n, tuple) else n, value) for n, value in mesh(run))
+    tables = [
+        Table("optimum", "Optimum", columns_of("item; value"), tuple(lines(run)), headline=True),
+        Table("meshes", "Meshes", columns_of("intervals; objective"), meshes),
+    ]
+    slopes = tuple(sensitivities(run).items())
+    if slopes:
+        note = "Change of the objective for a small change of the value, with the motion optimized again."
+        tables.append(Table("sensitivities", "Sensitivities", columns_of("value; derivative"), slopes, note=note))
+    yield Section("prediction", "Prediction", (text,), tables=tuple(tables))

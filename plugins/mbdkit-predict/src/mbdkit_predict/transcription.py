@@ -29,9 +29,8 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
-from mbdkit_predict.breaks import breaks_of
 from mbdkit_predict.casadi_system import CasadiSystem
-from mbdkit_predict.grid import IntervalGrid, weights
+from mbdkit_predict.grid import IntervalGrid, breaks_of, weights
 from mbdkit_predict.guessed_motion import archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import (
     MOST_ITERATIONS,

@@ -25,8 +25,10 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         draw_sketch as draw_sketch, NamedPose as NamedPose, short_name as short_name,
     )
     from mbdkit_report.figures.page_model import (
-        Axis as Axis, Band as Band, Cell as Cell, Column as Column, columns_of as columns_of, Figure as Figure,
-        Guide as Guide, Illustration as Illustration, Line as Line, Mark as Mark, Section as Section, Table as Table,
+        Axis as Axis, Band as Band, bar_cells as bar_cells, bar_columns as bar_columns, Cell as Cell,
+        Column as Column, columns_of as columns_of, Figure as Figure, Guide as Guide, Illustration as Illustration,
+        Line as Line, Mark as Mark, Section as Section,
+        Stated as Stated, Table as Table,
     )
     from mbdkit_report.figures.plane_geometry import view_box as view_box
     from mbdkit_report.figures.pose import draw_pose as draw_pose

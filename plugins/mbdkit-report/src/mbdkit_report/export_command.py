@@ -12,7 +12,30 @@ import typer
 from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.run import Run
 from mbdkit.base.terminal import show
-from mbdkit.cli.common_options import Debug, Overwrite, Quiet, output_to
+from mbdkit.cli.common_options import Archives, Debug, Overwrite, Quiet, output_to
+
+
+def archive_crate(
+    archives: Archives,
+    output: Annotated[Path, output_to("FOLDER", "The crate, a new folder.")],
+    with_machine: Annotated[
+        bool, typer.Option("--with-machine", help="Keep what archives tell about machine and command.")
+    ] = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Write run archives as a crate for catalogues and repositories.
+
+    The folder follows the RO-Crate profile Process Run Crate: copies of the archives, and
+    of each the spec, a report with figures and the evidence of its method, with digests,
+    versions of the software, references (BibTeX) and CodeMeta. Creator and licence are
+    those of `meta` in the spec. `mbdkit archive check FOLDER` verifies it.
+    """
+    from mbdkit_report.crate import write_crate
+
+    write_crate(archives, output, with_machine=with_machine)
+    if not quiet:
+        show(output)
 
 
 def archive_export(
@@ -22,12 +45,16 @@ def archive_export(
         typer.Option(
             "--to",
             metavar="FORMAT",
-            help="csv; parquet (needs the package pyarrow); mat: MATLAB; sto: OpenSim; json; or a format of a plugin.",
+            help="csv; parquet (needs the package pyarrow); xlsx: Excel (needs XlsxWriter); mat: MATLAB; sto: OpenSim; "
+            "json; or a format of a plugin.",
         ),
     ],
     output: Annotated[
         Path | None,
-        output_to("DIR", "Folder of the files, which is created; by default FILE-FORMAT, such as knee-csv."),
+        output_to(
+            "DIR",
+            "Folder of the files, which is created, or the workbook; by default knee-csv or knee.xlsx for knee.h5.",
+        ),
     ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
@@ -35,7 +62,8 @@ def archive_export(
 ) -> None:
     """Export a run, or the table of the runs of a study.
 
-    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT.
+    Writes several files into a folder: each group of a run gives a file GROUP.FORMAT or,
+    in a workbook (xlsx), a sheet.
     Groups are trajectory, joints, forces, markers, constraints, energy, steps, events and
     accuracy, as far as the archive contains them. Columns are named as in expressions of
     events, such as knee.force_x. The folder of a study gives one file, runs.FORMAT, with
@@ -45,9 +73,9 @@ def archive_export(
     from mbdkit.archive.result_seams import exported_files
     from mbdkit.registry.feature_items import FileFormat
     from mbdkit.registry.manager import registry
-    from mbdkit_report.export import export
+    from mbdkit_report.export import default_output, export
 
-    folder = output if output is not None else archive.with_name(f"{archive.stem}-{to}")
+    folder = output if output is not None else default_output(archive, to)
     formats = [cast(FileFormat, item.plugin) for item in registry().of_kind("file-format")]
     kind = FileFormat.of_folder(archive, formats) if archive.is_dir() else None
     if kind is not None and kind.export is not None:

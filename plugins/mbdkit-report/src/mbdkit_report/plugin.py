@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from mbdkit.registry.feature_items import Accessor, Example, GuidePage, PlotKind, ReportSection, TableFormat
+from mbdkit.registry.feature_items import Accessor, Example, FileFormat, GuidePage, PlotKind, ReportSection, TableFormat
 from mbdkit.registry.hookspecs import hookimpl
 from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
@@ -39,6 +39,20 @@ def mbdkit_items() -> Iterable[Item]:
             order=40,
         ),
         Command(
+            name="crate",
+            summary="Write run archives as a crate for catalogues (RO-Crate).",
+            target=Target("mbdkit_report.export_command:archive_crate"),
+            group="archive",
+            order=55,
+        ),
+        FileFormat(
+            name="crate",
+            summary="A crate of archives for catalogues.",
+            order=500,
+            file="ro-crate-metadata.json",
+            problems=Target("mbdkit_report.crate:crate_problems"),
+        ),
+        Command(
             name="plot",
             summary="Plot a run, or one quantity of several runs.",
             target=Target("mbdkit_report.commands:plot"),
@@ -64,6 +78,14 @@ def mbdkit_items() -> Iterable[Item]:
             order=10,
             suffix=".parquet",
             write=Target("mbdkit_report.table_formats:write_parquet"),
+        ),
+        TableFormat(
+            name="xlsx",
+            summary="Excel workbook with a sheet for each group.",
+            order=15,
+            suffix=".xlsx",
+            write_all=Target("mbdkit_report.workbook:write_xlsx"),
+            needs="xlsxwriter",
         ),
         TableFormat(
             name="mat",

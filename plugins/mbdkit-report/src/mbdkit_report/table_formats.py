@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -55,6 +55,12 @@ def table_writer(table: ExportedTable, path: Path, /) -> None:
     raise NotImplementedError
 
 
+@Seam
+def workbook_writer(tables: Mapping[str, ExportedTable], path: Path, /) -> None:
+    """Write tables by name to one file."""
+    raise NotImplementedError
+
+
 @table_writer
 def write_csv(table: ExportedTable, path: Path) -> None:
     """Write comma-separated values in UTF-8: one line with names and units, such as ``knee.force_x [N]``, then rows.
@@ -64,8 +70,8 @@ def write_csv(table: ExportedTable, path: Path) -> None:
     """
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([csv_cell(_heading(name, units)) for name, units in _names_and_units(table)])
-        for row in _rows(table):
+        writer.writerow([csv_cell(name) for name in headings(table)])
+        for row in rows_of(table):
             writer.writerow([csv_cell(cell) if isinstance(cell, str) else repr(cell) for cell in row])
 
 
@@ -80,7 +86,7 @@ def write_json(table: ExportedTable, path: Path) -> None:
     ]
     with path.open("w", encoding="utf-8") as file:
         file.write(f'{{"group": {json_text(table.group)},\n "columns": {json_text(columns)},\n "rows": [')
-        for number, row in enumerate(_rows(table)):
+        for number, row in enumerate(rows_of(table)):
             file.write(f"{',' if number else ''}\n  {json_text(row)}")
         file.write("\n ]}\n")
 
@@ -93,7 +99,7 @@ def write_sto(table: ExportedTable, path: Path) -> None:
     by ``_``. Text is left out.
     """
     table = table.without_text()
-    labels = _distinct(re.sub(r"[\s\x00-\x1f\x7f]+", "_", shown(name)) for name, _ in _names_and_units(table))
+    labels = distinct(re.sub(r"[\s\x00-\x1f\x7f]+", "_", shown(name)) for name, _ in names_and_units(table))
     header = [
         f"mbdkit_{table.group}",
         "version=1",
@@ -105,7 +111,7 @@ def write_sto(table: ExportedTable, path: Path) -> None:
     ]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write("\n".join(header) + "\n")
-        for row in _rows(table):
+        for row in rows_of(table):
             file.write("\t".join(map(repr, row)) + "\n")
 
 
@@ -117,7 +123,7 @@ def write_mat(table: ExportedTable, path: Path) -> None:
     """
     from scipy.io import savemat
 
-    pairs = list(_names_and_units(table))
+    pairs = list(names_and_units(table))
     variables = _matlab_names([name for name, _ in pairs])
     blocks = [[first, *others] for first, others in table.blocks()]
     columns = zip(*blocks, strict=True) if blocks else [[np.zeros(0)]] * len(variables)
@@ -157,7 +163,8 @@ def write_parquet(table: ExportedTable, path: Path) -> None:
             writer.write_table(pyarrow.table([time, *values], schema=schema))
 
 
-def _names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:
+def names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:
+    """Yield name and units of each column."""
     for column in _all(table):
         yield column.name, column.units
 
@@ -166,11 +173,13 @@ def _all(table: ExportedTable) -> tuple[TableColumn, ...]:
     return table.first, *table.columns
 
 
-def _heading(name: str, units: str) -> str:
-    return name if units == "1" else f"{name} [{units}]"
+def headings(table: ExportedTable) -> list[str]:
+    """Return the names of the columns with their units, such as ``knee.force_x [N]``."""
+    return [name if units == "1" else f"{name} [{units}]" for name, units in names_and_units(table)]
 
 
-def _rows(table: ExportedTable) -> Iterator[list[object]]:
+def rows_of(table: ExportedTable) -> Iterator[list[object]]:
+    """Yield the rows of a table."""
     for time, values in table.blocks():
         yield from map(list, zip(time.tolist(), *(column.tolist() for column in values), strict=True))
 
@@ -182,17 +191,21 @@ def _matlab_names(names: Iterable[str]) -> list[str]:
         if not word[:1].isalpha():
             word = f"x{word}"
         results.append(word)
-    return _distinct(results, MATLAB_LENGTH, taken=("units", "names"))
+    return distinct(results, MATLAB_LENGTH, taken=("units", "names"))
 
 
-def _distinct(names: Iterable[str], length: int = 1_000_000, taken: Sequence[str] = ()) -> list[str]:
-    """Return the names, cut to a length, with ``_2``, ``_3`` and so on appended to those that occurred before."""
+def distinct(
+    names: Iterable[str], length: int = 1_000_000, taken: Sequence[str] = (), *, cased: bool = True
+) -> list[str]:
+    """Return the names, cut to a length, with ``_2``, ``_3`` and so on appended to those that occurred before; unless
+    `cased`, names that differ in capitals count as the same.
+    """
     used, texts = set(taken), []
     for name in names:
         new, number = name[:length], 2
-        while new in used:
+        while (new if cased else new.lower()) in used:
             end = f"_{number}"
             new, number = name[: length - len(end)] + end, number + 1
-        used.add(new)
+        used.add(new if cased else new.lower())
         texts.append(new)
     return texts

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from mbdkit.cli import app
 from mbdkit.guide.pages import find_page
 from mbdkit.spec import example_names
-from mbdkit.spec.example_notebooks import jupyter_text, notebook_names, notebook_text, notebook_title
+from mbdkit.spec.loading import jupyter_text, notebook_names, notebook_text, notebook_title
 from tests.first_party import PARTS
 
 FOLDER = PARTS["mbdkit_report"] / "examples"

@@ -41,13 +41,12 @@ def test_the_force_in_the_pin_of_a_falling_rod_is_largest_at_the_bottom():
         document = run_report(run)
     joints = table(document, "joints")
     (force,), (time,), (error,) = (
-        column(joints, label) for label in ("largest force", "time of the force", "± error of the force")
+        column(joints, label) for label in ("largest force", "time of the force", "± of the force")
     )
     assert force == pytest.approx(2.5 * 9.81, rel=1e-5)
     assert time == pytest.approx(math.sqrt(2 / (3 * 9.81)) * ellipk(0.5), abs=0.001)
     assert_within(force - 2.5 * 9.81, error)  # margin: an error bar of mbdkit
     assert_within(error, 3e-4)
-    assert document.sections[1].sentences[0].startswith(f"The largest force of a joint is {force:.5g}"[:-2])
     assert "largest torque" not in [column.label for column in joints.columns]  # a pin carries none
 
 
@@ -64,7 +63,6 @@ def test_the_torque_and_the_power_of_a_motor():
     assert column(drivers, "largest torque") == [pytest.approx(1.5)]
     assert column(drivers, "largest power") == [pytest.approx(9.0)]
     assert column(drivers, "time of the power") == [2.0]
-    assert "The largest torque of a driver is 1.5 N m" in markdown
     assert "### Motors and drivers" in markdown
 
 

@@ -56,7 +56,9 @@ def test_every_element_of_an_example_is_named_once(name):
     if not names_shown(shown):
         return
     parts = parts_of(mechanism.beams)
-    named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces, *mechanism.markers]
+    named = [*mechanism.bodies, *mechanism.joints, *mechanism.forces]
+    named += [*mechanism.elements.get("muscles", ()), *mechanism.elements.get("cuffs", ())]
+    named += [name for name in mechanism.markers if name not in mechanism.joints]
     named = [name for name in named if name not in parts] + list(mechanism.beams)
     for found in (texts(mechanism_svg(shown, width)) for width in (Illustration.WIDE, Illustration.NARROW)):
         assert all(found.count(word) >= 1 for word in named)

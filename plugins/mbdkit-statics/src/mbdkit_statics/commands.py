@@ -58,7 +58,7 @@ def equilibrium(
             notes.append(f"{write.name} has numbers in place of the parameters {listed(left_out, 'and')}")
     if output is not None:
         from mbdkit_report import save
-        from mbdkit_statics.equilibrium_plot import equilibrium_figure
+        from mbdkit_statics.views import equilibrium_figure
 
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(result, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
@@ -99,7 +99,7 @@ def modes(
     result = modes_of(prepared, at, count)
     if output is not None:
         from mbdkit_report import save
-        from mbdkit_statics.mode_shapes import modes_figure
+        from mbdkit_statics.views import modes_figure
 
         mechanism = prepared.spec.mechanism()
         save(modes_figure(result, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)

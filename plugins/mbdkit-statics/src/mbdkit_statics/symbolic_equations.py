@@ -23,12 +23,11 @@ from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.angle_function import Center, expression_of
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.force_law import ExpressionLaw, law_parameters
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joint_base import Constraint, PoseFunction
 from mbdkit.mechanism.joints import force_of_reaction
 from mbdkit.mechanism.law_element import Law
-from mbdkit.mechanism.law_parameters import law_parameters
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Pathway, Segment
 from mbdkit.mechanism.state_values import is_of_state

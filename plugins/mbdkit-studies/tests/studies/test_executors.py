@@ -18,8 +18,8 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from typer.testing import CliRunner
 
 import mbdkit
-from mbdkit.base.command_words import command_line, executing
 from mbdkit.base.errors import SpecError
+from mbdkit.base.terminal import command_line, executing
 from mbdkit.cli import app
 from mbdkit_studies.compute import executor_pool, executors, worker
 from mbdkit_studies.compute.executor_pool import ExecutorPool

@@ -13,9 +13,8 @@ import pytest
 import mbdkit
 from mbdkit import RunSpec
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.consistent_start import CompiledForStarts, Starts, mechanism_at_start
+from mbdkit.engine.consistent_start import CompiledForStarts, Starts, at_starts, mechanism_at_start
 from mbdkit.engine.kernels.angles import FAR
-from mbdkit.engine.lane_starts import at_starts
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit.spec import load_spec

@@ -90,9 +90,14 @@ def plugins_verify(
         typer.Option("--set", metavar="KEY=VALUE", help="Set an option, such as stages=3; may be repeated."),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
+    record: Annotated[
+        bool, typer.Option("--record", help="Write the results into the package, as mbdkit-evidence.json.")
+    ] = False,
     as_json: AsJson = False,
     as_html: Annotated[bool, typer.Option("--html", help="Also write an HTML page.")] = False,
-    output: Annotated[Path | None, output_to("FILE.html", "The page; by default ./NAME-verification.html.")] = None,
+    output: Annotated[
+        Path | None, output_to("FILE", "The page, by default ./NAME-verification.html; with --record the evidence.")
+    ] = None,
     overwrite: Overwrite = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -100,34 +105,88 @@ def plugins_verify(
     """Verify the claims of a plugin by the checks of mbdkit.testing.
 
     Exit status 1 if it is not verified: a check failed, or no check of the
-    required group could be run. With --json, prints one object with a list
+    required group could be run. The name of a distribution verifies all of its
+    methods, joints, elements, laws, models and measures. --record stores the
+    results with a digest of the code in the package of the plugin, or in the file
+    after -o; without --set, all options that were recorded before are verified
+    again. Archives, `plugins list` and `plugins show` then say what was verified,
+    and whether the code has changed since. With --json, prints one object with a list
     "reports": a model and an integrator may share a name.
     """
-    items = describe.find(name, further=["element-kind", "joint-kind"])
+    from mbdkit_testing import recorded_evidence, verify
+
+    items = describe.find_to_verify(name)
     options = Document({})
     for assignment in assignments or ():
         options.assign(assignment)
-    from mbdkit_testing import verify
     from mbdkit_testing.verification_page import check_page, write_page
 
-    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if as_html or output is not None else None
+    written = None if not record else recorded_evidence.place_of_evidence(items, None if as_html else output)
+    is_page = as_html or (output is not None and not record)
+    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if is_page else None
     if page is not None:
         check_page(page, overwrite=overwrite)
-    reports = []
+    reports, records = [], []
     for item in items:
-        with count_bar(item.id, quiet) as bar:
-            watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
-            notify = silence if quiet else say
-            reports.append(verify(item.kind, item.id, options.data, quick=quick, watch=watch, notify=notify))
+        chosen = [options.data] if assignments or written is None else recorded_evidence.recorded_options(item, written)
+        for given in chosen:
+            with count_bar(item.id, quiet) as bar:
+                watch = None if bar is None else lambda done, total, check, bar=bar: bar(done, total, 0)
+                notify = silence if quiet else say
+                reports.append(verify(item.kind, item.id, given, quick=quick, watch=watch, notify=notify))
+            records.append(recorded_evidence.record_of(item, reports[-1], quick=quick))
+    if written is not None:
+        recorded_evidence.write_records(records, written)
     if page is not None:
         write_page(reports, page, overwrite=overwrite)
     if as_json:
         show_json({"reports": [report.to_dict() for report in reports]})
     elif not quiet:
         show("\n\n".join(report.text() for report in reports))
-        if page is not None:
-            show(page)
+        for path in filter(None, (page, written)):
+            show(path)
     if not all(report.verified for report in reports):
+        raise typer.Exit(terminal.NOT_VERIFIED)
+
+
+def plugins_matrix(
+    output: Annotated[Path, output_to("FOLDER", "Folder for matrix.html, matrix.csv and matrix.json.")],
+    names: Annotated[
+        list[str] | None,
+        typer.Option("--with", metavar="NAME", help="Verify this plugin or distribution now; may be repeated."),
+    ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Verify what this evidence is about again, and show what is broken."),
+    ] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
+    as_json: AsJson = False,
+    overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    debug: Debug = False,
+) -> None:
+    """Draw what was observed of all installed plugins, side by side.
+
+    The figures are those of recorded evidence: see `mbdkit plugins verify --record`.
+    With --against, the matrix has only the plugins in that file, as they are now;
+    exit status 1 if a check that passed then fails now.
+    """
+    from mbdkit_testing import matrix
+
+    matrix.check_files(output, overwrite=overwrite)
+    notify = silence if quiet else say
+    if against is None:
+        items = [item for name in names or () for item in describe.find_to_verify(name)]
+        rows = matrix.recorded_rows([matrix.verified_row(item, {}, quick=quick) for item in items])
+    else:
+        rows = matrix.rows_against(against, quick=quick, watch=notify)
+    matrix.write_matrix(rows, output)
+    broken = [f"{row.id}: {sentence}" for row in rows for sentence in row.broken]
+    if as_json:
+        show_json({"path": str(output), "rows": len(rows), "broken": broken})
+    elif not quiet:
+        show("\n".join([*broken, str(output / "matrix.html")]))
+    if broken:
         raise typer.Exit(terminal.NOT_VERIFIED)
 
 

@@ -17,6 +17,8 @@ from mbdkit.registry.item import Plugin
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import FAMILIES
+from mbdkit_testing.recorded_evidence import KINDS as KINDS_WITH_EVIDENCE
+from mbdkit_testing.recorded_evidence import record_texts, records_of, status_of
 
 Schema = dict[str, Any]
 WIDTH = 80
@@ -24,17 +26,18 @@ DEEPEST = 6  # largest number of levels of nested options, because the options o
 
 
 def listing(installed: Registry) -> dict[str, object]:
-    """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status and error of each report."""
-    return {"plugins": [_entry(report) for report in _shown(installed)]}
+    """Return ``{"plugins": [...]}`` with id, kind, distribution, version, status, error and evidence of each report."""
+    return {"plugins": [_entry(report, installed) for report in _shown(installed)]}
 
 
 def listing_text(installed: Registry) -> str:
     """Return the listing as a table; the last column is the error or, without an error, the summary of the item."""
     summaries = {(item.kind, item.id): item.plugin.summary for item in installed.items}
-    rows = [("ID", "KIND", "VERSION", "STATUS", "")]
+    rows = [("ID", "KIND", "VERSION", "STATUS", "EVIDENCE", "")]
     for report in _shown(installed):
-        last = report.error or summaries.get((report.kind or "", report.id), "")
-        rows.append((report.id, report.kind or "-", report.origin.version, report.status, last))
+        last, entry = report.error or summaries.get((report.kind or "", report.id), ""), _entry(report, installed)
+        evidence = str(entry["evidence"]).partition(":")[0] or "-"
+        rows.append((report.id, report.kind or "-", report.origin.version, report.status, evidence, last))
     return table(rows)
 
 
@@ -58,6 +61,15 @@ def find(name: str, installed: Registry | None = None, further: Iterable[Kind] =
     return [item for item in named if _has_options(item) or item.kind in further] or named
 
 
+def find_to_verify(name: str) -> list[Registered]:
+    """Return the items that a name means, as `find` does, or those of the distribution of that name."""
+    installed = registry()
+    items = [item for item in installed.items if item.origin.distribution == name and item.kind in KINDS_WITH_EVIDENCE]
+    if items and name not in [item.name for item in items]:
+        return [item for item in items if name != MBDKIT or item.kind == "integrator"]
+    return find(name, installed, further=["element-kind", "joint-kind"])
+
+
 def _has_options(item: Registered) -> bool:
     return issubclass(KINDS[item.kind], Plugin)
 
@@ -77,6 +89,8 @@ def details(item: Registered) -> dict[str, object]:
         shown |= {"options": named_options(item).model_json_schema(), "references": list(item.plugin.references)}
         if claims := item.plugin.claimed():
             shown["claims"] = dict(claims)
+    if status := status_of(item):
+        shown["evidence"] = {"status": status, "records": records_of(item)}
     return shown
 
 
@@ -87,6 +101,8 @@ def page(item: Registered) -> str:
         f"  {item.plugin.summary}",
         f"  from {item.origin.distribution} {item.origin.version}, entry point {item.origin.entry_point}",
     ]
+    if status := status_of(item):
+        lines += [f"  evidence: {status}", *(f"    {text}" for text in record_texts(item))]
     if item.kind in ("element-kind", "joint-kind"):
         return "\n".join([*lines, "", "Keys of an element:", *_option_lines(cast(Any, item.plugin).model())])
     if not _has_options(item):
@@ -107,7 +123,7 @@ def diagnosis(installed: Registry) -> dict[str, object]:
     return {
         "plugin_api": {name: family.version for name, family in FAMILIES.items()},
         "plugins": [
-            {**_entry(report), "entry_point": report.origin.entry_point, "load_s": round(report.seconds, 6)}
+            {**_entry(report, installed), "entry_point": report.origin.entry_point, "load_s": round(report.seconds, 6)}
             for report in reports
         ],
     }
@@ -126,6 +142,9 @@ def diagnosis_text(installed: Registry) -> str:
         fine = sum(report.status != "error" for report in here)
         lines.append(f"{where}: {fine} of {len(here)} loaded in {1e3 * here[0].seconds:.0f} ms")
         lines += [f"  {report.id}: {report.status}: {report.error}" for report in here if report.status != "ok"]
+        if origin.distribution != MBDKIT:
+            known = [(report.id, str(_entry(report, installed)["evidence"])) for report in here]
+            lines += [f"  {name}: {text}" for name, text in known if text and not text.startswith("verified")]
     return "\n".join(lines) if lines else "no plugins are installed, not even those of mbdkit; install it again"
 
 
@@ -141,7 +160,10 @@ def _shown(installed: Registry) -> list[Report]:
     ]
 
 
-def _entry(report: Report) -> dict[str, object]:
+def _entry(report: Report, installed: Registry) -> dict[str, object]:
+    item = None
+    if report.status != "error" and (names := installed.of_kind(report.kind or "")):
+        item = next((item for item in names if item.id == report.id), None)
     return {
         "id": report.id,
         "kind": report.kind,
@@ -149,6 +171,7 @@ def _entry(report: Report) -> dict[str, object]:
         "version": report.origin.version,
         "status": report.status,
         "error": report.error,
+        "evidence": "" if item is None else status_of(item),
     }
 
 

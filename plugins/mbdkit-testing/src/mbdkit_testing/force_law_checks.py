@@ -15,8 +15,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.force_laws import bind_law
 from mbdkit.engine.native.calls import LAW
-from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw
-from mbdkit.mechanism.law_parameters import law_range
+from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw, law_range
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element

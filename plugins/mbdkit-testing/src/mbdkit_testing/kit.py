@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -167,6 +167,11 @@ def verify(
         if watch is not None:
             watch(number, len(checks), check.name)
         results.append(check.run(under_test))
+    return report_of(kind, under_test, results)
+
+
+def report_of(kind: Kind, under_test: Any, results: Iterable[Result]) -> Report:
+    """Return the report of the results of checks of a plugin."""
     item: Registered = under_test.item
     return Report(
         id=item.id,

@@ -33,6 +33,10 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_testing.commands:plugins_verify"), group="plugins", order=30,
         ),
         Command(
+            name="matrix", summary="Draw what was observed of all plugins, side by side.",
+            target=Target("mbdkit_testing.commands:plugins_matrix"), group="plugins", order=35,
+        ),
+        Command(
             name="doctor", summary="Show the plugins, the machine code in use, and any problems.",
             target=Target("mbdkit_testing.commands:plugins_doctor"), group="plugins", order=40,
         ),

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
 from mbdkit.registry.catalogue import Kind
 from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Result, figures_text
-from mbdkit_testing.kit import checks_of, plugin_under_test
+from mbdkit_testing.kit import checks_of, plugin_under_test, report_of
 
 
 class ConformanceWarning(UserWarning):
@@ -35,7 +35,10 @@ class Case:
         """Run the check."""
         import pytest
 
-        result = self.check.run(_under_test(self.kind, self.plugin, self.options))
+        under_test = _under_test(self.kind, self.plugin, self.options)
+        result = self.check.run(under_test)
+        if (unrecorded := _UNRECORDED.get((self.kind, self.plugin, self.options))) is not None:
+            unrecorded.add(self.kind, under_test, result)
         if result.outcome == "skip":
             pytest.skip(result.cause)
         if result.outcome == "not claimed":
@@ -50,6 +53,27 @@ class Case:
 
     def __str__(self) -> str:
         return self.check.name
+
+
+@dataclass
+class _Unrecorded:
+    """Results of checks that are recorded as evidence once all `count` of them are there."""
+
+    count: int
+    quick: bool
+    results: dict[str, Result] = field(default_factory=dict)
+
+    def add(self, kind: Kind, under_test: Any, result: Result) -> None:
+        """Add a result; after the last one, write the evidence if that in the source tree is not of this code."""
+        self.results[result.name] = result
+        if len(self.results) == self.count:
+            from mbdkit_testing import recorded_evidence
+
+            report = report_of(kind, under_test, self.results.values())
+            recorded_evidence.renew(under_test.item, report, quick=self.quick)
+
+
+_UNRECORDED: dict[tuple[Kind, str, tuple[tuple[str, Any], ...]], _Unrecorded] = {}
 
 
 @cache
@@ -73,6 +97,7 @@ def conformance(
     joint: str | None = None,
     options: dict[str, Any] | None = None,
     quick: bool = False,
+    record: bool = False,
 ) -> Callable[[Callable[[Case], object]], Callable[[Case], object]]:
     """Return a decorator that runs a test once for each check of a plugin, with the check as its argument ``case``.
 
@@ -82,6 +107,9 @@ def conformance(
         Short or long name of the plugin; exactly one of the six is given.
     quick
         Whether to leave out the slow checks.
+    record
+        Whether to write the results into the package as its evidence, as ``mbdkit plugins verify --record`` does. This
+        is done in a source tree, once all checks have been run in one process, and if the code has changed.
 
     Examples
     --------
@@ -105,4 +133,7 @@ def conformance(
             "conformance needs exactly one of integrator=, model=, force_law=, measure=, element= and joint="
         )
     kind, name = named[0]
-    return pytest.mark.parametrize("case", list(cases(kind, name, options, quick=quick)), ids=str)
+    every = list(cases(kind, name, options, quick=quick))
+    if record:
+        _UNRECORDED[kind, name, tuple((options or {}).items())] = _Unrecorded(len(every), quick)
+    return pytest.mark.parametrize("case", every, ids=str)

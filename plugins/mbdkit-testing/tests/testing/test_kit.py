@@ -14,13 +14,13 @@ import mbdkit.testing
 from mbdkit import ImplicitRungeKutta
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
+from mbdkit.runs.method_evidence import evidence_file, read_records
 from mbdkit_testing import conformance
 from mbdkit_testing.check_result import Report, Result
 from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.order_checks import reference
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM
 from mbdkit_testing.verification_page import html, write_page
-from mbdkit_testing.verification_table import BEGIN, END, VARIANTS, title
 from tests.integrators.diagonal_tableaus import TABLEAUS
 
 README = Path(__file__).parents[2] / "README.md"
@@ -33,6 +33,8 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "n-pendulum": {"n": 4, "angle": -1.0},
     "mechanism": DRIVEN_PENDULUM,
 }
+EVIDENCE = read_records(evidence_file(registry().get("integrator", "mbdkit:gauss").origin))
+VARIANTS = [(record["name"], record["options"]) for record in EVIDENCE]
 FULL = [("gauss", {"stages": 3}), ("rk4", {}), ("scipy-dop853", {})]
 FIRST = [("gauss", {"stages": 2}), ("dop853", {})]
 """An implicit method and an explicit one with adaptive steps; the others of mbdkit are slow tests."""
@@ -163,16 +165,14 @@ def test_every_check_has_a_name_of_its_own_in_a_group_and_says_what_it_does(kind
     assert all(f"`{check.name.partition('.')[0]}`" in README.read_text(encoding="utf-8") for check in checks)
 
 
-def test_the_table_in_the_readme_has_every_integrator_with_what_it_claims_now() -> None:
-    lines = README.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0].strip().splitlines()[2:]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    expected = []
-    for name, options in VARIANTS:
-        order = plugin_under_test("integrator", f"mbdkit:{name}", options).claims.order
-        expected.append([title(name, options), "adaptive" if order is None else f"{order:g}"])
-    assert [row[:2] for row in cells] == expected
-    assert {row[-1].rpartition(", ")[2] for row in cells} == {"0 failed"}
+def test_the_evidence_has_every_integrator_of_mbdkit_with_what_it_claims_now() -> None:
+    """`mbdkit plugins verify mbdkit --record` renews it."""
     assert {item.name for item in registry().only("mbdkit").of_kind("integrator")} == {name for name, _ in VARIANTS}
+    for record in EVIDENCE:
+        claims = plugin_under_test("integrator", f"mbdkit:{record['name']}", record["options"]).claims
+        assert record["claims"].get("order") == claims.order
+        assert record["verified"]
+        assert not record["failed"]
 
 
 def test_a_page_that_appears_during_the_checks_is_not_replaced(tmp_path: Path) -> None:

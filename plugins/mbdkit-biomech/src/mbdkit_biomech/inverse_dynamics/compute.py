@@ -12,10 +12,9 @@ from scipy.integrate import cumulative_simpson
 from mbdkit.base import elementary
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted, listed
-from mbdkit.engine.joint_sums import JointSums
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.observed_states import GivenForces, StateObserver
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
+from mbdkit.engine.observed_states import GivenForces, JointSums, StateObserver
 from mbdkit.integrators.interface import Nodes
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.quantities.states import States

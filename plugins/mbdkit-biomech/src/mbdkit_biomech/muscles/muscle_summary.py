@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from mbdkit.archive.headlines import JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
+from mbdkit.archive.headlines import JOINTS_NAMED, Headline, answers, largest_of, run_headlines
 from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_summary import few, ranked
+from mbdkit.archive.run_summary import few
 from mbdkit.base.errors import MbdkitError
 
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
@@ -28,19 +26,18 @@ def muscle_lines(run: Run) -> list[tuple[str, str]]:
 
 @run_headlines
 def activations(run: Run) -> list[Headline]:
-    """Return the two largest activations of muscles."""
+    """Return the largest activations of muscles; the two largest are headlines."""
     if not run.records("muscles/activation"):
         return []
-    return largest_of("activation of", run, list(run.muscles), run.array("muscles/activation"), "1", None)[:2]
+    values = run.array("muscles/activation")
+    found = largest_of("activation of", run, "muscles.activation", list(run.muscles), values, "1", None)
+    return [one._replace(is_main=number < 2) for number, one in enumerate(found)]
 
 
 def _largest_activations(run: Run) -> str:
-    peaks = []
-    for name, muscle in run.muscles.items():
-        row = int(np.argmax(muscle.activation))
-        peaks.append((float(muscle.activation[row]), f"{name} {muscle.activation[row]:.3g} at {run.time[row]:.4g} s"))
+    peaks = [f"{one.element} {one.value:.3g} at {one.time:.4g} s" for one in activations(run)]
     rows = "" if run.kind == "inverse" else " in the recorded rows"
-    return f"largest activations{rows} {few(ranked(peaks))}" if peaks else ""
+    return f"largest activations{rows} {few(peaks)}" if peaks else ""
 
 
 def _far_fibers(run: Run) -> str:
@@ -70,13 +67,9 @@ def _contact_forces(run: Run) -> str:
     if not run.records("muscles/certificate"):
         return ""
     without = np.linalg.norm(run.array("muscles/reaction_force_without"), axis=2)
-    size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-    errors = run.errors.of_reactions("reaction_error", size)
     parts = []
-    for index, name in enumerate(run.joint_names):
-        largest, most = float(np.max(size[:, index])), float(np.max(without[:, index]))
-        error = math.nan if errors is None else float(errors[index])
-        with_muscles = f"{largest:.4g}" if math.isnan(error) else plus_minus(largest, error)
-        if largest > 1.001 * most or largest < 0.999 * most:
-            parts.append((largest, f"{name} {with_muscles} N, {most:.4g} N without muscles"))
-    return "; ".join(ranked(parts)[:JOINTS_NAMED])
+    for one in (one for one in answers(run) if one.quantity == "joints.force"):
+        most = float(np.max(without[:, run.joint_names.index(one.element)]))
+        if one.value > 1.001 * most or one.value < 0.999 * most:
+            parts.append(f"{one.element} {one.text()}, {most:.4g} N without muscles")
+    return "; ".join(parts[:JOINTS_NAMED])

@@ -8,13 +8,16 @@ from types import MethodType
 
 import numpy as np
 
-from mbdkit.archive.headlines import excluded_words, plus_minus
+from mbdkit.archive.headlines import excluded_words
 from mbdkit.archive.result_seams import run_attribute, summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
-from mbdkit.base.text import listed, table
+from mbdkit.base.text import listed, plus_minus, table
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
+from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
+from mbdkit_report.seams import report_charts, report_sections
 
 SHOWN = 0.005  #: Smallest share of a source in the printed table.
 
@@ -135,3 +138,45 @@ def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
     every = [contributions(run, joint) for joint in largest_joints(run)]
     texts = [f"{one.joint}: {one.sentence}" for one in every if np.isfinite(one.error)]
     return [("" if number else "sources of error", text) for number, text in enumerate(texts)]
+
+
+DRAWN = 6  #: Number of sources of a chart; those that are left out have smaller shares.
+
+
+@report_sections
+def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Section, ...]:
+    """Return the section with the sources of the error bars at the largest forces; empty without uncertainty."""
+    if not has_contributions(run):
+        return ()
+    rows: list[tuple[Cell, ...]] = []
+    sentences = []
+    for joint in largest_joints(run):
+        own = contributions(run, joint)
+        sentences.append(f"{joint}: {own.sentence}.")
+        rows += [(joint, own.time, own.force, own.error, name, share) for name, share in [*own.shares.items()][:DRAWN]]
+    heads = columns_of("joint; time [s]; force [N]; error bar [N]; source; share")
+    note = (
+        "Shares in the square of the error bar at the largest force of each joint. The error bars do not contain "
+        f"{PERSON_MODEL_ERROR}."
+    )
+    shown = Table("sources", "Sources of the error bars", heads, tuple(rows), note)
+    first = f"The {NAMED} largest sources at the largest force of each joint, and what reduces the first one."
+    return (Section("uncertainty", "Uncertainty", (first, *sentences), None, (shown,)),)
+
+
+@report_charts
+def uncertainty_charts(run: Run) -> list[Figure]:
+    """Return a chart of the shares over time for the joints with the largest forces; empty without uncertainty."""
+    accuracy, time, found = run.accuracy, np.asarray(run.time), []
+    for joint in largest_joints(run):
+        assert accuracy is not None
+        place = list(run.joint_names).index(joint)
+        size = accuracy.parts["contribution"][..., place] * accuracy.reaction_error[:, place]
+        order = np.argsort(-np.nansum(np.abs(size), axis=1), kind="stable")[:DRAWN]
+        lines = tuple(Line(str(accuracy.parts["source"][index]), time, size[index]) for index in order)
+        caption = (
+            f"Error bar of the force of {joint}, divided among its sources in proportion to their shares in its square."
+        )
+        axis = Axis("part of the error bar", "N")
+        found.append(Figure(f"sources-{joint}", f"Sources of error, {joint}", caption, Axis("time", "s"), axis, lines))
+    return found

@@ -18,8 +18,8 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import MbdkitError, RunError
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
+from mbdkit.engine.observed_states import JointSums
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import solve_dynamics
 from mbdkit_biomech.inverse_dynamics.loads.followers import loads_of

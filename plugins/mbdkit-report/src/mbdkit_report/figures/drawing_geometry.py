@@ -7,6 +7,7 @@ springs. The poses of the bodies give the global coordinates of all points at al
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.joint_base import FunctionJoint
 from mbdkit.mechanism.mechanism_seams import lines_of
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from mbdkit_contact.contact import Shape
 
 GROUND = -1
+_SHARES = (0.1, 0.3, 0.5, 0.7, 0.9)  # places of names along lines
 
 
 @dataclass(frozen=True)
@@ -43,6 +46,21 @@ class Trace:
     label: str
     point: int
     is_marker: bool = False
+
+
+#: A point of a picture: two points of a drawing, and the share of the way from the first to the second.
+Anchor = tuple[int, int, float]
+
+
+@dataclass(frozen=True)
+class ElementName:
+    """The name of an element, which may stand beside any of the `anchors`. `kind` is ``body``, ``joint``, ``driver``,
+    ``force``, ``load``, ``marker``, or the name of an `ElementKind`, such as ``muscle``.
+    """
+
+    text: str
+    kind: str
+    anchors: tuple[Anchor, ...]
 
 
 @dataclass(frozen=True)
@@ -86,6 +104,10 @@ class Drawing:
         Beams, each drawn as one curve instead of its nodes.
     traces
         Points whose paths can be drawn: markers first, then free ends and moving joints.
+    coils
+        Points at which springs between the angles of two bodies are drawn.
+    names
+        The names of all elements.
     """
 
     #: Number of links above which joints, centres of mass, loads and names are not drawn.
@@ -108,6 +130,8 @@ class Drawing:
     welds: tuple[int, ...] = ()
     beams: tuple[BeamCurve, ...] = ()
     traces: tuple[Trace, ...] = ()
+    coils: tuple[int, ...] = ()
+    names: tuple[ElementName, ...] = ()
 
     @cached_property
     def links(self) -> tuple[str, ...]:
@@ -130,6 +154,26 @@ class Drawing:
         rigid = itertools.count()
         first = len(self.links) - len(self.beams)
         return tuple(first + beams[body] if body in beams else next(rigid) for body in range(len(self.bodies)))
+
+    @property
+    def key(self) -> list[tuple[str, str]]:
+        """What is drawn besides bodies, joints and markers, for legends: kind, and names or, of more than three
+        elements, their number.
+        """
+        found: dict[str, list[str]] = {}
+        for name in self.names:
+            if name.kind not in ("body", "joint", "driver", "load", "marker"):
+                found.setdefault(name.kind, []).append(name.text)
+        words = {"force": "force element"}
+        return [
+            (kind, ", ".join(texts) if len(texts) < 4 else f"{len(texts)} {words.get(kind, kind)}s")
+            for kind, texts in found.items()
+        ]
+
+    def places(self, name: ElementName, world: Array) -> Array:
+        """Return the K points (K, 2) beside which a name may stand, given the points (P, 2) of the drawing."""
+        first, second, share = (np.array(column) for column in zip(*name.anchors, strict=True))
+        return np.asarray(world[first] + share[:, None] * (world[second] - world[first]))
 
     @property
     def main_traces(self) -> tuple[Trace, ...]:
@@ -206,6 +250,7 @@ def draw_centres(bodies: Sequence[str]) -> Drawing:
         outlines=tuple((index,) for index in indices),
         centres=indices,
         traces=tuple(Trace(name, index) for index, name in enumerate(bodies)),
+        names=tuple(ElementName(name, "body", ((index, index, 0.0),)) for index, name in enumerate(bodies)),
     )
 
 
@@ -222,23 +267,55 @@ def draw_mechanism(mechanism: Mechanism) -> Drawing:
         if isinstance(joint, FunctionJoint):
             for line in joint.lines(mechanism.relative_pose(joint)):
                 sketch.parts["shapes"].append(sketch.points([(joint.bodies[side], place) for side, place in line]))
-    for force in mechanism.forces.values():
+    for name, joint in mechanism.joints.items():
+        held = sketch.places(joint)
+        anchor = (*held, 0.5) if joint.mark == "bar" else (held[-1], held[-1], 0.0) if held else None
+        kind = "driver" if joint.is_driver else "joint"
+        sketch.name(name, kind, [anchor or sketch.between(mechanism, joint.bodies)])
+    for name, marker in mechanism.markers.items():
+        place = sketch.marker(name, marker.body, marker.held)
+        sketch.name(name, "marker", [(place, place, 0.0)] if name not in mechanism.joints else [])
+    loads = parts_of(mechanism.beams)
+    for name, force in mechanism.forces.items():
         ends = sketch.attach(force)
-        pathway = getattr(force, "pathway", None)
+        pathway, load = getattr(force, "pathway", None), getattr(force, "load", None)
+        points = ends if load is None else sketch.points([(load.body, load.point)])
+        anchors: list[Anchor] = [(point, point, 0.0) for point in points[:1]]
         if pathway is not None and pathway.is_line:
             sketch.parts["springs"].append((ends[0], ends[1]))
+            anchors = [(ends[0], ends[1], share) for share in _SHARES[1:-1]]
         elif isinstance(pathway, JointAngles):
-            sketch.parts["springs"] += itertools.pairwise(sketch.points(cable_places(mechanism.joints, pathway)))
+            cable = sketch.points(cable_places(mechanism.joints, pathway))
+            sketch.parts["springs"] += itertools.pairwise(cable)
+            anchors = _middles(cable)
+        elif pathway is not None and not ends:
+            anchors = [sketch.between(mechanism, pathway.bodies)]
+            if pathway.length_unit == "rad":
+                sketch.parts["coils"].append(anchors[0][0])
+        if name not in loads:
+            sketch.name(name, "force" if load is None else "load", anchors)
     for key, kind in element_kinds().items():
-        for element in mechanism.elements.get(key, {}).values():
-            sketch.parts["muscles"] += (sketch.points(line) for line in lines_of(kind, mechanism, element))
+        for name, element in mechanism.elements.get(key, {}).items():
+            lines = [sketch.points(line) for line in lines_of(kind, mechanism, element)]
+            sketch.parts["muscles"] += lines
+            sketch.name(name, kind.name, [anchor for line in lines for anchor in _middles(line)])
     contacts: Mapping[str, Any] = mechanism.elements.get("contacts", {})
     for contact in contacts.values():
         for _, _, body, shape in contact.by_body:
             sketch.shape(body, shape, contact_places(mechanism, body, shape))
-    for name, marker in mechanism.markers.items():
-        sketch.marker(name, marker.body, marker.held)
     return sketch.finish()
+
+
+def _along(corners: Sequence[int]) -> list[Anchor]:
+    """Return points on the sides of an outline."""
+    if len(corners) == 1:
+        return [(corners[0], corners[0], 0.0)]
+    sides = list(itertools.pairwise([*corners, corners[0]]))[: None if len(corners) > 2 else 1]
+    return [(*ends, share) for ends in sides for share in _SHARES]
+
+
+def _middles(points: Sequence[int]) -> list[Anchor]:
+    return [(*ends, 0.5) for ends in itertools.pairwise(points)]
 
 
 def _travel(mechanism: Mechanism, joint: SlidingJoint) -> tuple[float, float]:
@@ -333,14 +410,43 @@ class _Sketch:
                 self.moving.append(Trace(name, place))
                 self.traced.update(self.owner[index] for index in moving)
 
-    def marker(self, name: str, body: str, local: tuple[float, float]) -> None:
-        """Add a marker: a point of a body whose path can be drawn. A marker on the ground has no path."""
+    def marker(self, name: str, body: str, local: tuple[float, float]) -> int:
+        """Add a marker, a point of a body whose path can be drawn, and return the index of its point. A marker on the
+        ground has no path.
+        """
         owner = self.index[body]
-        if owner == GROUND:
-            return
         index = self.point(owner, local)
-        self.touched[owner].append(index)
-        self.marked.append(Trace(name, index, is_marker=True))
+        if owner != GROUND:
+            self.touched[owner].append(index)
+            self.marked.append(Trace(name, index, is_marker=True))
+        return index
+
+    def name(self, text: str, kind: str, anchors: Iterable[Anchor]) -> None:
+        """Add the name of an element that is drawn."""
+        if kept := tuple(anchors):
+            self.parts["names"].append(ElementName(text, kind, kept))
+
+    def places(self, element: Any) -> list[int]:
+        """Return the indices of the points of an element."""
+        return [self.point(self.index[body], local) for _, body, local in element.attachments()]
+
+    def between(self, mechanism: Mechanism, bodies: tuple[str, str]) -> Anchor:
+        """Return where an angle between two bodies is drawn: at a joint between them; without one, between the two
+        closest joints, one on each body; without joints at all, at the centre of mass of the second body.
+        """
+        joints = mechanism.joints.values()
+        for joint in joints:
+            if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
+                place = self.places(joint)[-1]
+                return (place, place, 0.0)
+        ends = [held[1:] for joint in joints for held in joint.attachments()]
+        pairs = [
+            (math.dist(mechanism.to_global(*a), mechanism.to_global(*b)), a, b)
+            for a in ends if a[0] == bodies[0] for b in ends if b[0] == bodies[1]
+        ]  # fmt: skip
+        moving = next((name for name in bodies[::-1] if name != "ground"), "ground")
+        _, a, b = min(pairs, default=(0.0, (moving, (0.0, 0.0)), (moving, (0.0, 0.0))))
+        return (*self.points([a, b]), 0.5)
 
     def guide(self, joint: SlidingJoint, travel: tuple[float, float]) -> None:
         """Add the line of a sliding joint between two distances along its axis [m]."""
@@ -368,8 +474,13 @@ class _Sketch:
                 free.append(Trace(f"{name} end", points[-1]))
                 self.traced.add(body)
             outlines.append(self._outline([*points, centre]))
+            self.name(name, "body", _along(outlines[-1]))
             if body not in self.traced:
                 free.append(Trace(name, centre))
+        for beam in self.parts["beams"]:
+            self.name(beam.name, "body", [(point, point, 0.0) for point in beam.points])
+        own = ("body", "joint", "driver", "force", "load", "marker")
+        self.parts["names"].sort(key=lambda name: name.kind not in own)  # muscles are many
         return Drawing(
             bodies=tuple(self.bodies),
             owner=np.array(self.owner, dtype=np.intp),

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -14,23 +13,27 @@ from markupsafe import Markup
 
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.mechanism.bodies import GROUND
-from mbdkit.mechanism.joints import Joint
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.motion_corners import jet_of
-from mbdkit.mechanism.pathways import JointAngles
 from mbdkit.mechanism.state_values import is_of_state
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report.figures.beam_curves import bezier_polylines, largest_moment
-from mbdkit_report.figures.drawing_geometry import Drawing, draw_centres, draw_mechanism
-from mbdkit_report.figures.element_places import cable_places
+from mbdkit_report.figures.drawing_geometry import Anchor, Drawing, ElementName, draw_centres, draw_mechanism
 from mbdkit_report.figures.label_placement import LINE, SWATCH, Name, PlacedName, place_names
 from mbdkit_report.figures.page_model import Illustration
-from mbdkit_report.figures.palette import body_colors, color_key
-from mbdkit_report.figures.plane_geometry import Array, zigzag
+from mbdkit_report.figures.palette import KIND_COLORS, MUSCLE, body_colors, color_key
+from mbdkit_report.figures.plane_geometry import Array, spiral, zigzag
 from mbdkit_report.figures.svg_canvas import Canvas, shade
 
+TAGS = {"joint": 16, "body": 16}  #: Largest number of names of a kind in a moving picture.
+_FEW = 6  # this number for other kinds
+_SMALL = 500.0  # width for which names of moving pictures are placed [px]
+_NOT_DRAWN = ("driver", "load")
+Limits = tuple[float, float]
 NAMES = 60  #: Largest number of names in a drawing; more would overlap.
 LONGEST = 28  #: Largest number of characters of a name.
+#: Classes of `templates/drawing.css` by kind of element; that of others is ``muscle``.
+_LOOKS = {"driver": "load"} | {kind: kind for kind in ("body", "joint", "force", "load", "marker")}
 _SHORT_ARROW = 20.0  # length of the arrows of the distributed load of a beam [px]
 
 
@@ -80,32 +83,10 @@ class NamedPose:
         c, s = math.cos(angle), math.sin(angle)
         return self.rounded(np.array([x + c * local[0] - s * local[1], y + s * local[0] + c * local[1]]))
 
-    def joint_point(self, joint: Joint) -> Array:
-        """Return the global point [m] at which a joint is drawn."""
-        held = joint.attachments()
-        if not held:
-            return self.common_point(joint.bodies)
-        if joint.mark == "bar":
-            return np.asarray(np.mean([self.place(name, point) for _, name, point in held], axis=0))
-        return self.place(*held[-1][1:])
-
-    def common_point(self, bodies: tuple[str, str]) -> Array:
-        """Return the global point [m] at which an angle between two bodies is drawn.
-
-        The point is at a joint between the bodies. If there is no such joint, it is between the two closest joints, one
-        on each body. If there are no joints at all, it is the centre of mass of the second body.
-        """
-        joints = () if self.mechanism is None else self.mechanism.joints.values()
-        for joint in joints:
-            if set(joint.bodies) == set(bodies) and joint.mark in ("pin", "slide", "weld"):
-                return self.joint_point(joint)
-        ends = [(name, self.place(name, point)) for joint in joints for _, name, point in joint.attachments()]
-        of_first, of_second = ([point for name, point in ends if name == body] for body in bodies)
-        pairs = [(float(np.hypot(*(a - b))), tuple((a + b) / 2)) for a in of_first for b in of_second]
-        if pairs:
-            return np.array(min(pairs)[1])
-        moving = [name for name in bodies[::-1] if name != GROUND]
-        return self.place(moving[0], (0.0, 0.0)) if moving else np.zeros(2)
+    def named(self, kind: str, name: str) -> Array:
+        """Return the global point [m] at which the element of a kind with this name is drawn."""
+        element = next(one for one in self.drawing.names if (one.kind, one.text) == (kind, name))
+        return self.rounded(self.drawing.places(element, self.drawing.world(self.pose))[0])
 
     def rounded(self, lengths: Sequence[float] | Array) -> Array:
         """Return coordinates or lengths [m], with rounding errors replaced by 0."""
@@ -116,7 +97,7 @@ def mechanism_svg(shown: NamedPose, width: float) -> Markup:
     """Return a drawing of a mechanism with names, `width` pixels wide; its colours are those of the page's style."""
     canvas = Canvas.fitted(shown.drawing.world(shown.pose), width)
     _draw(canvas, shown)
-    names = [replace(name, text=short_name(name.text)) for name in islice(_names(canvas, shown), NAMES)]
+    names = [replace(name, text=short_name(name.text)) for name in _names(canvas, shown)[:NAMES]]
     for placed in place_names(names, canvas.ink, canvas.width, canvas.height):
         _write(canvas, placed)
     return canvas.svg()
@@ -129,11 +110,7 @@ def illustration(shown: NamedPose, description: str, caption: str) -> Illustrati
 
 def names_shown(shown: NamedPose) -> bool:
     """Return whether a drawing shows names: there are at most `NAMES`, and the drawing is no crowd."""
-    elements = shown.mechanism
-    count = len(shown.drawing.links)
-    if elements is not None:
-        count += len(elements.joints) + len(own_forces(elements)) + len(elements.markers)
-    return count <= NAMES and not shown.drawing.is_crowd
+    return len(shown.drawing.names) <= NAMES and not shown.drawing.is_crowd
 
 
 def own_forces(mechanism: Mechanism) -> dict[str, object]:
@@ -185,6 +162,8 @@ def draw_sketch(
         canvas.line(zigzag(at[start], at[end], 6.0), "spring")
     if crowd:
         return
+    for index in drawing.coils:
+        canvas.line(spiral(at[index], 12.0), "spring")
     for index, outline in zip(drawing.centres, drawing.outlines, strict=True):
         if len(outline) > 1:
             canvas.dot(at[index], "centre", 3.0)
@@ -223,9 +202,9 @@ def _ground(canvas: Canvas, point: Array) -> None:
 
 
 def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
-    for joint in mechanism.joints.values():
+    for name, joint in mechanism.joints.items():
         if joint.is_driver:
-            centre = canvas.px(shown.joint_point(joint))
+            centre = canvas.px(shown.named("driver", name))
             if getattr(joint, "coordinate", "angle") == "angle":
                 canvas.turn(centre, 15.0, "load")
             else:
@@ -239,8 +218,6 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
         elif load is not None:
             size = _SHORT_ARROW if name in distributed else 44.0
             canvas.arrow(canvas.px(shown.place(load.body, load.point)), _load_direction(shown, load), size, "load")
-        elif force.pathway.length_unit == "rad":
-            canvas.line(_spiral(canvas.px(shown.common_point(force.pathway.bodies))), "spring")
     for marker in mechanism.markers.values():
         point = canvas.px(shown.place(marker.body, marker.held))
         canvas.line(point + np.array([[0, -6], [6, 0], [0, 6], [-6, 0]]), "marker", closed=True)
@@ -250,12 +227,6 @@ def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:
         canvas.arrow(start + 17.0 * gravity / np.hypot(*gravity), gravity, 34.0, "faint")
         canvas.parts.append(Markup('<text class="faint" x="{:.0f}" y="28">g</text>').format(canvas.width - 44.0))
         canvas.drawn.append(start + np.array([[-18.0, 0.0], [-14.0, 4.0], [-18.0, 4.0]]))
-
-
-def _spiral(centre: Array) -> Array:
-    angle = np.linspace(0.0, 4.5 * np.pi, 40)
-    radius = 2.0 + 0.75 * angle
-    return np.asarray(centre + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
 
 
 def _axis(shown: NamedPose, driver: Any) -> Array:
@@ -277,59 +248,82 @@ def _load_direction(shown: NamedPose, load: Any) -> Array:
     return np.array([x, -y]) if np.hypot(x, y) > 0 else np.array([0.0, 1.0])
 
 
-def _names(canvas: Canvas, shown: NamedPose) -> Iterator[Name]:
-    """Yield the names; those with the fewest candidates for their place come first."""
-    mechanism, drawing = shown.mechanism, shown.drawing
+def _names(canvas: Canvas, shown: NamedPose) -> list[Name]:
+    """Return the names; those with the fewest candidates for their place come first."""
+    drawing, colors = shown.drawing, _name_colors(shown.drawing)
     if drawing.is_crowd:
-        return
-    if mechanism is not None:
-        for name, joint in mechanism.joints.items():
-            kind = "load" if joint.is_driver else "joint"
-            yield Name(name, kind, canvas.px(shown.joint_point(joint))[None])
-        for name, marker in mechanism.markers.items():
-            yield Name(name, "marker", canvas.px(shown.place(marker.body, marker.held))[None])
-        for name, force in own_forces(mechanism).items():
-            kind = "force" if getattr(force, "load", None) is None else "load"
-            yield Name(name, kind, _force_points(canvas, shown, mechanism, force))
-    at = canvas.px(drawing.world(shown.pose))
+        return []
+    at, names = canvas.px(drawing.world(shown.pose)), []
+    for name in drawing.names:
+        points = drawing.places(name, at)
+        if name.kind == "load" and shown.mechanism is not None:
+            load: Any = shown.mechanism.forces[name.text]
+            along = np.zeros(2) if load.load.kind == "torque" else _load_direction(shown, load.load)
+            points = points - 44.0 * along / float(np.hypot(*along) or 1.0)
+        is_bent = shown.moments is not None and any(beam.name == name.text for beam in drawing.beams)
+        color = color_key(colors[name.text]) if name.kind == "body" and not is_bent else ""
+        names.append(Name(name.text, name.kind, points, color))
+    return names
+
+
+def _name_colors(drawing: Drawing) -> dict[str, str]:
+    """Return the colour of each link."""
     colors = body_colors(drawing)
-    nodes = {node for beam in drawing.beams for node in beam.nodes}
-    for body, name in enumerate(drawing.bodies):
-        if body not in nodes:
-            yield Name(name, "body", _along(at[list(drawing.outlines[body])]), color_key(colors[body]))
-    for beam in drawing.beams:
-        text = "" if shown.moments is not None else color_key(colors[beam.nodes[0]])
-        yield Name(beam.name, "body", at[list(beam.points)], text)
+    return {name: colors[drawing.link_numbers.index(number)] for number, name in enumerate(drawing.links)}
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A name in a moving picture: its `anchor`, where its left edge and middle stand relative to it, to the right and
+    downwards [px], and its colour, ``#rrggbb``.
+    """
+
+    text: str
+    anchor: Anchor
+    beside: tuple[float, float]
+    color: str
+
+
+def name_tags(drawing: Drawing, world: Array, paths: Array, xlim: Limits, ylim: Limits) -> list[Tag]:
+    """Return the names of the joints and bodies of a moving picture, and of other elements if they are few, placed for
+    one pose.
+
+    Parameters
+    ----------
+    world
+        The points of the drawing in this pose [m], shape (P, 2).
+    paths
+        Points of paths [m], shape (..., 2), which names avoid.
+    xlim, ylim
+        Limits of the picture [m].
+    """
+    kinds: dict[str, list[ElementName]] = {"joint": [], "body": []}
+    for name in drawing.names:
+        kinds.setdefault(name.kind, []).append(name)
+    shown = [names for kind, names in kinds.items() if len(names) <= TAGS.get(kind, _FEW) and kind not in _NOT_DRAWN]
+    chosen = [name for names in shown for name in names]
+    if drawing.is_crowd or not np.all(np.isfinite(world)):
+        return []
+    scale = _SMALL / (xlim[1] - xlim[0])
+    centre = np.array([sum(xlim) / 2, sum(ylim) / 2])
+    canvas = Canvas(_SMALL, scale * (ylim[1] - ylim[0]), scale, centre)
+    at = canvas.px(world)
+    draw_sketch(canvas, drawing, at)
+    trail = canvas.px(paths.reshape(-1, 2))
+    names = [Name(short_name(name.text), name.kind, drawing.places(name, at)) for name in chosen]
+    ink = np.concatenate([canvas.ink, trail[np.all(np.isfinite(trail), axis=1)]])
+    tags, colors = [], _name_colors(drawing)
+    for name, placed in zip(chosen, place_names(names, ink, canvas.width, canvas.height), strict=True):
+        nearest = int(np.argmin(np.hypot(*(placed.name.points - placed.point).T)))
+        beside = (placed.left + 2.0 - placed.point[0], placed.top + LINE / 2 - placed.point[1])
+        color = colors[name.text] if name.kind == "body" else KIND_COLORS.get(name.kind, MUSCLE)
+        tags.append(Tag(placed.name.text, name.anchors[nearest], beside, color))
+    return tags
 
 
 def short_name(name: str, longest: int = LONGEST) -> str:
     """Return a name, shortened with an ellipsis to `longest` characters if it is longer."""
     return name if len(name) <= longest else f"{name[: longest - 1]}\u2026"
-
-
-def _force_points(canvas: Canvas, shown: NamedPose, mechanism: Mechanism, force: Any) -> Array:
-    load = getattr(force, "load", None)
-    if load is not None:
-        point = canvas.px(shown.place(load.body, load.point))
-        away = _load_direction(shown, load) if load.kind != "torque" else np.zeros(2)
-        return np.asarray(point - 44.0 * away / float(np.hypot(*away) or 1.0))[None]
-    if isinstance(force.pathway, JointAngles):
-        places = cable_places(mechanism.joints, force.pathway)
-        passed = canvas.px([shown.place(name, point) for name, point in places])
-        return np.asarray((passed[1:] + passed[:-1]) / 2)
-    ends = [shown.place(name, point) for _, name, point in force.attachments()]
-    if len(ends) < 2:
-        return canvas.px(ends or [shown.common_point(force.pathway.bodies)])
-    return _along(canvas.px(ends))[1:-1]
-
-
-def _along(corners: Array) -> Array:
-    """Return points on the sides of an outline (K, 2), where a name may stand."""
-    if len(corners) == 1:
-        return corners
-    sides = list(zip(corners, np.roll(corners, -1, axis=0), strict=True))[: None if len(corners) > 2 else 1]
-    shares = (0.1, 0.3, 0.5, 0.7, 0.9)
-    return np.array([start + share * (end - start) for start, end in sides for share in shares])
 
 
 def _write(canvas: Canvas, placed: PlacedName) -> None:
@@ -343,4 +337,4 @@ def _write(canvas: Canvas, placed: PlacedName) -> None:
         canvas.parts.append(Markup(patch).format(name.color, x, placed.top + LINE / 2 - 2.0))
         x += SWATCH
     text = '<text class="{}" x="{:.1f}" y="{:.1f}">{}</text>'
-    canvas.parts.append(Markup(text).format(name.kind, x, placed.top + LINE - 4.0, name.text))
+    canvas.parts.append(Markup(text).format(_LOOKS.get(name.kind, "muscle"), x, placed.top + LINE - 4.0, name.text))

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
 from markupsafe import Markup
+
+from mbdkit.base.text import plus_minus
 
 
 @dataclass(frozen=True)
@@ -25,6 +29,37 @@ def columns_of(headings: str) -> tuple[Column, ...]:
 
 
 Cell = str | int | float | bool | None
+
+
+class Stated(float):
+    """A number as a cell of a table, with its text and its id, which is the same in every output."""
+
+    text: str
+    id: str
+
+    @classmethod
+    def of(cls, value: float, text: str, key: str) -> Stated:
+        """Return the number `value` with a text and its id `key`."""
+        found = cls(value)
+        found.text, found.id = text, key
+        return found
+
+
+Ends = tuple[float, float] | None  #: Ends of a bar below and above a number; None or nan if they are unknown.
+
+
+def bar_columns(what: str, unit: str, bars: Iterable[Ends]) -> list[Column]:
+    """Return the columns of bars of a number that is called `what`: one, or two if a bar has two different ends."""
+    is_even = all(bar is None or bar[0] == bar[1] or math.isnan(bar[0] + bar[1]) for bar in bars)
+    return [Column(f"{sign} of {what}", unit) for sign in (("\u00b1",) if is_even else ("-", "+"))]
+
+
+def bar_cells(value: float, bar: Ends, key: str, columns: int = 1) -> list[Cell]:
+    """Return a number with the digits that its bar justifies, and its bar in one or two columns."""
+    if bar is None or math.isnan(bar[0] + bar[1]):
+        return [value, *[None] * columns]
+    ends = [Stated.of(end, plus_minus(0.0, end).rpartition(" ")[2], key) for end in bar[:columns]]
+    return [Stated.of(value, plus_minus(value, bar).partition(" ")[0], key), *ends]
 
 
 @dataclass(frozen=True)
@@ -153,6 +188,7 @@ class Figure:
     marks: tuple[Mark, ...] = ()
     guides: tuple[Guide, ...] = ()
     equal: bool = False
+    NEAR: ClassVar[float] = 0.008  #: Lines closer than this share of the chart hide each other.
 
     def __post_init__(self) -> None:
         if self.y.log:
@@ -162,6 +198,36 @@ class Figure:
     def needs_key(self) -> bool:
         """Whether the lines need a legend: there are several lines, or a single one that the title does not name."""
         return len(self.lines) > 1 or any(line.label.lower() not in self.title.lower() for line in self.lines)
+
+    def coincide(self, first: Line, second: Line) -> bool:
+        """Return whether the second of two lines would hide most of the first one: half of its points are closer to it
+        than `NEAR` times the extent of the chart.
+        """
+        if "points" in (first.kind, second.kind):
+            return False
+        (ax, ay), (bx, by) = (self._on_page(line) for line in (first, second))
+        if not len(ax) or not len(bx):
+            return False
+        if not self.equal:
+            away = np.abs(np.interp(ax, bx, by, left=np.inf, right=np.inf) - ay)
+        else:
+            few = np.linspace(0, len(ax) - 1, 60).astype(int)
+            away = np.min(np.hypot(ax[few, None] - bx, ay[few, None] - by), axis=1)
+        return float(np.median(away)) < self.NEAR * self._extent
+
+    def _on_page(self, line: Line) -> tuple[np.ndarray, np.ndarray]:
+        """Return the coordinates of the visible points of a line, and their logarithms on logarithmic axes."""
+        seen = self.visible(line)
+        return tuple(  # type: ignore[return-value]
+            np.log10(values[seen]) if axis.log else values[seen]
+            for values, axis in ((line.x, self.x), (line.y, self.y))
+        )
+
+    @cached_property
+    def _extent(self) -> float:
+        values = [self._on_page(line) for line in self.lines]
+        spans = [np.ptp(np.concatenate(coordinate)) for coordinate in zip(*values, strict=True)]
+        return float(max(spans) if self.equal else spans[1])
 
     def visible(self, line: Line) -> np.ndarray:
         """Return a mask (K,) of the points of a line that can be drawn: finite, and positive on logarithmic axes."""

@@ -12,6 +12,9 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#E69F00", "#56B4E9")
 INK, FAINT, GRID, PAPER = "#222222", "#666666", "#E4E4E4", "#FFFFFF"
 ALARM, SPRING, MUSCLE = "#B00020", "#7A4FBF", "#C0392B"
 
+#: Colours of the names of elements by their kind; bodies have their own, and other kinds of elements `MUSCLE`.
+KIND_COLORS = {"joint": INK, "marker": INK, "force": SPRING}
+
 
 def color_number(color: str) -> int:
     """Return the index of a colour in the palette; -1 for other colours, which pages show in the colour of text."""
@@ -19,11 +22,9 @@ def color_number(color: str) -> int:
 
 
 def color_key(color: str) -> str:
-    """Return the name of a colour in the style sheet of pages, such as ``c0``; ``ink`` for colours outside the
-    palette.
-    """
+    """Return the name of a colour in the style sheet of pages, such as ``c0``; ``ink`` for unknown colours."""
     number = color_number(color)
-    return "ink" if number < 0 else f"c{number}"
+    return {SPRING: "spring", MUSCLE: "muscle"}.get(color, "ink") if number < 0 else f"c{number}"
 
 
 def body_colors(drawing: Drawing) -> list[str]:
@@ -45,13 +46,15 @@ def line_styles(chart: Figure) -> list[tuple[str, int]]:
     """Return the colour and the index of the dash pattern of each line.
 
     Lines of a group share a colour; a line without a group forms its own group. If there are more groups than colours,
-    the colours repeat. Lines of the same colour differ in their dash patterns. Emphasized lines have the
-    colour of text.
+    the colours repeat. Lines of the same colour differ in their dash patterns, and so do lines that coincide.
+    Emphasized lines have the colour of text.
     """
     groups = dict.fromkeys(line.group or line.label for line in chart.lines if not (line.color or line.is_emphasized))
     colors = {group: PALETTE[index % len(PALETTE)] for index, group in enumerate(groups)}
     rows: list[tuple[str, int]] = []
-    for line in chart.lines:
+    for number, line in enumerate(chart.lines):
         color = line.color or (INK if line.is_emphasized else colors[line.group or line.label])
-        rows.append((color, sum(color == other for other, _ in rows)))
+        below = [chart.coincide(other, line) for other in chart.lines[:number]]
+        taken = {style for (other, style), hidden in zip(rows, below, strict=True) if other == color or hidden}
+        rows.append((color, next(style for style in range(len(rows) + 1) if style not in taken)))
     return rows

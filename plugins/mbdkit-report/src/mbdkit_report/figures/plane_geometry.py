@@ -47,6 +47,13 @@ def zigzag(start: Array, end: Array, width: float) -> Array:
     return corners
 
 
+def spiral(centre: Array, radius: float) -> Array:
+    """Return the polyline (K, 2) of a spring between the angles of two bodies, within `radius` of its centre (2,)."""
+    turn = np.linspace(0.0, 4.5 * np.pi, 40)
+    away = radius * (0.16 + 0.84 * turn / turn[-1])
+    return np.asarray(centre + away[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1))
+
+
 def view_box(paths: Array, poses: Array) -> tuple[tuple[float, float], tuple[float, float], bool]:
     """Return the x limits and y limits [m] of a picture, and whether points lie outside them.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.drawing_geometry import Drawing, mechanism_of
-from mbdkit_report.figures.palette import body_colors, color_key, trace_colors
+from mbdkit_report.figures.palette import KIND_COLORS, MUSCLE, body_colors, color_key, trace_colors
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import Scene, scene
 
@@ -20,7 +20,7 @@ RATE = 50  #: Frames per second; fewer if there are many bodies.
 _GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen
 _ANGLE = 2e-4  # unit of angles [rad]
 _JOINTS = 40  # largest number of joints with gaps
-_POINTS = ("pins", "grounds", "centres", "springs", "muscles", "shapes", "bars", "guides", "sliders", "welds")
+_POINTS = ("pins", "grounds", "centres", "springs", "muscles", "shapes", "bars", "guides", "sliders", "welds", "coils")
 _SAME = 1e-9  # m; closer points of a body are drawn as one point
 
 
@@ -54,6 +54,10 @@ def _scene_data(shown: Scene) -> dict[str, object]:
         "bodies": list(drawing.bodies),
         "colors": [color_key(color) for color in colors],
         "links": [[name, color_key(colors[drawing.link_numbers.index(k)])] for k, name in enumerate(drawing.links)],
+        "key": [[text, color_key(KIND_COLORS.get(kind, MUSCLE))] for kind, text in drawing.key],
+        "names": [
+            [tag.text, color_key(tag.color), *tag.anchor, *_short(np.array(tag.beside), 3)] for tag in shown.tags
+        ],
         "owner": drawing.owner.tolist(),
         "local": _short(drawing.local, 6),
         "outlines": drawing.outlines,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import patheffects
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -17,8 +18,9 @@ from numpy.typing import NDArray
 
 from mbdkit_report.figures.beam_curves import bezier_polylines
 from mbdkit_report.figures.drawing_geometry import Drawing
+from mbdkit_report.figures.mechanism_drawing import Tag
 from mbdkit_report.figures.palette import FAINT, INK, MUSCLE, PALETTE, PAPER, SPRING, body_colors
-from mbdkit_report.figures.plane_geometry import Array, zigzag
+from mbdkit_report.figures.plane_geometry import Array, spiral, zigzag
 
 _BENDING = LinearSegmentedColormap.from_list("bending", [PALETTE[0], "#BDBDBD", PALETTE[1]])
 #: Colours of bending moments from the smallest to the largest.
@@ -50,6 +52,8 @@ class PoseArtists:
         Opacity; less than 1 for a mechanism in the background.
     largest_moment
         Largest bending moment of the colour scale of beams [N m]; 0 if each beam has a single colour.
+    tags
+        Names to write.
     """
 
     def __init__(
@@ -60,10 +64,12 @@ class PoseArtists:
         size: float,
         alpha: float = 1.0,
         largest_moment: float = 0.0,
+        tags: Sequence[Tag] = (),
     ):
         self.drawing = drawing
         self.artists: list[Artist] = []
         self._tooth = 0.018 * size
+        self._coils: list[tuple[Line2D, int]] = []
         self._fills: list[tuple[PolyCollection, tuple[int, ...]]] = []
         self._lines: list[tuple[Line2D, NDArray[np.intp]]] = []
         crowd = drawing.is_crowd
@@ -108,6 +114,18 @@ class PoseArtists:
             [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
         )
         self.artists.append(self._springs)
+        for index in drawing.coils:
+            (coil,) = axes.plot([], [], color=SPRING, linewidth=1.2, alpha=alpha, zorder=7.5)
+            self.artists.append(coil)
+            self._coils.append((coil, index))
+        rim = [patheffects.withStroke(linewidth=2.5, foreground=PAPER)]
+        self._tags = [
+            (tag, axes.annotate(tag.text, (0.0, 0.0), np.array(tag.beside) * (0.72, -0.72), size=8.0, color=tag.color,
+                                textcoords="offset points", va="center", zorder=9, path_effects=rim, parse_math=False,
+                                annotation_clip=False))
+            for tag in tags
+        ]  # fmt: skip
+        self.artists += [text for _, text in self._tags]
         if crowd:
             return
         outlines = zip(drawing.centres, drawing.outlines, strict=True)
@@ -160,6 +178,12 @@ class PoseArtists:
             coils = zigzag(ends[:, 0], ends[:, 1], self._tooth)
             gaps = np.full((len(coils), 1, 2), np.nan)
             self._springs.set_data(np.concatenate([coils, gaps], axis=1).reshape(-1, 2).T)
+        for coil, index in self._coils:
+            coil.set_data(spiral(world[index], 1.1 * self._tooth).T)
+        for tag, text in self._tags:
+            first, second, share = tag.anchor
+            text.xy = tuple(world[first] + share * (world[second] - world[first]))
+            text.set_visible(bool(np.all(np.isfinite(text.xy))))
 
     def _move_beams(self, world: Array, moments: Array | None) -> None:
         beams = self.drawing.beams

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mbdkit_report.figures.beam_curves import bending_moments
 from mbdkit_report.figures.curves import evenly, take
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace, traced_paths
+from mbdkit_report.figures.mechanism_drawing import Tag, name_tags
 from mbdkit_report.figures.plane_geometry import Array, view_box
 
 if TYPE_CHECKING:
@@ -44,6 +45,8 @@ class Scene:
         Limits of the axes [m].
     moments
         Bending moments of the elements of all beams in each frame [N m], shape (F, E); None if not recorded.
+    tags
+        Names that move with the mechanism.
     """
 
     drawing: Drawing
@@ -56,6 +59,7 @@ class Scene:
     xlim: tuple[float, float]
     ylim: tuple[float, float]
     moments: Array | None = None
+    tags: Sequence[Tag] = ()
 
     @property
     def pace(self) -> str:
@@ -92,7 +96,8 @@ def scene(run: Run, *, rate: float, most: int, shortest: float, longest: float) 
     moments = bending_moments(run, drawing.beams)
     bending = None if moments is None else moments[rows]
     path_time = time[evenly(len(time), _PATH_ROWS)]
-    return Scene(drawing, speed, time[rows], poses, traces, path_time, paths, xlim, ylim, bending)
+    tags = name_tags(drawing, drawing.world(poses[0]), paths[:0], xlim, ylim)
+    return Scene(drawing, speed, time[rows], poses, traces, path_time, paths, xlim, ylim, bending, tags)
 
 
 def round_speed(duration: float, shortest: float, longest: float) -> float:

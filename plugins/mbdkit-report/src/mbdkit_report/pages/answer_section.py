@@ -5,19 +5,30 @@ derivatives of measures. The forces in joints and the derivatives have estimated
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.archive.headlines import ROUND_OFF, answers
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import derivative_texts
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_report.figures.beam_curves import bending_moments, distributed_loads, has_beams
-from mbdkit_report.figures.curves import Array, bands, take
+from mbdkit_report.figures.curves import bands, take
 from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration
-from mbdkit_report.figures.page_model import Cell, Column, Illustration, Section, Table, columns_of
+from mbdkit_report.figures.page_model import (
+    Cell,
+    Column,
+    Illustration,
+    Section,
+    Stated,
+    Table,
+    bar_cells,
+    bar_columns,
+    columns_of,
+)
 from mbdkit_report.plot.beams_plot import beam_peak
 from mbdkit_report.plot.element_quantity import ElementQuantity, reaction_force, reaction_torque
 from mbdkit_report.seams import report_sections
@@ -44,19 +55,20 @@ def standard_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
 def answer_section(run: Run) -> Section | None:
     """Return the section on the forces and torques of a run that has rows; None if there are none to show."""
     tables: list[Table] = []
-    sentences: list[str] = []
     if run.joint_names and run.records("joints/reaction_force"):
-        tables, sentences = _of_joints(run)
+        tables = _of_joints(run)
     if run.records("forces/value"):
         tables.append(_of_forces(run))
     shown = tuple(table for table in tables if table.rows)
-    return Section("answer", "Largest forces and torques", tuple(sentences), None, shown) if shown else None
+    return Section("answer", "Largest forces and torques", (), None, shown) if shown else None
 
 
 def gradient_section(run: Run) -> Section | None:
     """Return the section on the derivatives of measures; None if there are none."""
     rows: list[tuple[Cell, ...]] = [
-        (name, one["unit"], *texts) for name, one in run.gradients.items() for texts in derivative_texts(one, "\u00b1")
+        (name, one["unit"], parameter, _derivative(one, f"d({name})/d({parameter})", parameter, text))
+        for name, one in run.gradients.items()
+        for parameter, text in derivative_texts(one, "\u00b1")
     ]
     if not rows:
         return None
@@ -68,35 +80,41 @@ def gradient_section(run: Run) -> Section | None:
     return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 
-def _of_joints(run: Run) -> tuple[list[Table], list[str]]:
+def _derivative(gradient: Mapping[str, Any], key: str, parameter: str, text: str) -> Cell:
+    value = gradient["derivatives"][parameter]
+    return text if value is None else Stated.of(value, text, key)
+
+
+def _of_joints(run: Run) -> list[Table]:
     drivers = [run.joint_names.index(name) for name in run.drivers]
     quantities = [reaction_force(run)]
     if run.records("joints/reaction_torque"):
         quantities.append(reaction_torque(run))
     floor = ROUND_OFF * max(float(np.nanmax(quantity.data.peaks, initial=0.0)) for quantity in quantities)
-    driven = _table(run, "drivers", "Motors and drivers", drivers, quantities, floor)
     passive = [column for column in range(len(run.joint_names)) if column not in drivers]
-    table = _table(run, "joints", "Joints", passive, quantities, floor)
-    sentences = []
-    for columns, who in ((drivers, "driver"), (passive, "joint")):
-        for quantity in quantities:
-            values = np.nan_to_num(quantity.data.peaks[columns])
-            if len(values) and values.max() > floor:
-                largest = columns[int(np.argmax(values))]
-                words = f"The largest {_WORDS[quantity.unit]} of a {who}"
-                sentences.append(f"{words} is {quantity.text(largest)}, of {run.joint_names[largest]}.")
-    return [driven, table], [" ".join(sentences)] if sentences else []
+    return [
+        _table(run, "drivers", "Motors and drivers", drivers, quantities, floor),
+        _table(run, "joints", "Joints", passive, quantities, floor),
+    ]
 
 
-def _columns(quantity: ElementQuantity) -> list[tuple[Column, Array]]:
-    """Return the columns of a table for a quantity: headings, and the values of the joints."""
-    word, unit, data, known = _WORDS[quantity.unit], quantity.unit, quantity.data, quantity.known
-    columns = [(Column(f"largest {word}", unit), data.peaks), (Column(f"time of the {word}", "s"), data.peak_times)]
-    if known is not None and math.isfinite(until := quantity.known_until):
-        columns.append((Column(f"largest {word} until {until:.4g} s", unit), known.peaks))
-    if known is not None and quantity.peak_errors is not None:
-        columns.append((Column(f"± error of the {word}", unit), quantity.peak_errors))
-    return columns
+def _columns(run: Run, quantity: ElementQuantity) -> list[tuple[list[Column], list[list[Cell]]]]:
+    """Return the groups of columns of a table for a quantity: headings, and the cells of each joint."""
+    word, unit, names = _WORDS[quantity.unit], quantity.unit, run.joint_names
+    groups: list[tuple[list[Column], list[list[Cell]]]] = []
+    loads: dict[float, dict[str, Any]] = {}
+    for one in answers(run):
+        if one.quantity == f"joints.{word}":
+            loads.setdefault(one.until, {})[one.element] = one
+    for when, found in loads.items():
+        what = f"{word}{'' if math.isnan(when) else f' until {when:.4g} s'}"
+        headings = [] if run.accuracy is None else bar_columns(f"the {what}", unit, [one.bar for one in found.values()])
+        none: list[Cell] = [None] * (1 + len(headings))
+        shown = {name: bar_cells(own.value, own.bar, own.id, len(headings)) for name, own in found.items()}
+        cells = [shown.get(name, none) for name in names]
+        groups.append(([Column(f"largest {what}", unit), *headings], cells))
+    groups.insert(1, ([Column(f"time of the {word}", "s")], [[time] for time in quantity.data.peak_times.tolist()]))
+    return groups
 
 
 def _table(
@@ -110,7 +128,8 @@ def _table(
     chosen = sorted(sorted(columns, key=lambda column: -most[column])[:ROWS])
     used = [quantity for quantity in quantities if np.any(quantity.data.peaks[chosen] > floor)]
     headings = [Column("driver" if name == "drivers" else "joint"), Column("between")]
-    headings += [heading for quantity in used for heading, _ in _columns(quantity)]
+    groups = [(quantity, group) for quantity in used for group in _columns(run, quantity)]
+    headings += [heading for _, (own, _) in groups for heading in own]
     power = None
     if name == "drivers" and run.records("joints/driver_power"):
         power = bands(np.asarray(run.time), run.dataset("joints/driver_power"))
@@ -119,9 +138,8 @@ def _table(
     joints = list(run.joints.values()) if chosen else []
     for column in chosen:
         cells: list[Cell] = [joints[column].name, " - ".join(joints[column].bodies)]
-        for quantity in used:
-            is_rounding = quantity.data.peaks[column] <= floor
-            cells += [None if is_rounding else float(values[column]) for _, values in _columns(quantity)]
+        for quantity, (own, found) in groups:
+            cells += [None] * len(own) if quantity.data.peaks[column] <= floor else found[column]
         if power is not None:
             cells += [float(power.peaks[column]), float(power.peak_times[column])]
         rows.append(tuple(cells))

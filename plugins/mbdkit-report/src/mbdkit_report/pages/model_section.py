@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mbdkit.base.strict_model import description
-from mbdkit.base.text import listed
+from mbdkit.base.text import counted, listed
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.mechanism.mechanism import Mechanism
 
+_MEASURES = 4  # largest number of measures that are listed at the start of a report
 ROWS = 200  #: Largest number of rows in a table.
 _TIMES = 400  # number of recorded times at which the drawing evaluates loads; up to twice as many may be used
 _PLACE = {"type", "bodies", "body", "reaction_body", "points", "point", "at", "from_", "to", "pathway", "law", "value"}
@@ -31,8 +32,10 @@ _PLACE |= {"motion", "frame"}
 """Keys of elements that are not listed as options, because they give positions or are described elsewhere."""
 
 
-def model_section(run: Run, mechanism: Mechanism | None) -> Section:
-    """Return the section on the mechanism of a run that has rows.
+def model_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, Section]:
+    """Return the first section of the report of a run that has rows, and the section on its model.
+
+    The first one says what was asked and what is doubted most, and has the drawing of the mechanism.
 
     Parameters
     ----------
@@ -43,14 +46,32 @@ def model_section(run: Run, mechanism: Mechanism | None) -> Section:
     times = np.asarray(run.time)[:: max(1, len(run.time) // _TIMES)]
     shown = NamedPose.of(mechanism, list(run.bodies), pose, times)
     tables = element_tables(shown)
-    if shown.mechanism is None:
-        sentence = ""
-    else:
+    sentence = ""
+    if shown.mechanism is not None:
         sentence = f"{composition(shown.mechanism)} Positions in the tables are global, at the start."
         tables += [table for table in [_parameters(run.spec)] if table.rows]
     lacks = f"{run.not_drawn[:1].upper()}{run.not_drawn[1:]}." if run.not_drawn else ""
     sentences = tuple(filter(None, (sentence, lacks)))
-    return Section("model", "What was modelled", sentences, drawing(shown), tuple(tables), is_input=True)
+    first = Section("glance", "At a glance", (_asked(run), _doubt(run)), drawing(shown))
+    return first, Section("model", "What was modelled", sentences, None, tuple(tables), is_input=True)
+
+
+def _asked(run: Run) -> str:
+    measures = [f"{name} = {measure.get('value')}" for name, measure in run.spec.get("measures", {}).items()]
+    few = measures[:_MEASURES] + [f"{len(measures) - _MEASURES} more"] * (len(measures) > _MEASURES)
+    what = listed(few, "and") if few else "the largest forces and torques in joints and drivers"
+    start, end = float(run.time[0]), float(run.time[-1])
+    return f"Asked: {what}, from t = {start:.4g} s to {end:.4g} s."
+
+
+def _doubt(run: Run) -> str:
+    """Return the verdict with the first of its reasons, which is that with the largest effect if effects are known."""
+    reason = run.verdict_reasons[0].rstrip(".") if run.verdict_reasons else run.errors.without_suspicion
+    text = f"Verdict: {run.verdict}. {reason[:1].upper()}{reason[1:]}."
+    if others := len(run.verdict_reasons[1:]):
+        text += f" {counted(others, 'more reason')}: section Verdict."
+    unknown = " How large the errors are in newtons is unknown; `--check` estimates it."
+    return text if run.accuracy is not None else text + unknown
 
 
 def element_tables(shown: NamedPose) -> list[Table]:
@@ -81,10 +102,7 @@ def composition(mechanism: Mechanism) -> str:
 
 def drawing(shown: NamedPose) -> Illustration:
     """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
-    elements = shown.mechanism
-    names = list(shown.drawing.links)
-    if elements is not None:
-        names += [*elements.joints, *own_forces(elements), *elements.markers]
+    names = [name.text for name in shown.drawing.names]
     description = "Drawing of the mechanism"
     caption = f"The mechanism at t = {shown.times[0]:.6g} s."
     if names_shown(shown):

@@ -11,7 +11,7 @@ import numpy as np
 
 from mbdkit.base.distributions import own_version
 from mbdkit_report.analysis.verdict import Answer, Verdict
-from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Table, columns_of
+from mbdkit_report.figures.page_model import Axis, Cell, Column, Figure, Section, Stated, Table, columns_of
 from mbdkit_report.figures.palette import color_key, color_number, line_styles
 from mbdkit_report.pages.methods_used import Methods
 from mbdkit_report.pages.templating import render
@@ -43,11 +43,14 @@ class ReportPage:
     alarm
         Warning at the top; empty if there is none.
     headline
-        Labels and texts of the main results of the run, study or design, which are shown first.
+        Labels and texts of the main results of the run, study or design, which are shown first, and their ids; by
+        default, the label is the id.
     remarks, remarks_title
         Labels and texts of remarks on single runs, which are folded below the headlines, and their title.
     tone
         Colour of the first headline, which is the verdict: ``good``, ``warn`` or ``alarm``; empty without a colour.
+    glance
+        Section above all others: the question, the doubt, and a drawing; None if there is none.
     films
         Data of the animations, as returned by `film_data`.
     failures
@@ -71,13 +74,14 @@ class ReportPage:
     spec: str
     spec_file: str
     alarm: str = ""
-    headline: tuple[tuple[str, str], ...] = ()
+    headline: tuple[tuple[str, str] | tuple[str, str, str], ...] = ()
     remarks: tuple[tuple[str, str], ...] = ()
     remarks_title: str = ""
     tone: str = ""
     sections: tuple[Section, ...] = ()
     beside_verdict: tuple[str, ...] = ()
     begins_with_verdict: bool = False
+    glance: Section | None = None
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = _NO_FAILURES
 
@@ -86,6 +90,7 @@ class ReportPage:
         """Anchor and title of each section, in order."""
         parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
         results = [
+            ("glance", "At a glance", self.glance is not None),
             ("motion", "Motion", bool(self.films)),
             *((anchor, title, not given) for anchor, title, given in parts),
         ]
@@ -131,6 +136,8 @@ def cell_text(value: Cell) -> str:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if isinstance(value, Stated):
+        return value.text
     if isinstance(value, float):
         if math.isnan(value):
             return "-"
@@ -141,7 +148,7 @@ def cell_text(value: Cell) -> str:
 def _exact(value: Cell) -> str:
     """Return a number of a table with all its digits, for sorting and downloads; empty for other values."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return repr(value) if is_number and math.isfinite(value) else ""  # type: ignore[arg-type]
+    return repr(float(value) if isinstance(value, float) else value) if is_number and math.isfinite(value) else ""  # type: ignore[arg-type]
 
 
 def _is_numeric(table: Table, column: int) -> bool:
@@ -153,6 +160,7 @@ def _is_numeric(table: Table, column: int) -> bool:
 FILTERS: dict[str, Callable[..., object]] = {
     "cell": cell_text,
     "exact": _exact,
+    "id": lambda cell: getattr(cell, "id", ""),
     "mark": _MARKS.__getitem__,
     "numeric": _is_numeric,
 }
@@ -209,6 +217,7 @@ def chart_data(chart: Figure) -> dict[str, Any]:
     """Return the JSON data of a chart."""
     return {
         "name": chart.name,
+        "title": chart.title,
         "x": _axis_data(chart.x),
         "y": _axis_data(chart.y),
         "equal": chart.equal,

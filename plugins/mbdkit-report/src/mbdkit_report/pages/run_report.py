@@ -12,7 +12,7 @@ from mbdkit_report.figures.drawing_geometry import mechanism_of
 from mbdkit_report.figures.page_model import Cell, Table, columns_of
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.pages.methods_used import methods
-from mbdkit_report.pages.model_section import model_section
+from mbdkit_report.pages.model_section import model_sections
 from mbdkit_report.pages.report_page import ReportPage
 from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
@@ -35,6 +35,7 @@ def run_report(run: Run) -> ReportPage:
     require_rows(run)
     head = caption(run)
     mechanism = mechanism_of(run)
+    glance, model = model_sections(run, mechanism)
     command = run.spec_kind.command
     return ReportPage(
         title=head.title,
@@ -51,7 +52,8 @@ def run_report(run: Run) -> ReportPage:
         commands=f"{command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
-        sections=(model_section(run, mechanism), *added_sections(run, mechanism)),
+        glance=glance,
+        sections=(model, *added_sections(run, mechanism)),
         beside_verdict=("misalignment", "contacts", "errors", *DRIFT),
     )
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mbdkit.archive.layout import EVIDENCE
 from mbdkit.archive.run import Run
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
 from mbdkit.trust.energy_record import gravity_level
@@ -30,7 +31,7 @@ MOST_LAWS = 3  #: The growth is not described if this many laws of growth, or mo
 
 def run_verdict(run: Run) -> Verdict:
     """Return the verdict on a run, with its charts and tables."""
-    claims = [_trust(run), *_accuracy(run), _completion(run)]
+    claims = [_trust(run), *_accuracy(run), _completion(run), *_evidence(run)]
     if run.records("joints/misalignment") and run.joint_names:
         claims.append(_joints(run))
         claims += _angles(run)
@@ -93,11 +94,20 @@ def _trust(run: Run) -> Claim:
 
 def _accuracy(run: Run) -> list[Claim]:
     accuracy = run.accuracy
-    told = run.errors.sentence(with_force=bool(run.measures))
+    told = run.errors.sentence(with_force=False)
     if accuracy is None or not told:
         return []
     answer = Answer.YES if accuracy.is_complete else Answer.PARTLY if accuracy.rows_known else Answer.NO
     return [Claim("accuracy", "The errors are known", "", told, answer, f"{told[0].upper()}{told[1:]}.")]
+
+
+def _evidence(run: Run) -> list[Claim]:
+    word, _, why = (text := str(run.provenance.get(EVIDENCE, ""))).partition(": ")
+    if not text:
+        return []
+    answer = {"verified": Answer.YES, "never": Answer.OPEN, "checkout": Answer.OPEN}.get(word, Answer.NO)
+    sentence = f"The evidence of the integrator {run.provenance.get('integrator', '')} is \u2018{word}\u2019: {why}."
+    return [Claim("evidence", "The method is verified", "", word, answer, sentence)]
 
 
 def _completion(run: Run) -> Claim:

@@ -9,8 +9,7 @@ from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.feature_items import ReportSection
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 from mbdkit_report.figures.page_model import Figure, Section
 from mbdkit_report.seams import film_data, report_charts, report_sections
 

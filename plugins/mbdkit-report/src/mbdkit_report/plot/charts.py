@@ -176,7 +176,8 @@ def _user_looks(chart: Figure, vary_dashes: bool) -> list[Look]:
     """Return line styles from the property cycle; the lines of a group share a colour and differ in dashes."""
     groups = [line.group or line.label for line in chart.lines]
     vary_dashes &= len(set(groups)) == len(groups)
-    dashes = [number if vary_dashes else groups[:number].count(group) for number, group in enumerate(groups)]
+    own = [style for _, style in line_styles(chart)]
+    dashes = [number if vary_dashes else own[number] for number in range(len(groups))]
     return [{"linestyle": _DASHES_OF_GROUPS[k % len(_DASHES_OF_GROUPS)]} if k or vary_dashes else {} for k in dashes]
 
 

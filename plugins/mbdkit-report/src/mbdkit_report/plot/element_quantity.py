@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.axes import Axes
 
-from mbdkit.archive.headlines import Headline, plus_minus
+from mbdkit.archive.headlines import answers
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
@@ -46,14 +46,9 @@ class ElementQuantity:
         (K, J) estimated errors at the times of `data`, nan where unknown; None if they were not estimated.
     known_until
         Time until which the errors are known [s]; nan if they are known to the end, or were not estimated.
-    known
-        The same in the rows whose errors are known; None if there are none.
-    peak_errors
-        (J,) errors of the largest values of `known`, with what rows miss between them, nan where unknown; None if the
-        run has no error estimates.
-    missed
-        (J,) by how much the largest values between rows exceed those of `data`, nan where unknown; zero if every step
-        is recorded.
+    largest_texts
+        Largest value of each element with its bar as text, and its id; None for elements without, and empty if there
+        are none.
     """
 
     name: str
@@ -62,9 +57,7 @@ class ElementQuantity:
     data: Bands
     errors: Array | None = None
     known_until: float = math.nan
-    known: Bands | None = None
-    peak_errors: Array | None = None
-    missed: Array | None = None
+    largest_texts: Sequence[tuple[str, str] | None] = ()
 
     @property
     def zero(self) -> bool:
@@ -88,28 +81,20 @@ class ElementQuantity:
 
     def only(self, columns: list[int]) -> ElementQuantity:
         """Return the same quantity for some of the elements."""
-        errors, peak_errors, missed = (
-            None if values is None else values[..., columns] for values in (self.errors, self.peak_errors, self.missed)
-        )
-        return replace(
-            self, elements=[self.elements[column] for column in columns], data=self.data.only(columns), errors=errors,
-            known=self.known and self.known.only(columns), peak_errors=peak_errors, missed=missed,
-        )  # fmt: skip
+        elements, errors = [self.elements[column] for column in columns], self.errors
+        texts = [self.largest_texts[column] for column in columns] if self.largest_texts else ()
+        errors = None if errors is None else errors[..., columns]
+        return replace(self, elements=elements, data=self.data.only(columns), errors=errors, largest_texts=texts)
 
-    def text(self, column: int) -> str:
-        """Return the largest value of an element with its error and time or, if the value between rows is clearly
-        larger, with that value, as text.
+    @property
+    def heading(self) -> tuple[str, str]:
+        """The largest value of all elements with its bar, as text for a title, and its id; the id is empty if the value
+        has no bar.
         """
-        value, time = float(self.data.peaks[column]), float(self.data.peak_times[column])
-        missed = 0.0 if self.missed is None else float(self.missed[column])
-        error = math.nan if self.peak_errors is None else float(self.peak_errors[column])
-        largest = Headline(self.name, value, self.unit, error, missed, is_checked=self.known is not None)
-        if largest.misses:
-            return largest.text("±")
-        if self.known is None or time > self.known_until:
-            unknown = "" if self.known is None else ", error unknown"
-            return f"{value:.4g} {self.unit} (at {time:.4g} s{unknown})"
-        return f"{largest.text('±')} (at {time:.4g} s)"
+        column, size = self.largest
+        stated = self.largest_texts[column] if self.largest_texts and np.isfinite(size) else None
+        text, key = stated or (value_text(size, self.unit), "")
+        return f"{self.name}: largest {text} ({self.elements[column]})", key
 
 
 def has_elements(run: Run) -> bool:
@@ -140,16 +125,17 @@ def element_values(run: Run, unit: str, name: str) -> ElementQuantity:
     taken = [force.name for force in forces]
     names = taken + [f"{one.name} (actuator)" if one.name in taken else one.name for one in acting]
     quantity = ElementQuantity(name, unit, tuple(names), bands(time, data))
-    if run.accuracy is not None:
-        errors, own = None, np.zeros(0)
-        if acting:
-            bars, largest = run.array("actuators/value_error"), np.abs(run.array("actuators/value"))
-            own = run.errors.of_largest("actuators.value", list(run.actuators), largest, bars)
-            every = np.column_stack([np.full((len(time), len(forces)), np.nan), bars])
-            errors = errors_at(run.accuracy, every, quantity.data.time)
-        peaks = np.concatenate([np.full(len(forces), np.nan), own])
-        quantity = replace(quantity, errors=errors, peak_errors=peaks)
+    if run.accuracy is not None and acting:
+        every = np.column_stack([np.full((len(time), len(forces)), np.nan), run.array("actuators/value_error")])
+        texts = [*[None] * len(forces), *_largest_texts(run, "actuators.value", [one.name for one in acting])]
+        quantity = replace(quantity, errors=errors_at(run.accuracy, every, quantity.data.time), largest_texts=texts)
     return quantity.only(columns)
+
+
+def _largest_texts(run: Run, quantity: str, names: Sequence[str]) -> list[tuple[str, str] | None]:
+    """Return the largest values of elements with their bars as texts, and their ids; None for those that are zero."""
+    known = {one.element: one for one in answers(run) if one.quantity == quantity and np.isnan(one.until)}
+    return [(known[name].text("±"), known[name].id) if name in known else None for name in names]
 
 
 def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Array], Array]) -> ElementQuantity:
@@ -162,19 +148,10 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     values
         Function that maps a block of rows to one value for each row and joint.
     """
-    data, time, accuracy = run.dataset(f"joints/reaction_{word}"), np.asarray(run.time), run.accuracy
-    curves = bands(time, data, values)
-    missed = run.errors.missed(f"joints.{word}", run.joint_names, curves.peaks[None])
-    quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, missed=missed)
-    if accuracy is None:
-        return quantity
-    count = accuracy.rows_known
-    if not count:
-        return replace(with_errors(run, quantity, error), peak_errors=np.full(len(curves.peaks), np.nan))
-    rows = np.asarray(data[:count], dtype=np.float64)
-    known = curves if accuracy.is_complete else bands(time[:count], rows, values)
-    peaks = run.errors.of_reactions(error, np.abs(values(rows)))
-    return replace(with_errors(run, quantity, error), known=known, peak_errors=peaks)
+    curves = bands(np.asarray(run.time), run.dataset(f"joints/reaction_{word}"), values)
+    texts = _largest_texts(run, f"joints.{word}", run.joint_names)
+    quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, largest_texts=texts)
+    return with_errors(run, quantity, error)
 
 
 #: Name and unit of each kind of misalignment.
@@ -284,13 +261,13 @@ def element_panel(
         chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
         if log:
             chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
-        heading = title
+        heading, key = title, ""
         if not elements:
             heading = f"{quantity.name}: there are no {what}"
         elif not title:
-            column, most = quantity.largest
-            heading = f"{quantity.name}: largest {_with_error(quantity, column, most)} ({elements[column]})"
+            heading, key = quantity.heading
         handles += draw_lines(axes, chart, heading)
+        axes.title.set_gid(key or None)
         axes.margins(x=0.01)
         axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
         legend(axes, handles, [*labels, *few.elements])
@@ -302,18 +279,6 @@ def element_panel(
                 axes.set_ylim(bottom=0.0)
 
     return Panel(draw, height)
-
-
-def _with_error(quantity: ElementQuantity, column: int, largest: float) -> str:
-    """Return the largest value of an element with its estimated error, such as ``368.2 ± 0.3 N``; without an error if
-    no errors were estimated.
-    """
-    if quantity.peak_errors is None or not np.isfinite(largest):
-        return value_text(largest, quantity.unit)
-    error = float(quantity.peak_errors[column])
-    if not np.isfinite(error) or np.isfinite(quantity.known_until):
-        return f"{value_text(largest, quantity.unit)}, error unknown"
-    return f"{plus_minus(largest, error, '±')} {quantity.unit}"
 
 
 def value_text(value: float, unit: str) -> str:

@@ -61,7 +61,8 @@ class Film:
             for color in trace_colors(shown.drawing, shown.traces)
         ]
         size, most = max(x1 - x0, y1 - y0), largest_moment(shown.moments)
-        self._pose = PoseArtists(axes, shown.drawing, body_colors(shown.drawing), size, largest_moment=most)
+        colors = body_colors(shown.drawing)
+        self._pose = PoseArtists(axes, shown.drawing, colors, size, largest_moment=most, tags=shown.tags)
         self._pose.show_scale(axes)
         self._moving = [*self._tails, *self._pose.artists, self._clock]
         for artist in self._moving:

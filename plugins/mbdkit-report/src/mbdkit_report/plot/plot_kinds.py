@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 
 from mbdkit.base.errors import SpecError
 from mbdkit.registry.feature_items import PlotKind
-from mbdkit.registry.manager import registry
-from mbdkit.registry.use import use
+from mbdkit.registry.manager import registry, use
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -118,7 +118,7 @@ def legend(axes: Axes, handles: Sequence[Any], labels: Sequence[str], title: str
         title=title,
         title_fontsize=8.5,
         alignment="left",
-        handlelength=1.6,
+        handlelength=2.6,
     )
     for text in box.get_texts():
         text.set_parse_math(False)

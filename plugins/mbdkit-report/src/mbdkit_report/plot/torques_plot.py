@@ -91,10 +91,10 @@ def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
         np.concatenate([getattr(one, name) for one in data], axis=-1) for name in ("low", "high", "peaks", "peak_times")
     )
     errors = _errors([part.errors for part in parts], [one.high for one in data])
-    peak_errors = _errors([part.peak_errors for part in parts], [one.peaks for one in data])
     names = [name for part in parts for name in part.elements]
+    texts = [one for part in parts for one in part.largest_texts or [None] * len(part.elements)]
     together = Bands(first.data.time, low, high, peaks, times, first.data.exact)
-    return ElementQuantity("torque", "N m", names, together, errors, first.known_until, peak_errors=peak_errors)
+    return ElementQuantity("torque", "N m", names, together, errors, first.known_until, texts)
 
 
 def _errors(given: list[Array | None], values: list[Array]) -> Array | None:

@@ -13,8 +13,9 @@ from mbdkit.archive.run_views import Names
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace, choose_traces, draw_run, trace_points, traced_paths
+from mbdkit_report.figures.mechanism_drawing import name_tags
 from mbdkit_report.figures.page_model import Axis, Figure, Line
-from mbdkit_report.figures.palette import FAINT, INK, body_colors, trace_colors
+from mbdkit_report.figures.palette import FAINT, INK, KIND_COLORS, MUSCLE, body_colors, trace_colors
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import PoseArtists
 from mbdkit_report.plot.charts import Panel, named
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 _ROWS = 20_000
 _CHART_ROWS = 4_000
+_BROAD = 1.18  # width of the highest axes, as a share of their height
 
 
 def panels(run: Run) -> list[Panel]:
@@ -32,12 +34,15 @@ def panels(run: Run) -> list[Panel]:
     drawing, traces, paths = traced_paths(run, _ROWS)
     poses = take(run.dataset("trajectory/position"), evenly(len(run.time), 2))
     (x0, x1), (y0, y1), cut = view_box(paths, drawing.world(poses))
-    drawing = drawing.spanning((x0, x1), (y0, y1), poses)
     height = float(np.clip(4.9 * (y1 - y0) / (x1 - x0), 2.4, 5.4)) - 1.0
+    lack = max(0.0, _BROAD * (y1 - y0) - (x1 - x0)) / 2
+    x0, x1 = x0 - lack, x1 + lack  # the picture of a standing person fills the width, too
+    drawing = drawing.spanning((x0, x1), (y0, y1), poses)
     errors = _errors(run, drawing, traces, _ROWS)
     moments = bending_moments(run, drawing.beams)
     last = None if moments is None else moments[-1]
     ends = drawing.world(poses)
+    tags = name_tags(drawing, ends[-1], take(paths, evenly(len(paths), 400)), (x0, x1), (y0, y1))
 
     def draw(axes: Axes) -> None:
         dress(axes, "x [m]", "y [m]")
@@ -46,7 +51,8 @@ def panels(run: Run) -> list[Panel]:
         size = max(x1 - x0, y1 - y0)
         grey = [FAINT] * len(drawing.bodies)
         PoseArtists(axes, drawing, grey, size, alpha=0.35).move(ends[0])
-        at_end = PoseArtists(axes, drawing, body_colors(drawing), size, alpha=0.55, largest_moment=largest_moment(last))
+        colors, most = body_colors(drawing), largest_moment(last)
+        at_end = PoseArtists(axes, drawing, colors, size, alpha=0.55, largest_moment=most, tags=tags)
         at_end.move(ends[-1], last)
         at_end.show_scale(axes, "at the end")
         handles = []
@@ -70,6 +76,9 @@ def panels(run: Run) -> list[Panel]:
             Line2D([], [], color=INK, alpha=0.7, linewidth=3, marker="o", markersize=4.5),
         ]
         labels += ["at the start", "at the end"]
+        for kind, text in drawing.key:
+            handles.append(Line2D([], [], color=KIND_COLORS.get(kind, MUSCLE), linewidth=1.3))
+            labels.append(text)
         if errors is not None and not np.all(np.isfinite(errors)):
             handles.append(Line2D([], [], color=INK, linewidth=1.1, linestyle=":"))
             labels.append("error unknown")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from mbdkit.base.called_functions import may_call
-from mbdkit.base.command_words import command_words
+from mbdkit.base.terminal import command_words
 
 Message: TypeAlias = dict[str, Any]  #: A task for a worker, or its answer, as plain data that JSON can contain.
 

@@ -21,10 +21,10 @@ from typing import IO
 
 from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
-from mbdkit.base.command_words import executing
 from mbdkit.base.distributions import own_version
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.terminal import executing
 from mbdkit.base.text import shown
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.tasks import DIFFERS, Message

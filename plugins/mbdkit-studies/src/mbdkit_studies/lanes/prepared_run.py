@@ -10,9 +10,9 @@ import numpy as np
 
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
+from mbdkit.base.file_locks import UseLock, one_thread_at_a_time
 from mbdkit.base.plain_data import Path
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.base.use_lock import UseLock, one_thread_at_a_time
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.consistent_start import Starts

@@ -61,7 +61,7 @@ def export_runs(study: Study, folder: Path, to: str, *, overwrite: bool = False)
     folder
         Folder of the file; it is created if its parent exists.
     to
-        Format: ``csv``, ``parquet``, ``mat`` or ``json``.
+        Format: ``csv``, ``parquet``, ``xlsx``, ``mat`` or ``json``.
     overwrite
         Whether an existing file may be replaced.
 

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.headlines import plus_minus
 from mbdkit.base.errors import MbdkitError
-from mbdkit.base.text import listed, told_apart
+from mbdkit.base.text import listed, plus_minus, told_apart
 from mbdkit_report import key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.results.cost_at_error import error_headlines

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import MESH_ERROR
-from mbdkit.base.command_words import for_shell
+from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.terminal import for_shell
 from mbdkit.base.text import counted, listed
+from mbdkit.runs.method_evidence import evidence_of
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, STATUSES
 from mbdkit_studies.store.study_point import valid_specs
@@ -25,12 +28,14 @@ _CODE = re.compile(r"[a-z-]+(?=: )")  #: Code at the beginning of the reason for
 
 MOST_REASONS = 5  #: Largest number of different reasons that are printed for failures, and for each verdict.
 
+MOST_SPECS = 200  #: Number of runs whose methods are looked at; studies may have many thousands.
+
 MOST_RUNS = 6  #: Largest number of runs with the same reason whose numbers are printed.
 
 
 def notes(study: Study) -> list[tuple[str, str]]:
     """Return pairs of a label and a sentence on the runs of a study, beside its headlines."""
-    return [*_use(study), *_levels(study), *_failures(study), *_commands(study)]
+    return [*_use(study), *_evidence(study), *_levels(study), *_failures(study), *_commands(study)]
 
 
 def _use(study: Study) -> Iterator[tuple[str, str]]:
@@ -63,6 +68,15 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
     elif "unknown" in study.verdicts():
         advice = "--set check=true, with another folder (-o), estimates those of the runs"
         yield "errors", f"not estimated; {advice}, which takes 10 to 20 times as long, or more"
+
+
+def _evidence(study: Study) -> Iterator[tuple[str, str]]:
+    """Yield what is known of the verification of the methods of other distributions in the first runs."""
+    specs = islice(valid_specs(study.points), MOST_SPECS)
+    chosen = [(spec.integrator_item, spec.integrator) for spec in specs if spec.choose != "method"]
+    others = [(item.id, evidence_of(item, one)) for item, one in chosen if item.origin.distribution != MBDKIT]
+    for name, evidence in dict.fromkeys(others):
+        yield "evidence", f"{name}: {evidence}"
 
 
 def _rated(study: Study, level: str) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.archive.headlines import has_exponent
+from mbdkit.base.text import has_exponent
 
 CONFIDENCE = 0.95  #: Probability of the intervals, by default.
 

@@ -9,11 +9,14 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.criteria.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
-from mbdkit_biomech.inverse_dynamics.criteria.exchanged_markers import exchanged_markers
-from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import far_apart, unlike_distances
-from mbdkit_biomech.inverse_dynamics.criteria.misplaced_marker import misplaced_marker
+from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import (
+    changed_axes,
+    exchanged_markers,
+    far_apart,
+    misplaced_marker,
+    unlike_distances,
+)
 from mbdkit_biomech.inverse_dynamics.criteria.time_criteria import off_neighbours, uneven_times, unit_of_time
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline

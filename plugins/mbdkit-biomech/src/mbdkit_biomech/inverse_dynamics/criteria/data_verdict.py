@@ -9,7 +9,7 @@ from mbdkit.runs.findings import findings
 from mbdkit.trust.finding import Doubts, Finding, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
-from mbdkit_biomech.inverse_dynamics.criteria.data_criterion import data_criterion
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import model_doubts, spec_doubts
@@ -20,8 +20,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, 
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.errors.stated_deviations import large_deviations
 from mbdkit_biomech.inverse_dynamics.muscles.knees import left_out_of_recruitment
-from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
-from mbdkit_biomech.uncertainty.misfit_criterion import misfit_doubts
+from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts, misfit_doubts
 from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 
 

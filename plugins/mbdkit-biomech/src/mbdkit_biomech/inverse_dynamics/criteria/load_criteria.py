@@ -19,8 +19,12 @@ from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import (
     limits_of_balance,
     spans,
 )
-from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import centre_of_pressure, in_body, load_point_doubts
-from mbdkit_biomech.inverse_dynamics.criteria.unmeasured_contacts import unmeasured_frames
+from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import (
+    centre_of_pressure,
+    in_body,
+    load_point_doubts,
+    unmeasured_frames,
+)
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 

@@ -26,8 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
-from mbdkit.engine.stacked_matrices import products, pseudoinverses
+from mbdkit.engine.linear_systems import product, products, pseudoinverses, symmetric_eigenvectors
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.errors.noise import CUBIC, NoisePath, NoisyData
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged

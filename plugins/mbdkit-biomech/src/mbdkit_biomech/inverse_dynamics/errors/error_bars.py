@@ -26,7 +26,7 @@ import numpy as np
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import listed
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.linear_systems import product
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import product, products
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged

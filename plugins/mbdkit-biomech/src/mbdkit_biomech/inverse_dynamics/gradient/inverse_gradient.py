@@ -25,8 +25,8 @@ from scipy.integrate import cumulative_simpson
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.kernels.dual_observe import DualStates
+from mbdkit.engine.linear_systems import products
 from mbdkit.engine.native.arithmetic import DIRECTIONS
-from mbdkit.engine.stacked_matrices import products
 from mbdkit.integrators.duals.differentiated_stepper import GivenDuals
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.quantities.names import archive_names

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance

@@ -18,7 +18,7 @@ import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import counted
-from mbdkit.engine.stacked_matrices import products, pseudoinverses, singular_values
+from mbdkit.engine.linear_systems import products, pseudoinverses, singular_values
 from mbdkit_biomech.inverse_dynamics.loads.loads import Loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Manifold

@@ -189,7 +189,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
     forces = run.array("joints/reaction_force")[row] if run.joint_names else np.zeros((0, 2))
     for name, force in zip(run.joint_names, forces, strict=True):
         if name in mechanism.joints and not mechanism.joints[name].is_driver:
-            yield "joint", frame.joint_point(mechanism.joints[name]), np.nan_to_num(force)
+            yield "joint", frame.named("joint", name), np.nan_to_num(force)
     for load in run.loads.values():
         yield "load", load.point[row], load.force[row]
     for name, element in mechanism.forces.items():

@@ -9,8 +9,8 @@ import numpy as np
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.joint_sums import JointSums
-from mbdkit.engine.stacked_matrices import least_norms, products, pseudoinverses, singular_values
+from mbdkit.engine.linear_systems import least_norms, products, pseudoinverses, singular_values
+from mbdkit.engine.observed_states import JointSums
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
 from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 

@@ -11,7 +11,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
-from mbdkit.engine.stacked_matrices import complete_qr, least_norms, products, solve_triangles
+from mbdkit.engine.linear_systems import complete_qr, least_norms, products, solve_triangles
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 

@@ -16,7 +16,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.cited_text import cited

@@ -11,8 +11,7 @@ import numpy as np
 from mbdkit.archive.result_seams import run_attribute
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
-from mbdkit.engine.linear_systems import product
-from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit.engine.linear_systems import least_norms, product, products
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mbdkit.engine.stacked_matrices import products, singular_values
+from mbdkit.engine.linear_systems import products, singular_values
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitError, FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 

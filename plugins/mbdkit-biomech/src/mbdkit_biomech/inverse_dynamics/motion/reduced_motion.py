@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mbdkit.engine.stacked_matrices import products, singular_values
+from mbdkit.engine.linear_systems import products, singular_values
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
 from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold

@@ -11,8 +11,7 @@ from scipy.interpolate import BSpline, make_smoothing_spline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.linear_systems import SparseFactors
-from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit.engine.linear_systems import SparseFactors, least_norms, products
 from mbdkit_biomech.inverse_dynamics.files.measured_table import unit_of_time_as_cause
 from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
     butterworth_coefficients,

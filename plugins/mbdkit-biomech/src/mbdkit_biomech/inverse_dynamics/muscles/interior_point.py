@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit.engine.linear_systems import least_norms, products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 
 #: Largest number of steps. 10 to 15 are usual; none of 4,944 programmes of a walk with 3 to 20 channels of EMG needed

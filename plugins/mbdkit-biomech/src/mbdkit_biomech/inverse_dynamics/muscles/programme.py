@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ import numpy as np
 from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion

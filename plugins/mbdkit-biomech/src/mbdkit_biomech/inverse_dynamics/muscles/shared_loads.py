@@ -29,7 +29,7 @@ from scipy.optimize import linprog
 from scipy.sparse.csgraph import connected_components
 
 from mbdkit.base import elementary
-from mbdkit.engine.stacked_matrices import least_norms, products
+from mbdkit.engine.linear_systems import least_norms, products
 from mbdkit_biomech.inverse_dynamics.muscles.interior_point import near_optimum
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 

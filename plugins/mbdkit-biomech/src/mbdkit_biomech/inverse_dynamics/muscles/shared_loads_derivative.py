@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.stacked_matrices import products, pseudoinverses
+from mbdkit.engine.linear_systems import products, pseudoinverses
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.stacked_matrices import products
+from mbdkit.engine.linear_systems import products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 

@@ -5,14 +5,13 @@ Unlike the errors of simulated runs, those of different frames are independent: 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.accuracy_summary import RunErrors
-from mbdkit.archive.headlines import JOINTS_NAMED, plus_minus
+from mbdkit.archive.headlines import JOINTS_NAMED, answers
 from mbdkit.archive.result_seams import run_attribute
 from mbdkit.archive.run import Run
 from mbdkit.base.text import listed
@@ -42,13 +41,15 @@ class FrameErrors(RunErrors):
         more = f" and in {len(spans) - JOINTS_NAMED} more intervals" if len(spans) > JOINTS_NAMED else ""
         return ", ".join(spans[:JOINTS_NAMED]) + more
 
-    def of_largest(self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray) -> np.ndarray:
-        """Return the errors (E,) of the largest values of joints or actuators; see `RunErrors.of_largest`.
+    def errors_of_largest(
+        self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray, missed: np.ndarray | None
+    ) -> np.ndarray:
+        """Return the errors (E,) of the largest values of joints or actuators; see `RunErrors.errors_of_largest`.
 
-        If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error of the measure is
-        returned, so that a number has the same error wherever it is printed. Otherwise the result is the error of the
-        frame with the largest value. These two errors can differ: that of the measure is sampled for the maximum
-        itself, while that of a frame is a bound for a vector, or belongs to a single frame.
+        If the run has a measure such as ``max(abs(joints.NAME.force))`` for the value, the error is that of the
+        measure, so that a number has the same bar wherever it is printed. Otherwise it is that of the frame with the
+        largest value. These two can differ: that of the measure is sampled for the maximum itself, while that of a
+        frame is a bound for a vector, or belongs to a single frame.
         """
         run, rows = self.run, np.argmax(np.nan_to_num(size), axis=0)
         bars = np.take_along_axis(errors, rows[None], axis=0)[0].copy()
@@ -70,22 +71,17 @@ class FrameErrors(RunErrors):
         if accuracy is None:
             why = _why_no_error_bars(run.spec)
             return f"errors unknown: {why}" if why else ""
-        size = np.linalg.norm(run.array("joints/reaction_force"), axis=2)
-        if not size.size:
+        largest = next((one for one in answers(run) if one.quantity == "joints.force"), None)
+        if largest is None:
             return ""
-        row, joint = map(int, np.unravel_index(np.argmax(size), size.shape))
-        errors = self.of_reactions("reaction_error", size)
-        assert errors is not None
-        error = float(errors[joint])
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""
-        label = f"largest {self.force_in} {run.joint_names[joint]}"
-        if not math.isfinite(error):
-            known = f"{size[row, joint]:.4g} N at {run.time[row]:.4f} s, error unknown"
-            return f"{label} {known}{loads}"
-        value = plus_minus(float(size[row, joint]), error)
+        at = f"at {largest.time:.4f} s"
+        if not largest.bar.is_known:
+            return f"{largest.label} {largest.value:.4g} N {at}, error unknown{loads}"
+        joint = run.joint_names.index(largest.element)
         bias = float(accuracy.parts["reaction_peak_bias"][joint]) if "reaction_peak_bias" in accuracy.parts else 0.0
-        least = f"; less its expected excess, {size[row, joint] - bias:.4g} N" if bias else ""
-        return f"{label} {value} N (95 %) at {run.time[row]:.4f} s{least}{loads}"
+        least = f"; less its expected excess, {largest.value - bias:.4g} N" if bias else ""
+        return f"{largest.label} {largest.text()} (95 %) {at}{least}{loads}"
 
 
 def _why_no_error_bars(spec: Mapping[str, Any]) -> str:

@@ -21,10 +21,9 @@ from mbdkit.measures.take import check_measures
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
 from mbdkit.runs.run_seams import computed_run
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
-from mbdkit_biomech.inverse_dynamics.criteria.changed_axes import changed_axes
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
-from mbdkit_biomech.inverse_dynamics.criteria.exchanged_markers import exchanged_markers
+from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import changed_axes, exchanged_markers
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitError
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import errors_of_measures

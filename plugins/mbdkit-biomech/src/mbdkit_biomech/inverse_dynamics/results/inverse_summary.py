@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, plus_minus, run_headlines
+from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, run_headlines
 from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run import Run
-from mbdkit.archive.run_summary import few, ranked
+from mbdkit.archive.run_summary import few
 from mbdkit.base.text import counted
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
@@ -41,18 +41,14 @@ def inverse_lines(run: Run) -> list[tuple[str, str]]:
 
 @run_headlines
 def largest_actuators(run: Run) -> list[Headline]:
-    """Return the two largest values of actuators, without residual loads."""
+    """Return the largest values of actuators; the two largest without residual loads are headlines."""
     if run.kind != "inverse" or not run.records("actuators/value"):
         return []
-    size = np.abs(run.array("actuators/value"))
-    errors = None
-    if run.records("actuators/value_error"):
-        bars = run.array("actuators/value_error")
-        errors = run.errors.of_largest("actuators.value", list(run.actuators), size, bars)
-    units = {name: actuator.units for name, actuator in run.actuators.items()}
-    headlines = largest_of("", run, list(run.actuators), size, "", errors)
-    own = [headline for headline in headlines if run.actuators[headline.label].kind != "residual"]
-    return [one._replace(label=f"peak of {one.label}", unit=units[one.label]) for one in own[:2]]
+    values, own = run.array("actuators/value"), run.actuators
+    errors = run.array("actuators/value_error") if run.records("actuators/value_error") else None
+    found = largest_of("peak of", run, "actuators.value", list(own), np.abs(values), "", errors)
+    main = [one.element for one in found if own[one.element].kind != "residual"][:2]
+    return [one._replace(unit=own[one.element].units, is_main=one.element in main) for one in found]
 
 
 def _smoothing(spec: Mapping[str, Any]) -> str:
@@ -110,19 +106,13 @@ def _actuators(run: Run, *, residual: bool = False) -> str:
 
     With `residual`, return those of the residual loads instead.
     """
-    if not run.actuators:
-        return ""
-    values, peaks, known = run.array("actuators/value"), [], run.accuracy is not None
-    names = list(run.actuators)
-    bars = run.array("actuators/value_error") if known else np.zeros_like(values)
-    errors = run.errors.of_largest("actuators.value", names, np.abs(values), bars)
-    for (name, actuator), error in zip(run.actuators.items(), errors.tolist(), strict=True):
-        if (actuator.kind == "residual") != residual:
-            continue
-        row = int(np.argmax(np.abs(actuator.value)))
-        value = plus_minus(float(actuator.value[row]), error) if known else f"{actuator.value[row]:.4g}"
-        peaks.append((abs(float(actuator.value[row])), f"{name} {value} {actuator.units} at {run.time[row]:.4f} s"))
-    return few(ranked(peaks))
+    texts = []
+    for one in largest_actuators(run):
+        actuator = run.actuators[one.element]
+        if (actuator.kind == "residual") == residual:
+            sign = ", negative" * bool(actuator.value[int(np.argmax(np.abs(actuator.value)))] < 0)
+            texts.append(f"{one.element} {one.text()} at {one.time:.4f} s{sign}")
+    return few(texts)
 
 
 def _reserves(run: Run) -> str:

@@ -1,6 +1,4 @@
-"""Sections in the report of inverse dynamics: the loads as pictures and numbers, and the disagreement of model and
-data.
-"""
+"""Loads of inverse dynamics in reports and notebooks: pictures, numbers, disagreement of model and data."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
-from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, workload
+from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, Workload, workload
 from mbdkit_report import (
     Axis,
     Cell,
@@ -25,11 +23,15 @@ from mbdkit_report import (
     Line,
     Section,
     Table,
+    View,
     bands,
+    bar_cells,
+    bar_columns,
     columns_of,
     short_name,
     svg_of,
 )
+from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.seams import report_charts, report_sections
 
 #: Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
@@ -146,10 +148,11 @@ def _contact_chart(run: Run) -> list[Figure]:
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
-    columns = columns_of(
-        "joint or actuator; kind; unit; peak; error of the peak; rms; impulse; loading rate; largest power [W]; "
-        "least power [W]; "
-        "work done [J]; work absorbed [J]"
+    bars = bar_columns("the peak", "", [one.load.peak_error for one in elements])
+    columns = (
+        *columns_of("joint or actuator; kind; unit; peak"),
+        *bars,
+        *columns_of("rms; impulse; loading rate; largest power [W]; least power [W]; work done [J]; work absorbed [J]"),
     )
     rows: list[tuple[Cell, ...]] = []
     for element in elements:
@@ -162,8 +165,7 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
                 element.name,
                 element.kind,
                 load.units,
-                load.peak,
-                load.peak_error,
+                *bar_cells(load.peak, load.peak_error, load.id, len(bars)),
                 load.rms,
                 load.impulse,
                 load.loading_rate,
@@ -249,3 +251,24 @@ def _disagreement(run: Run) -> Section:
     if not gaps:
         sentence += " The data do not determine the positions of both bodies of any joint: misalignments are unknown."
     return Section("data", "Differences between model and data", (sentence,), None, tuple(tables))
+
+
+@object_view
+def workload_view(found: Workload) -> View:
+    """Return the view of a workload."""
+    rows: list[tuple[Cell, ...]] = [
+        (
+            element.name,
+            element.kind,
+            load.units,
+            *bar_cells(load.peak, load.peak_error, load.id),
+            load.peak_time,
+            load.impulse,
+        )
+        for element in found.elements
+        for load in (element.load, element.torque)
+        if load is not None
+    ]
+    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
+    table = Table("workload", "Loads", columns, tuple(rows))
+    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF, plus_minus
+from mbdkit.archive.headlines import ROUND_OFF, answers
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.html_view import HtmlView
-from mbdkit.base.text import table
+from mbdkit.base.text import plus_minus, table
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import exact_loads
 from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts, normalized
 
@@ -40,8 +40,10 @@ class ElementLoad:
     loading_rate
         Largest rate at which the magnitude rises [N/s or N m/s].
     peak_error
-        Error of the peak over a whole run, as in the summary of the run; None if unknown. In inverse dynamics, this is
-        a bound that holds with a probability of 95 %; in a forward run, it is the estimate by the check of the run.
+        Lower and upper end of the bar of the peak over a whole run, as in the summary of the run; None if unknown. In
+        inverse dynamics, it holds with a probability of 95 %; in a forward run, it is the estimate by the check.
+    id
+        Identifier of a peak over a whole run; see `mbdkit guide trust`.
     """
 
     units: str
@@ -50,7 +52,8 @@ class ElementLoad:
     rms: float
     impulse: float
     loading_rate: float
-    peak_error: float | None = None
+    peak_error: tuple[float, float] | None = None
+    id: str = ""
 
 
 @dataclass(frozen=True)
@@ -305,28 +308,23 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
     """Return the workload of a whole run with the errors of peaks that the summary of the run shows."""
     if run.accuracy is None or not run.accuracy.is_complete:
         return elements
-    found: dict[tuple[str, str], float] = {}
-    force, torque = (np.abs(run.array(f"joints/reaction_{what}")) for what in ("force", "torque"))
-    for name, size, unit in (("reaction_error", np.linalg.norm(force, axis=2), "N"), ("torque_error", torque, "N m")):
-        errors = run.errors.of_reactions(name, size)
-        if errors is not None:
-            found |= {(joint, unit): error for joint, error in zip(run.joint_names, errors.tolist(), strict=True)}
-    if run.actuators:
-        size, bars = np.abs(run.array("actuators/value")), run.array("actuators/value_error")
-        errors = run.errors.of_largest("actuators.value", list(run.actuators), size, bars)
-        found |= {(name, "value"): error for name, error in zip(run.actuators, errors.tolist(), strict=True)}
+    found = {(one.element, one.quantity): one for one in answers(run)}
 
     def known(name: str, load: ElementLoad, what: str) -> ElementLoad:
-        error = found.get((name, what), math.nan)
-        return load if math.isnan(error) else replace(load, peak_error=error)
+        one = found.get((name, what))
+        if one is None or not one.bar.is_known:
+            return load
+        return replace(load, peak=one.value, peak_error=one.bar, id=one.id)
+
+    def what(one: ElementWorkload) -> str:
+        is_actuator = one.name in run.actuators and one.kind != "joint"
+        return "actuators.value" if is_actuator else "joints.force" if one.load.units == "N" else "joints.torque"
 
     return tuple(
         replace(
             one,
-            load=known(
-                one.name, one.load, "value" if one.name in run.actuators and one.kind != "joint" else one.load.units
-            ),
-            torque=None if one.torque is None else known(one.name, one.torque, "N m"),
+            load=known(one.name, one.load, what(one)),
+            torque=None if one.torque is None else known(one.name, one.torque, "joints.torque"),
         )
         for one in elements
     )
@@ -395,7 +393,7 @@ def _load(time: np.ndarray, values: np.ndarray, units: str, error: np.ndarray | 
         math.sqrt(float(np.sum(squares)) / length),
         float(np.trapezoid(size, time)),
         float(max(0.0, np.max(np.diff(size)[step > 0] / step[step > 0]))),
-        None if error is None else float(error[row]),
+        None if error is None else (float(error[row]), float(error[row])),
     )
 
 

@@ -1,4 +1,4 @@
-"""Loading of specs of inverse dynamics, and changes of their values."""
+"""Loading of specs of inverse dynamics, changes of their values, and their JSON schema."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import TypeAlias
 
 from mbdkit.base.plain_data import Path as KeyPath
+from mbdkit.registry.catalogue import Registry
+from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import loaded
 from mbdkit.spec.reading import Document, put
-from mbdkit.spec.spec_kinds import spec_loader
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit.spec.schema import model_schema
+from mbdkit.spec.spec_kinds import spec_loader, spec_schema
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec, inverse_spec_type
 
 #: A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics.
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
@@ -46,3 +49,16 @@ def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, object]]) 
     varied = InverseSpec(**data)
     varied._document = spec._document
     return varied
+
+
+@spec_schema
+def inverse_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    return model_schema(inverse_spec_type(chosen), chosen)

@@ -62,6 +62,7 @@ class InverseSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "meta",
         "subject",
         "parameters",
         "estimates",

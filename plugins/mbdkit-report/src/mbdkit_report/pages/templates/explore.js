@@ -3,8 +3,9 @@
 const { sliders, reference } = JSON.parse(document.getElementById("data").textContent);
 const token = new URLSearchParams(location.search).get("token");
 const element = id => document.getElementById(id);
-const [verdict, headlines, curves, key, spec] = ["verdict", "headlines", "curves", "key", "spec"].map(element);
+const [verdict, headlines, curves, spec] = ["verdict", "headlines", "curves", "spec"].map(element);
 const ghost = new Stage(element("ghost")), stage = new Stage(element("stage"));
+ghost.named = false;
 const [inputs, fields] = ["range", "number"].map(type => [...document.querySelectorAll(`input[type=${type}]`)]);
 const short = value => String(Number(value.toPrecision(4)));
 let shown = reference, ghostView, begin = performance.now(), asked = false, changed = false;
@@ -80,10 +81,11 @@ function show(answer) {
   shown = answer;
   verdict.textContent = [`Verdict: ${answer.verdict}`, ...answer.reasons].join(". ");
   verdict.className = `verdict ${answer.tone}`;
-  headlines.replaceChildren(...answer.headlines.map(([name, text]) => {
+  headlines.replaceChildren(...answer.headlines.map(([name, text, id]) => {
     const item = document.createElement("div"), term = document.createElement("dt"), number = document.createElement("dd");
     term.textContent = name;
     number.textContent = text;
+    number.dataset.id = id;
     item.append(term, number);
     return item;
   }));
@@ -95,12 +97,19 @@ function show(answer) {
     ghostView = view;
     stage.show(placed(answer.film));
   } else stage.show(answer.film);
-  key.replaceChildren(...answer.curves.names.map((name, k) => {
-    const item = document.createElement("li"), swatch = document.createElement("span");
-    swatch.style.background = `var(--c${k % 6})`;
-    item.append(swatch, name);
-    return item;
+  const kinds = String(answer.charts.map(chart => chart.name));
+  if (kinds !== curves.dataset.kinds) curves.replaceChildren(...answer.charts.flatMap(chart => {
+    const canvas = document.createElement("canvas"), key = document.createElement("ul");
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `${chart.title} over time; pale: with the values of the spec`);
+    return [canvas, key];
   }));
+  curves.dataset.kinds = kinds;
+  answer.charts.forEach((chart, k) => curves.children[2 * k + 1].replaceChildren(...chart.lines.map(line => {
+    const item = document.createElement("li");
+    item.append(swatch(line), line.label);
+    return item;
+  })));
   draw();
 }
 
@@ -112,40 +121,40 @@ function moved(film, view) {
 }
 
 // --- curves ---
-function plot(seconds) {
-  const ratio = window.devicePixelRatio || 1, width = curves.clientWidth, height = curves.clientHeight, { colors } = stage;
-  curves.width = width * ratio;
-  curves.height = height * ratio;
-  const pen = curves.getContext("2d"), sets = [reference.curves ?? shown.curves, shown.curves];
-  const all = sets.flatMap(one => one.values.flat()), times = shown.curves.time;
-  if (!all.length || !times.length) return;
-  const low = Math.min(0, ...all), high = Math.max(...all, low + 1e-12), left = 48, bottom = 18;
+function plot(canvas, chart, seconds) {
+  const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight, { colors } = stage;
+  canvas.width = width * ratio;
+  canvas.height = height * ratio;
+  const pen = canvas.getContext("2d"), pale = (reference.charts ?? []).find(one => one.name === chart.name) ?? chart;
+  const all = [...pale.lines, ...chart.lines].flatMap(line => line.y), times = chart.lines[0].x;
+  const low = Math.min(0, ...all), high = Math.max(...all, low + 1e-12), left = 48, bottom = 18, top = 24;
   const X = t => left + (width - left - 4) * (t - times[0]) / (times.at(-1) - times[0] || 1);
-  const Y = v => (height - bottom) - (height - bottom - 6) * (v - low) / (high - low);
+  const Y = v => (height - bottom) - (height - bottom - top) * (v - low) / (high - low);
   pen.scale(ratio, ratio);
   pen.font = "12px system-ui";
   pen.fillStyle = colors.faint;
   pen.strokeStyle = colors.grid;
   for (const value of [low, (low + high) / 2, high]) {
-    pen.fillText(short(value), 0, Math.max(10, Y(value) + 4));
+    pen.fillText(short(value), 0, Math.max(top + 4, Y(value) + 4));
     pen.beginPath(); pen.moveTo(left, Y(value)); pen.lineTo(width, Y(value)); pen.stroke();
   }
-  pen.fillText(`${short(times[0])} s`, left, height - 4);
-  pen.fillText(shown.curves.unit, left + 4, 12);
-  const end = `${short(times.at(-1))} s`;
+  pen.fillText(short(times[0]), left, height - 4);
+  pen.fillText(chart.y.title, 0, 11);
+  const end = `${short(times.at(-1))}   ${chart.x.title}`;
   pen.fillText(end, width - pen.measureText(end).width - 2, height - 4);
-  sets.forEach((set, which) => set.values.forEach((line, k) => {
-    const nth = which ? k : shown.curves.names.indexOf(set.names[k]);
-    pen.globalAlpha = which ? 1 : 0.3;
-    pen.strokeStyle = colors[`c${(nth < 0 ? k : nth) % 6}`];
+  for (const set of [pale, chart]) for (const line of set.lines) {
+    pen.globalAlpha = set === chart ? 1 : 0.3;
+    pen.strokeStyle = colors[(chart.lines.find(one => one.label === line.label) ?? line).color];
+    pen.setLineDash(DASHES[line.dash].split(" ").filter(Boolean).map(Number));
     pen.lineWidth = 1.6;
     pen.beginPath();
-    line.forEach((value, i) => pen[i ? "lineTo" : "moveTo"](X(set.time[i]), Y(value)));
+    line.y.forEach((value, i) => { if (value !== null) pen[i ? "lineTo" : "moveTo"](X(line.x[i]), Y(value)); });
     pen.stroke();
-  }));
+  }
   pen.globalAlpha = 1;
+  pen.setLineDash([]);
   pen.strokeStyle = colors.ink;
-  pen.beginPath(); pen.moveTo(X(seconds), 0); pen.lineTo(X(seconds), height - bottom); pen.stroke();
+  pen.beginPath(); pen.moveTo(X(seconds), top); pen.lineTo(X(seconds), height - bottom); pen.stroke();
 }
 
 // --- motion ---
@@ -160,7 +169,7 @@ function draw() {
   const seconds = calm.matches ? start + length : start + (performance.now() - begin) / 1000 * film.speed % (length || 1);
   if (reference.film) ghost.draw(frameAt(reference.film, seconds), false, 1);
   stage.draw(frameAt(film, seconds), false, 1);
-  plot(seconds);
+  shown.charts.forEach((chart, k) => plot(curves.children[2 * k], chart, seconds));
 }
 const calm = window.matchMedia("(prefers-reduced-motion: reduce)");
 function tick() {

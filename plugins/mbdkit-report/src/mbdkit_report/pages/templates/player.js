@@ -3,9 +3,9 @@
 const films = JSON.parse(document.getElementById("films").textContent);
 const shortcuts = "shortcuts" in document.getElementById("player").dataset;
 const [canvas, scrub, play, back, next, choice, speed, whole, clock, magnify, gap, legend, shown, printed,
-  forces] =
+  forces, names] =
   ["stage", "scrub", "play", "back", "next", "film", "speed", "whole", "clock", "magnify", "gap", "legend", "shown", "printed",
-   "forces"]
+   "forces", "names"]
     .map(id => document.getElementById(id));
 const stage = new Stage(canvas);
 const REST = 0.8;            // pause [s] on the last frame before the animation restarts
@@ -31,6 +31,7 @@ function largestGap() {
 // --- one frame ---
 function draw() {
   stage.pushed = forces.checked;
+  stage.named = names.checked;
   stage.draw(frame, whole.checked, magnification());
   clock.textContent = `t = ${run.time[frame].toFixed(3)} s`;
   scrub.value = frame;
@@ -107,10 +108,11 @@ function load(number) {
     return item;
   };
   legend.replaceChildren(...(few ? run.links : []).filter(([name]) => !bent.includes(name)).map(link => entry(...link)));
+  legend.append(...run.key.map(part => entry(...part)));
   if (bent.length) legend.append(scale(bent));
   for (const [kind, text] of Object.entries(run.arrows?.texts ?? {})) legend.append(entry(text, Stage.FORCES[kind]));
   if (run.arrows) legend.append(`longest arrow ${Number(run.arrows.longest.toPrecision(3))} N`);
-  legend.hidden = !few && !run.arrows && !bent.length;
+  legend.hidden = !legend.childNodes.length;
   forces.parentElement.hidden = !run.arrows;
   const chosen = speed.selectedIndex;
   speed.replaceChildren(...[0.1, 0.25, 0.5, 1, 2, 4].map(factor => {
@@ -137,6 +139,7 @@ next.addEventListener("click", () => { go(false); show(frame + 1); });
 scrub.addEventListener("input", () => { go(false); show(Number(scrub.value)); });
 whole.addEventListener("change", draw);
 forces.addEventListener("change", draw);
+names.addEventListener("change", draw);
 magnify.addEventListener("input", magnified);
 if (choice) {
   films.forEach((film, number) => choice.add(new Option(film.label, number)));

@@ -13,6 +13,7 @@ class Stage {
     this.canvas = canvas;
     this.pen = canvas.getContext("2d");
     this.colors = {};
+    this.named = true;
     this.tint();
   }
 
@@ -154,10 +155,12 @@ class Stage {
       this.stroke(colors.edge, 1, () => pen.rect(0, 0, width, height));
       pen.clip();
       this.grid(false);
+      this.named = k === 0;
       this.paint(frame, true, 1);
       this.write([[`t = ${Number(this.film.time[frame].toPrecision(4))} s`, 6, 15]], colors.ink);
       pen.restore();
     });
+    this.named = true;
     return this.spacing();
   }
 
@@ -176,9 +179,23 @@ class Stage {
     for (const points of film.shapes) this.stroke(colors.ink, 1.4, () => this.line(points.map(k => this.at(k))));
     for (const points of film.muscles) this.stroke(colors.muscle, 1.6, () => this.line(points.map(k => this.at(k))));
     film.springs.forEach(ends => this.spring(ends));
+    film.coils.forEach(index => this.coil(...this.at(index)));
     if (!this.crowd) this.marks();
     if (film.arrows && this.pushed) film.arrows.kinds.forEach((kind, k) => this.arrow(frame, kind, k));
     film.gaps.ends.forEach((ends, joint) => this.apart(ends[1], this.gap(frame, joint), magnification));
+    if (this.named) this.names();
+  }
+
+  /* Write the names of elements beside the points that they name. */
+  names() {
+    const { world, film } = this;
+    for (const [text, color, first, second, share, right, down] of film.names) {
+      const [x, y] = [0, 1].map(k => world[2 * first + k] + share * (world[2 * second + k] - world[2 * first + k]));
+      const size = this.width < 300 ? 0.75 : 1;
+      if (Number.isFinite(x + y)) {
+        this.write([[text, this.X(x) + size * right, this.Y(y) + size * down + 4]], this.color(color), 12 * size);
+      }
+    }
   }
 
   /* Distance of the grid lines [m]. */
@@ -187,26 +204,26 @@ class Stage {
   grid(labelled) {
     const { scale, centre, colors, width, height } = this;
     const step = this.spacing();
-    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), labels = [["m", width - 16, height - 6]];
+    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9)), labels = [["x [m]", width - 36, height - 6], ["y [m]", 5, 12]];
     this.stroke(colors.grid, 1, () => {
       for (let k = Math.ceil((centre[0] - width / 2 / scale) / step); this.X(k * step) < width; k++) {
         const x = Math.round(this.X(k * step)) + 0.5;
         this.line([[x, 0], [x, height]]);
-        if (x > 40 && x < width - 50) labels.push([(k * step).toFixed(digits), x + 4, height - 6]);
+        if (x > 40 && x < width - 70) labels.push([(k * step).toFixed(digits), x + 4, height - 6]);
       }
       for (let k = Math.ceil((centre[1] - height / 2 / scale) / step); this.Y(k * step) > 0; k++) {
         const y = Math.round(this.Y(k * step)) + 0.5;
         this.line([[0, y], [width, y]]);
-        if (y > 16 && y < height - 24) labels.push([(k * step).toFixed(digits), 5, y - 4]);
+        if (y > 32 && y < height - 24) labels.push([(k * step).toFixed(digits), 5, y - 4]);
       }
     });
     if (labelled) this.write(labels, colors.faint);
   }
 
   /* Write labels [text, x, y], with a rim in the colour of the background. */
-  write(labels, color) {
+  write(labels, color, size = 12) {
     const { pen } = this;
-    pen.font = "12px system-ui, sans-serif";
+    pen.font = `${size}px system-ui, sans-serif`;
     pen.fillStyle = color;
     pen.strokeStyle = this.colors.paper;
     pen.lineWidth = 4;
@@ -292,6 +309,14 @@ class Stage {
     const corners = [corner(0, 0), corner(0.15, 0)];
     for (let k = 0; k < 12; k++) corners.push(corner(0.15 + 0.7 * (k + 0.5) / 12, k % 2 ? -1 : 1));
     this.stroke(this.colors.spring, 1.8, () => this.line([...corners, corner(0.85, 0), corner(1, 0)]));
+  }
+
+  /* Draw a spring between the angles of two bodies. */
+  coil(x, y) {
+    this.stroke(this.colors.spring, 1.4, () => this.line(Array.from({ length: 40 }, (_, k) => {
+      const turn = 4.5 * Math.PI * k / 39, radius = 2 + 10 * k / 39;
+      return [x + radius * Math.cos(turn), y + radius * Math.sin(turn)];
+    })));
   }
 
   marks() {
