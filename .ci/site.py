@@ -16,6 +16,8 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
 import mbdkit
+from mbdkit.runs.method_evidence import FILE
+from mbdkit_testing import matrix
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = "mbdkit/models/examples"
@@ -52,6 +54,10 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for path in sorted(path for pattern in FILES for path in ROOT.glob(pattern) if path.suffix != ".pyc"):
         uri = _moved(path.relative_to(ROOT).as_posix())
         found.append(File.generated(config, uri, abs_src_path=str(path), inclusion=InclusionLevel.INCLUDED))
+    evidence = [ROOT / "mbdkit" / FILE, *sorted(ROOT.glob(f"plugins/*/src/*/{FILE}"))]
+    page = matrix.html([row for path in evidence for row in matrix.rows_of(path)], is_page=False)
+    content = f"# Plugins, and what was observed of them\n\n{page}"
+    found.append(File.generated(config, "matrix.md", content=content, inclusion=InclusionLevel.INCLUDED))
     found.append(File.generated(config, "api.md", content=_reference(), inclusion=InclusionLevel.INCLUDED))
     return Files(found)
 

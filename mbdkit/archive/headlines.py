@@ -134,9 +134,10 @@ class Headline(NamedTuple):
 
 
 @Seam
-def run_headlines(run: Run, /) -> Iterable[Headline]:
-    """Return numbers of a run with their bars, the most important first. Those that are not `Headline.is_main` are no
-    headlines, but have an id.
+def run_headlines(run: Run, /) -> Iterable[Any]:
+    """Return numbers of a run with their bars, the most important first: headlines, or mappings with their attributes
+    ``label``, ``value``, ``unit``, ``bar`` (lower and upper end, nan where unknown) and ``id``, and others. Those with
+    ``is_main: False`` are no headlines, but have an id.
     """
     raise NotImplementedError
 
@@ -222,7 +223,9 @@ def headline_items(run: Run) -> list[Registered]:
 
 
 def _taken(item: Registered, run: Run) -> list[Headline]:
-    return list(run_headlines.of(cast(HeadlineItem, item.plugin).take)(run))
+    taken = run_headlines.of(cast(HeadlineItem, item.plugin).take)(run)
+    made = [one if isinstance(one, Headline) else Headline(**one) for one in taken]
+    return [one._replace(bar=Bar(*one.bar)) for one in made]
 
 
 def headline_texts(run: Run, sign: str = "+-", *, all_measures: bool = False) -> list[tuple[str, str, str]]:

@@ -29,12 +29,6 @@ class PlainSpec:
         measures: Mapping[str, Any] = self.data.get("measures") or {}
         return measures
 
-    @property
-    def catalogue(self) -> dict[str, str]:
-        """See `ModelSpec.catalogue`."""
-        names = {key: str((self.data.get(key) or {}).get("name", "")) for key in ("model", "integrator")}
-        return {"title": str(self.data.get("title") or ""), **(self.data.get("meta") or {}), **names}
-
     def canonical_json(self) -> str:
         """Return the data as JSON; unlike canonical JSON, it lacks defaults."""
         return canonical_text(self.data)

@@ -167,7 +167,7 @@ class Run(RecordedData, HtmlView):
     @cached_property
     def provenance(self) -> Mapping[str, str | int | float]:
         """Versions, platform and command."""
-        return self._header.provenance
+        return self._contents.provenance
 
     @property
     def kind(self) -> str:

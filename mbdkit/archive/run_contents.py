@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import methodcaller
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -38,13 +39,14 @@ from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
 from mbdkit.spec import RunSpec
 
+_Provenance = Mapping[str, str | int | float]
+
 
 @dataclass(frozen=True, eq=False)
 class Header:
     """The data of a run except its arrays.
 
     - `attributes`: values of `layout.ROOT_ATTRIBUTES`.
-    - `provenance`: attributes of ``/provenance``.
     - `verdict`, `verdict_reasons`, `warnings`: verdict on the run, its reasons, and warnings; empty if the run crashed.
     - `stats`: counters and times [s].
     - `misalignment_max`: (J,) largest misalignment of each joint over all steps [m]; None if unknown.
@@ -52,7 +54,6 @@ class Header:
     """
 
     attributes: Mapping[str, str]
-    provenance: Mapping[str, str | int | float]
     verdict: str = ""
     verdict_reasons: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -61,17 +62,10 @@ class Header:
     redundancy: str = ""
 
     @classmethod
-    def of(
-        cls,
-        attributes: Mapping[str, str],
-        provenance: Mapping[str, str | int | float],
-        ending: Ending,
-        shared: SharedForces | None,
-    ) -> Header:
+    def of(cls, attributes: Mapping[str, str], ending: Ending, shared: SharedForces | None) -> Header:
         """Return the header of a run that has ended."""
         return cls(
             attributes,
-            ReadOnlyDict(provenance),
             ending.judgement.level,
             tuple(ending.judgement.reasons),
             ending.warnings,
@@ -85,6 +79,7 @@ class RunContents(ABC):
     """Interface through which a `Run` reads its data.
 
     - `header`: status, spec, verdict and counters.
+    - `provenance`: attributes of ``/provenance``.
     - `names`: names and units along the axes, by path.
     - `kinds`: kinds of quantities by group: those of the core, and those of plugins whose groups the run has.
     - `path`: path of the archive; None without a file.
@@ -99,6 +94,7 @@ class RunContents(ABC):
     """
 
     header: Header
+    provenance: _Provenance
     names: Mapping[str, tuple[str, ...]]
     path: Path | None = None
     run_spec: RunSpec | None = None
@@ -141,7 +137,7 @@ class ArchiveContents(RunContents):
     """The contents of an archive.
 
     `file`: the open archive. It is closed if its header is damaged. `path`: path of the archive; None if it is in
-    memory. `header`: the header of the archive, if it is known already; by default, it is read from the file. Raises
+    memory. `header`, `provenance`: those of the archive, if they are known already; by default, they are read. Raises
     ArchiveError if the header is read and is damaged.
     """
 
@@ -151,14 +147,16 @@ class ArchiveContents(RunContents):
         path: Path | None = None,
         header: Header | None = None,
         hashes: StoredHashes | None = None,
+        provenance: _Provenance | None = None,
     ):
         self._file, self.path, self._hashes = file, path, hashes
-        if header is not None:
-            self.header = header
+        if header is not None and provenance is not None:
+            self.header, self.provenance = header, ReadOnlyDict(provenance)
             return
         try:
             with reading("its header", path):
                 self.header = self._read_header()
+                self.provenance = run_header.plain_attributes(file["provenance"])
         except MbdkitError:
             file.close()
             raise
@@ -213,26 +211,24 @@ class ArchiveContents(RunContents):
         path, ending = writer.path, writer.ending
         assert path is not None
         assert ending is not None
-        header = Header.of(writer.head, writer.origin.provenance, ending, writer.shared)
+        header = Header.of(writer.head, ending, writer.shared)
         with reading("its header", path):
             file = h5py.File(path, "r", locking="best-effort")
-        contents = cls(file, path, header)
+        contents = cls(file, path, header, provenance=writer.origin.provenance)
         contents.cause = ending.cause
         return contents
 
     def _read_header(self) -> Header:
         file = self._file
         attributes = {name: str(file.attrs[name]) for name in layout.ROOT_ATTRIBUTES}
-        provenance = run_header.plain_attributes(file["provenance"])
         redundancy = str(file["joints"].attrs.get("redundancy", ""))
         if attributes["status"] == "running":  # a crash may have left the other attributes incomplete
-            return Header(attributes, provenance, redundancy=redundancy)
+            return Header(attributes, redundancy=redundancy)
         reasons, warnings = (
             tuple(map(str, np.atleast_1d(file.attrs.get(name, ())))) for name in ("verdict_reasons", "warnings")
         )
         return Header(
             attributes,
-            provenance,
             str(file.attrs.get("verdict", "")),
             reasons,
             warnings,
@@ -356,7 +352,35 @@ class NotStoredError(NotRecordedError):
         )
 
 
-_Provenance = Mapping[str, str | int | float]
+class _Spec:
+    """A spec, or what a function returns when it is needed first."""
+
+    def __init__(self, given: RunSpec | PlainSpec | Callable[[], RunSpec]):
+        self._given = given
+
+    @cached_property
+    def spec(self) -> RunSpec | PlainSpec:
+        """The spec."""
+        return self._given() if callable(self._given) else self._given
+
+
+class LateTexts(Mapping[str, str]):
+    """Texts by name; those that are functions of the spec are computed when they are needed first."""
+
+    def __init__(self, texts: dict[str, Any], spec: _Spec):
+        self._texts, self._spec = texts, spec
+
+    def __getitem__(self, name: str) -> str:
+        text = self._texts[name]
+        if callable(text):
+            self._texts[name] = text = text(self._spec.spec)
+        return str(text)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._texts)
+
+    def __len__(self) -> int:
+        return len(self._texts)
 
 
 class ArrayContents(RunContents):
@@ -364,52 +388,88 @@ class ArrayContents(RunContents):
 
     - `finished`: the results; `FinishedRun.layout` lists only the arrays that are stored.
     - `spec`: spec of the run.
-    - `run_id`, `created_utc`, `provenance`: see `Origin`; run_id and provenance may be functions, which are called when
-      the header is needed.
+    - `run_id`, `created_utc`, `provenance`: see `Origin`.
     - `mechanism`: the mechanism; None for that of `spec`.
     - `store`: which arrays the study stores of each run; empty if it stores all.
     - `measured`: values of the measures in the spec.
     - `gradients`: gradients of the measures as JSON; empty if there are none.
+
+    The results of a run that is complete, and its spec, may be functions, which are called once, when they are needed;
+    so may run_id and provenance, which are functions of the spec.
     """
 
     def __init__(
         self,
-        finished: FinishedRun,
-        spec: RunSpec | PlainSpec,
+        finished: FinishedRun | Callable[[], FinishedRun],
+        spec: RunSpec | PlainSpec | Callable[[], RunSpec],
         *,
-        run_id: str | Callable[[], str] = "",
+        run_id: str | Callable[[RunSpec], str] = "",
         created_utc: str = "",
-        provenance: _Provenance | Callable[[], _Provenance] = MappingProxyType({}),
+        provenance: _Provenance | Callable[[RunSpec], _Provenance] = MappingProxyType({}),
         mechanism: StoredMechanism | None = None,
         store: str = "",
         measured: MeasuredValues | None = None,
         gradients: str = "",
     ):
-        self._finished, self._spec, self._mechanism, self._store = finished, spec, mechanism, store
+        self._given, self._mechanism, self._store = (finished, provenance), mechanism, store
+        self._spec = _Spec(spec)
+        self._identified = run_id, created_utc
         self.measures = measured or MeasuredValues({}, {})
-        self.integrals, self.accuracy, self.tables = finished.integrals, finished.accuracy, finished.tables
         self.gradients, self._gradients = ReadOnlyDict(json.loads(gradients or "{}")), gradients
         self._closed = False
-        self.run_spec, self.cause = spec if isinstance(spec, RunSpec) else None, finished.cause
-        self._identified = run_id, created_utc, provenance
+        self.cause = None if callable(finished) else finished.cause
+
+    @cached_property
+    def _finished(self) -> FinishedRun:
+        finished = self._given[0]
+        return finished() if callable(finished) else finished
+
+    @property
+    def run_spec(self) -> RunSpec | None:  # type: ignore[override]
+        """See `RunContents`."""
+        return self._spec.spec if isinstance(self._spec.spec, RunSpec) else None
+
+    @property
+    def integrals(self) -> Integrals:  # type: ignore[override]
+        """See `RunContents`."""
+        return self._finished.integrals
+
+    @property
+    def accuracy(self) -> Accuracy | None:  # type: ignore[override]
+        """See `RunContents`."""
+        return self._finished.accuracy
+
+    @property
+    def tables(self) -> Mapping[str, ResultTable]:  # type: ignore[override]
+        """See `RunContents`."""
+        return self._finished.tables
+
+    @cached_property
+    def provenance(self) -> _Provenance:  # type: ignore[override]
+        """See `RunContents`."""
+        given = self._given[1]
+        entries = given(cast(RunSpec, self._spec.spec)) if callable(given) else given
+        assembly = {"assembly": self._finished.assembly} if self._finished.assembly else {}
+        return ReadOnlyDict({**entries, **assembly})
 
     @cached_property
     def header(self) -> Header:  # type: ignore[override]
         """See `RunContents`."""
-        finished, (run_id, created_utc, provenance) = self._finished, self._identified
-        attributes = {
-            "format_version": layout.FORMAT_VERSION,
-            "status": finished.status,
-            "status_reason": finished.reason,
-            "run_id": run_id() if callable(run_id) else run_id,
-            "created_utc": created_utc,
-            "spec": self._spec.canonical_json(),
-            "spec_sha256": self._spec.sha256(),
-            "data_sha256": finished.data_sha256,
-        }
-        entries = provenance() if callable(provenance) else provenance
-        assembly = {"assembly": finished.assembly} if finished.assembly else {}
-        return Header.of(attributes, {**entries, **assembly}, finished, finished.shared)
+        finished, (run_id, created_utc) = self._finished, self._identified
+        attributes = LateTexts(
+            {
+                "format_version": layout.FORMAT_VERSION,
+                "status": finished.status,
+                "status_reason": finished.reason,
+                "run_id": run_id,
+                "created_utc": created_utc,
+                "spec": methodcaller("canonical_json"),
+                "spec_sha256": methodcaller("sha256"),
+                "data_sha256": finished.data_sha256,
+            },
+            self._spec,
+        )
+        return Header.of(attributes, finished, finished.shared)
 
     @cached_property
     def _texts(self) -> Mapping[str, tuple[str, ...]]:
@@ -451,12 +511,12 @@ class ArrayContents(RunContents):
 
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""
-        return self._mechanism or StoredMechanism(self._spec.mechanism())
+        return self._mechanism or StoredMechanism(self._spec.spec.mechanism())
 
     @property
     def files(self) -> Sequence[FileRead]:
         """The files that were read for the run."""
-        return self._spec.files_read
+        return self._spec.spec.files_read
 
     @cached_property
     def file(self) -> h5py.File:
@@ -465,7 +525,7 @@ class ArrayContents(RunContents):
         if self._store:
             raise NotStoredError("complete archive", self._store)
         finished, head = self._finished, self.header.attributes
-        origin = Origin.of(self._spec, self.header.provenance)
+        origin = Origin.of(self._spec.spec, self.provenance)
         writer = ArchiveWriter(
             None,
             finished.names,

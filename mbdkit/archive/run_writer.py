@@ -17,6 +17,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import line, text_bytes
 from mbdkit.archive.measured_values import Integrals
+from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base.files_read import files_json
@@ -27,7 +28,6 @@ from mbdkit.quantities.table import KINDS
 from mbdkit.trust.criteria import Judgement
 
 if TYPE_CHECKING:
-    from mbdkit.archive.plain_spec import PlainSpec
     from mbdkit.spec.model_spec import ModelSpec
 
 
@@ -101,7 +101,7 @@ class Origin:
             "mass": np.array([body.mass for body in bodies], FLOAT),
             "inertia": np.array([body.inertia or 0.0 for body in bodies], FLOAT),
         }
-        texts = {layout.MECHANISM: mechanism_json(mechanism), **catalogue_texts(spec.catalogue)}
+        texts = {layout.MECHANISM: mechanism_json(mechanism), **catalogue_texts(spec)}
         if spec.files_read:
             texts[layout.FILES] = files_json(spec.files_read)
         if evidence := str(provenance.get(layout.EVIDENCE, "")):
@@ -109,16 +109,18 @@ class Origin:
         return cls(spec.canonical_json(), spec.sha256(), spec.run_id(), provenance, bodies=masses, texts=texts)
 
 
-def catalogue_texts(known: Mapping[str, str]) -> dict[str, str]:
-    """Return the root attributes by which catalogues find an archive: what the spec gives, and defaults.
-
-    `known`: see `ModelSpec.catalogue`.
-    """
-    model, method = (known[key].rpartition(":")[2] for key in ("model", "integrator"))
-    by = f", computed by {method}" if method not in ("", model) else ""
-    defaults = {"title": model, "description": f"Planar motion of the model {model}{by}."}
-    given = {key: known.get(key) or defaults.get(key, "") for key in ("title", "description", "creator", "license")}
-    return {"Conventions": layout.CONVENTIONS, **{key: text for key, text in given.items() if text}}
+def catalogue_texts(spec: ModelSpec | PlainSpec) -> dict[str, str]:
+    """Return the root attributes by which catalogues find an archive: what the spec gives, and defaults."""
+    if isinstance(spec, PlainSpec):
+        given = {"title": spec.data.get("title"), **(spec.data.get("meta") or {})}
+        names = [str((spec.data.get(key) or {}).get("name", "")) for key in ("model", "integrator")]
+    else:
+        given, method = {"title": spec.title, **dict(spec.meta)}, getattr(spec, "integrator_item", None)
+        names = [spec.model_item.name, "" if method is None else method.name]
+    model, by = (name.rpartition(":")[2] for name in names)
+    defaults = {"title": model, "description": f"Planar motion of the model {model}{by and f', computed by {by}'}."}
+    texts = {key: given.get(key) or defaults.get(key, "") for key in ("title", "description", "creator", "license")}
+    return {"Conventions": layout.CONVENTIONS, **{key: str(text) for key, text in texts.items() if text}}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Gauss-Legendre quadrature; nodes and weights are rounded once, so that they are the same on every machine."""
+"""Gauss-Legendre quadrature, with nodes and weights rounded once, the same on every machine; Lagrange weights."""
 
 from __future__ import annotations
 
@@ -38,6 +38,14 @@ def gauss_on_unit(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes and weights (count,) of Gauss-Legendre quadrature over [0, 1], of order 2 `count`."""
     nodes, weights = gauss_legendre(count)
     return 0.5 * (1.0 + nodes), 0.5 * weights
+
+
+def lagrange(times: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return the (G, K) weights of values at `times` (K,) in their polynomial at the times `at` (G,)."""
+    own = np.eye(len(times), dtype=bool)
+    factors = (at[:, None, None] - times) / np.where(own, 1.0, times[:, None] - times)
+    weights: np.ndarray = np.prod(np.where(own, 1.0, factors), axis=2)
+    return weights
 
 
 def _legendre(degree: int, x: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:

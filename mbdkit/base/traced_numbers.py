@@ -148,7 +148,7 @@ def _text(operand: Any) -> str:
 
 
 def _power(base: float, exponent: float) -> float:
-    value = base**exponent
+    value: float | complex = base**exponent
     if isinstance(value, complex):
         raise ValueError(f"{base} ** {exponent} is not real")
     return value
@@ -202,8 +202,8 @@ class TracedNumber:
     def __init__(self, trace: Trace, name: str, value: float):
         self.trace, self.name, self.value = trace, name, value
 
-    @property
-    def __class__(self) -> Any:  # type: ignore[misc]
+    @property  # type: ignore[misc]
+    def __class__(self) -> Any:
         return float
 
     __add__, __radd__ = _binary("+")

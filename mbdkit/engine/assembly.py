@@ -103,6 +103,15 @@ def assemble(
     return _Assembly(mechanism, search or search_for(mechanism, compiled, t0)).run()
 
 
+def assemble_from(
+    mechanism: Mechanism, search: LeastChange, q: np.ndarray, v: np.ndarray, tolerance: float
+) -> AssembledState:
+    """Correct another initial state (B, 3) than that of a mechanism; see `assemble`. Errors are about the mechanism."""
+    assembly = _Assembly(mechanism, search)
+    assembly.given_q, assembly.given_v, assembly.tolerance = q, v, tolerance
+    return assembly.run()
+
+
 def tolerances(tolerance: float, far: float, fast: float, search: LeastChange) -> tuple[float, float]:
     """Return the tolerances of position and velocity residuals; `far` and `fast` are the largest coordinate and the
     largest velocity.
@@ -117,10 +126,11 @@ class _Assembly:
         q = [(*body.position, body.angle) for body in bodies]
         v = [(*body.velocity, body.angular_velocity) for body in bodies]
         self.given_q, self.given_v = (np.array(x, dtype=float).reshape(-1, 3) for x in (q, v))
+        self.tolerance = mechanism.assembly.tolerance
 
     def run(self) -> AssembledState:
         self.check_motions()
-        search, tolerance = self.search, self.mechanism.assembly.tolerance
+        search, tolerance = self.search, self.tolerance
         q, v = self.given_q.ravel().copy(), self.given_v.ravel().copy()
         q_tolerance, v_tolerance = tolerances(tolerance, _largest(q), _largest(v), search)
         phi, jacobian, phi_t = search.evaluate(q)

@@ -222,6 +222,16 @@ class CompiledMechanism:
     treatments: tuple[ChosenTreatment, ...] = ()
     members: Mapping[str, tuple[tuple[str, tuple[str, ...]], ...]] = field(default_factory=dict)
 
+    def with_numbers(self, arrays: Mapping[str, np.ndarray], length: float) -> CompiledMechanism:
+        """Return the mechanism with other floating-point numbers in some arrays of its topology, in the same places.
+
+        `arrays`: these arrays by name; entries that are 0 remain so, and others remain different from 0. `length`:
+        characteristic length [m].
+        """
+        other = object.__new__(CompiledMechanism)
+        other.__dict__.update(self.__dict__, topology=self.topology._replace(**arrays), length=length)
+        return other
+
     def freedoms(self) -> str:
         """Return a description such as ``1 degree of freedom, 10 joints, 1 driver``, with any redundant rows.
 

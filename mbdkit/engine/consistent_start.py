@@ -210,26 +210,33 @@ def at_starts(
 
 
 def _consistent_states(mechanisms: Sequence[Mechanism], search: LeastChange) -> list[AssembledState | None]:
-    """Return the initial states of mechanisms that share a solver; None for each that `assemble` has to compute.
-
-    Only states that satisfy the constraints without any change are returned. They are bitwise equal to those of
-    `assemble`.
-    """
+    """Return the initial states of mechanisms that share a solver; None for each that `assemble` has to compute."""
     if len(search.scratch.u):  # motions have to be checked
         return [None] * len(mechanisms)
     bodies = [mechanism.bodies.values() for mechanism in mechanisms]
     q, v = np.zeros((2, len(mechanisms), len(bodies[0]) + 1, 3))
     q[:, :-1] = [[(*body.position, body.angle) for body in some] for some in bodies]
     v[:, :-1] = [[(*body.velocity, body.angular_velocity) for body in some] for some in bodies]
-    q_flat, v_flat = q.reshape(len(q), -1), v.reshape(len(v), -1)
-    phi, rate = search.residuals(q_flat, v_flat)
-    gap, speed, far, fast = (np.abs(x).max(axis=1, initial=0.0).tolist() for x in (phi, rate, q_flat, v_flat))
-    none = dict.fromkeys(mechanisms[0].bodies, 0.0)
+    tolerance = [mechanism.assembly.tolerance for mechanism in mechanisms]
+    return consistent_states(q.reshape(len(q), -1), v.reshape(len(v), -1), tolerance, [*mechanisms[0].bodies], search)
+
+
+def consistent_states(
+    q: np.ndarray, v: np.ndarray, tolerance: Sequence[float], names: Sequence[str], search: LeastChange
+) -> list[AssembledState | None]:
+    """Return N states that satisfy the constraints without any change; None for each that does not.
+
+    They are bitwise equal to those of `assemble`. `q`, `v`: (N, 3 (B + 1)) positions and velocities, ground last.
+    `tolerance`: (N,) tolerances of assembly. `names`: (B,) names of the bodies.
+    """
+    phi, rate = search.residuals(q, v)
+    gap, speed, far, fast = (np.abs(x).max(axis=1, initial=0.0).tolist() for x in (phi, rate, q, v))
+    none = dict.fromkeys(names, 0.0)
+    positions, velocities = (x.reshape(len(x), -1, 3)[:, :-1] for x in (q, v))
     states: list[AssembledState | None] = []
-    for k, mechanism in enumerate(mechanisms):
-        tolerance = mechanism.assembly.tolerance
-        q_tolerance, v_tolerance = tolerances(tolerance, far[k], fast[k], search)
+    for k in range(len(q)):
+        q_tolerance, v_tolerance = tolerances(tolerance[k], far[k], fast[k], search)
         is_consistent = gap[k] <= q_tolerance and speed[k] <= v_tolerance
-        state = AssembledState(q[k, :-1], v[k, :-1], False, none, none, none, none, gap[k], speed[k])
+        state = AssembledState(positions[k], velocities[k], False, none, none, none, none, gap[k], speed[k])
         states.append(state if is_consistent else None)
     return states

@@ -222,10 +222,12 @@ class LaneStepper:
         mechanisms = [start.mechanism for start in starts]
         topologies = [one.topology for one in mechanisms]
         if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
-            lane = 0
+            before, self._topologies, lane = self._topologies, [None] * WIDTH, 0  # until all are copied
             for _, alike in groupby(topologies, key=id):  # idle lanes repeat the first run
                 count = len(same := [*alike])
-                fill_lanes(c.top, slice(lane, lane + count), same[0])
+                loaded = before[lane : lane + count]
+                known = loaded[0] if all(one is loaded[0] for one in loaded) else None
+                fill_lanes(c.top, slice(lane, lane + count), same[0], known)
                 lane += count
             self._topologies, self._varied = [*topologies], None
         _put(c.q, [start.q0 for start in starts])
@@ -284,10 +286,9 @@ class LaneStepper:
             See `LaneResults.work`.
         """
         c, count = self.run, len(rows)
-        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.worst, c.row_interval)
-        time, q, v, z, energy, *observed, worst, iterations = (
-            by_run(x, count) if x is c.worst else by_run(x[: rows.max()], count) for x in arrays
-        )
+        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
+        worst, last = by_run(c.worst, count), int(rows.max())
+        time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
         guards = np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time])[:, :count]
         turns = [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
         counts = {name: c.counts[place, :count].astype(int) for name, place in _COUNTED.items()}

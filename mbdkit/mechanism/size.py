@@ -8,6 +8,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.traced_numbers import as_float, largest, smallest
+from mbdkit.mechanism.bodies import Body
 from mbdkit.mechanism.mechanism import Mechanism
 
 
@@ -25,24 +26,20 @@ def mechanism_sizes(mechanisms: Sequence[Mechanism], positions: np.ndarray) -> n
 
     `positions`: (R, B, 3) array: the positions of the bodies of each mechanism.
     """
-    held = [joint_points(mechanism) for mechanism in mechanisms]
+    held = [_joint_points(mechanism) for mechanism in mechanisms]
     bodies = held[0][0]
     if any(other != bodies for other, _ in held):
         return np.array([mechanism_size(*mechanism) for mechanism in zip(mechanisms, positions, strict=True)])
-    return sizes_of(bodies, np.array([own for _, own in held]).reshape(len(held), -1, 2), positions)
-
-
-def sizes_of(bodies: Sequence[int], points: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Return the sizes of R mechanisms from their P joint points (R, P, 2); see `joint_points`, `mechanism_sizes`."""
+    points = np.array([own for _, own in held]).reshape(len(held), -1, 2)
     poses = np.concatenate([positions, np.zeros((len(positions), 1, 3))], axis=1)  # ground is the last body
     at, x, y = poses[:, bodies], points[..., 0], points[..., 1]
     c, s = elementary.cos(at[..., 2]), elementary.sin(at[..., 2])
     joints = np.stack([at[..., 0] + c * x - s * y, at[..., 1] + s * x + c * y], axis=-1)
     every = np.concatenate([positions[..., :2], joints], axis=1)
-    return np.asarray(np.max(np.ptp(every, axis=1), axis=1)) if every.shape[1] else np.zeros(len(positions))
+    return np.asarray(np.max(np.ptp(every, axis=1), axis=1)) if every.shape[1] else np.zeros(len(held))
 
 
-def joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
+def _joint_points(mechanism: Mechanism) -> tuple[list[int], list[tuple[float, float]]]:
     """Return the joint points in the frames of their bodies, and the indices of these bodies, ground last."""
     numbers = {name: number for number, name in enumerate(mechanism.bodies)}
     attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
@@ -67,7 +64,8 @@ def size_if_below(mechanism: Mechanism, limit: float) -> float:
 
 def extent(points: Sequence[tuple[float, float]]) -> float:
     """Return the longer side of the bounding box of points, parallel to the axes [m]."""
-    return as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
+    size: float = as_float(largest([largest(x) - smallest(x) for x in zip(*points, strict=True)]))
+    return size
 
 
 def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float, float]]]:
@@ -75,3 +73,13 @@ def points_of_elements(mechanism: Mechanism) -> Iterator[tuple[str, tuple[float,
     for elements in mechanism.elements.values():
         for element in elements.values():
             yield from element.extent_points()
+
+
+def size_at_given_positions(mechanism: Mechanism) -> float:
+    """Return the size of a mechanism if its bodies are where the mechanism places them, with the bits of
+    `mechanism_size`.
+    """
+    ground = Body(mass=1.0, inertia=1.0)
+    attachments = [attached for joint in mechanism.joints.values() for attached in joint.attachments()]
+    centres = [body.position for body in mechanism.bodies.values()]
+    return extent([*centres, *(mechanism.bodies.get(body, ground).to_global(point) for _, body, point in attachments)])

@@ -124,4 +124,4 @@ def _check_by(one: Any, value: Any) -> None:
 def _is_harmless(one: Any) -> bool:
     """Return whether metadata say nothing about the value of a finite float."""
     settings = getattr(one, "__dict__", {})
-    return settings.keys() <= {"allow_inf_nan", "strict"}
+    return len(settings) > 0 and settings.keys() <= {"allow_inf_nan", "strict"}

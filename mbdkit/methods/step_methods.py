@@ -87,6 +87,40 @@ class StepState:
             low = (*low, dz - (z - self.z))
         return StepState(q, v, multipliers, memory, work, dissipated, low, z)
 
+    def interpolant(
+        self,
+        h: float,
+        change: tuple[np.ndarray, np.ndarray, np.ndarray],
+        accelerations: tuple[np.ndarray, np.ndarray],
+        rates: tuple[np.ndarray, np.ndarray],
+    ) -> Dense:
+        """Return the dense output of a step from this state: the polynomial of degree 5 in q with the positions,
+        velocities and accelerations of both ends, its derivative in v, and the cubic polynomial with the values and
+        rates of both ends in z.
+
+        Parameters
+        ----------
+        h
+            Size of the step [s].
+        change
+            Changes of positions (n,), velocities (n,) and first-order states (Z,).
+        accelerations, rates
+            (n,) and (Z,) values at both ends.
+        """
+        (dq, dv, dz), (a, a1), (r, r1) = change, accelerations, rates
+        v = h * self.v
+        of_q, of_v, of_a = dq - v - h**2 / 2 * a, h * dv - h**2 * a, h**2 * (a1 - a)
+        c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
+        of_z, of_r = dz - h * r, h * (r1 - r)
+
+        def dense(x: float) -> tuple[np.ndarray, ...]:
+            q = self.q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
+            velocity = self.v + x * (h * a + x / h * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
+            z = self.z + x * (h * r + x * (3 * of_z - of_r + x * (of_r - 2 * of_z)))
+            return q, velocity, z
+
+        return dense
+
 
 class StepEvent(Protocol):
     """An event at which a step ends before its planned end, such as an impact."""

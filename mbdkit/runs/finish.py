@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 
 import h5py
@@ -63,19 +64,29 @@ def finish(
     return Run(ArchiveContents.just_written(writer) if file is None else file)
 
 
-def run_in_memory(finished: FinishedRun, spec: RunSpec, created_utc: str, gradients: str = "") -> Run:
+def run_in_memory(
+    finished: FinishedRun | Callable[[], FinishedRun],
+    settings: RunSpec,
+    created_utc: str,
+    gradients: str = "",
+    spec: Callable[[], RunSpec] | None = None,
+) -> Run:
     """Return a finished run with its measures.
 
-    `created_utc`: time at which the run began, ISO 8601. `gradients`: gradients of the measures as JSON; empty if there
-    are none.
+    - `finished`: the run, or a function that is called when its results are needed.
+    - `settings`: spec of the run or, if `spec` is given, of a run that differs in numbers of its model only.
+    - `created_utc`: time at which the run began, ISO 8601.
+    - `gradients`: gradients of the measures as JSON; empty if there are none.
+    - `spec`: function that returns the spec of the run when it is needed.
     """
     contents = partial(
-        ArrayContents, finished, spec, run_id=spec.run_id, created_utc=created_utc,
-        provenance=partial(provenance, spec),
+        ArrayContents, finished, settings if spec is None else spec, run_id=methodcaller("run_id"),
+        created_utc=created_utc, provenance=provenance,
     )  # fmt: skip
-    if not spec.measures:
+    if not settings.measures:
         return Run(contents())
-    return Run(contents(measured=_taken(spec, Run(contents())), gradients=gradients))
+    run = Run(contents())
+    return Run(contents(measured=_taken(run.run_spec, run), gradients=gradients))
 
 
 def _taken(spec: ModelSpec, run: Run) -> MeasuredValues:

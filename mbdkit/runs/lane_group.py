@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,9 +52,13 @@ MOST_TOGETHER = 32 * WIDTH  #: Largest number of runs whose arrays are computed 
 
 @dataclass(eq=False)
 class LaneMember:
-    """A prepared run that can be vectorized."""
+    """A prepared run that can be vectorized.
 
-    spec: RunSpec
+    If `varied` is given, `settings` is the spec of a run that differs in numbers of its model only, and `varied`
+    returns the spec of this run.
+    """
+
+    settings: RunSpec
     method: Method
     start: MechanismAtStart
     table: Timetable
@@ -64,13 +68,20 @@ class LaneMember:
     findings: tuple[Finding, ...]
     topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
     seconds: float = 0.0  #: Wall time of the preparation [s].
+    varied: Callable[[], RunSpec] | None = None
+    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end.
+
+    @property
+    def spec(self) -> RunSpec:
+        """The spec of the run."""
+        return self.settings if self.varied is None else self.varied()
 
     @property
     def key(self) -> tuple[object, ...]:
         """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
         table, pivots = self.table, None if self.pivots is None else self.pivots.key
         steps = table.interval if self.method.traits.tolerances else table.steps
-        settings = self.spec.output.recorded, tuple(self.spec.accept)
+        settings = self.settings.output.recorded, tuple(self.settings.accept)
         return self.topology, self.method, pivots, steps, table.every, settings
 
 
@@ -91,13 +102,17 @@ class Watch:
     """What watches the recorded states of a run in a lane."""
 
     def __init__(self, member: LaneMember, results: LaneResults, run: int):
+        self._member = member
+        self._ranges = self._watchers = None
+        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
+        if not member.watched:
+            return
         mechanism, rows, spec = member.start.mechanism, int(results.rows[run]), member.spec
         self._ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
-        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
         if self._ranges is not None:
             left = self._ranges.add(results.time[run, :rows], results.observed.forces[run, :rows])
             self.has_stopped = left is not None and self._ranges.stops
-        self._watchers, self._member = StateWatchers(spec, mechanism, member.size), member
+        self._watchers = StateWatchers(spec, mechanism, member.size)
         if self._watchers:
             observed = Observed(*(values[run, :rows] for values in results.observed))
             time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
@@ -106,7 +121,8 @@ class Watch:
     def findings(self, energies: np.ndarray) -> tuple[Finding, ...]:
         """Return what is found in the run, from the values of its `EnergyRecord`."""
         ranges = () if self._ranges is None else self._ranges.findings()
-        return (*self._member.findings, *self._watchers.findings(EnergyRecord.of(energies), {}), *ranges)
+        watched = () if self._watchers is None else self._watchers.findings(EnergyRecord.of(energies), {})
+        return (*self._member.findings, *watched, *ranges)
 
 
 class PreparedRuns:
@@ -175,7 +191,7 @@ class PreparedRuns:
         They are computed from the rows of the runs, which are the ends of all steps.
         """
         integrals: list[Integrals] = []
-        for run, member in enumerate(self.members if functionals_of(self.first.spec, measures) else ()):
+        for run, member in enumerate(self.members if functionals_of(self.first.settings, measures) else ()):
             start, rows = member.start, int(results.rows[run])
             workspace, stiff = Workspace(start.mechanism, member.table.start, start.q0, start.v0), member.method.traits
             functionals = functionals_of(member.spec, measures)
@@ -235,7 +251,8 @@ class VariedRuns(PreparedRuns):
         guards = replace(self.first.table.guards, misalignment=float(self.starts.limits[run]))
         table, size, extent = replace(self.first.table, guards=guards), float(self.size[run]), float(self.extent[run])
         start = self.starts.at(run)
-        return replace(self.first, spec=self.spec(run), start=start, table=table, size=size, extent=extent)
+        spec = partial(self.spec, run)
+        return replace(self.first, varied=spec, start=start, table=table, size=size, extent=extent)
 
     def of(self, runs: Sequence[int]) -> VariedRuns:
         """See `PreparedRuns.of`."""
@@ -297,7 +314,7 @@ class LaneGroup:
     """
 
     def __init__(self, first: LaneMember):
-        mechanism, spec = first.start.mechanism, first.spec
+        mechanism, spec = first.start.mechanism, first.settings
         start = first.start
         workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
         self.stepper = _stepper(first, workspace)
@@ -311,17 +328,50 @@ class LaneGroup:
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
 
-    def finished(self, runs: PreparedRuns, measures: Sequence[str]) -> tuple[list[int], FinishedRuns | None]:
+    def finished(
+        self, members: PreparedRuns | Sequence[LaneMember], measures: Sequence[str]
+    ) -> tuple[list[int], FinishedRuns | None]:
         """Carry out at most `size` runs of the group together.
 
         Returns the indices of the runs that have ended, and their results; the others must be repeated alone.
         """
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
         begin, cpu = time.perf_counter(), time.process_time()
+        runs = members if isinstance(members, PreparedRuns) else PreparedRuns(members)
+        ended, finished = self._ended(runs, self._advanced(runs), measures)
+        if finished is not None:
+            spent = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
+            shares = {name: np.full(len(ended), seconds / len(runs)) for name, seconds in spent.items()}
+            finished = replace(finished, stats={**finished.stats, **shares})
+        return ended, finished
+
+    def advance(self, members: Sequence[LaneMember]) -> LaneResults:
+        """Take the steps of at most `size` runs of the group."""
+        return self._advanced(PreparedRuns(members))
+
+    def _advanced(self, runs: PreparedRuns) -> LaneResults:
         vectors = range(0, len(runs), WIDTH)
-        results = LaneResults.joined([runs.advance(self.stepper, slice(one, one + WIDTH)) for one in vectors])
-        ended, count = runs.sound(results), len(runs)
-        if len(ended) < count:
+        return LaneResults.joined([runs.advance(self.stepper, slice(one, one + WIDTH)) for one in vectors])
+
+    def sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
+        """Return the indices of the runs that need not be repeated alone, as far as their joints are concerned."""
+        sound: list[int] = PreparedRuns(members).sound(results).tolist()
+        return sound
+
+    def concluded(
+        self, members: Sequence[LaneMember], results: LaneResults, measures: Sequence[str]
+    ) -> tuple[list[int], FinishedRuns | None]:
+        """Return the indices of the runs that have ended, and what they have recorded, without the times of the steps.
+
+        The others must be repeated alone.
+        """
+        return self._ended(PreparedRuns(members), results, measures)
+
+    def _ended(
+        self, runs: PreparedRuns, results: LaneResults, measures: Sequence[str]
+    ) -> tuple[list[int], FinishedRuns | None]:
+        ended = runs.sound(results)
+        if len(ended) < len(runs):
             results, runs = results.of(ended), runs.of(ended.tolist()) if len(ended) else runs
         watches = runs.watched(results) if len(ended) else None
         if watches is not None and any(watch.has_stopped for watch in watches):
@@ -330,10 +380,7 @@ class LaneGroup:
             results, runs = results.of(np.array(kept, int)), runs.of(kept) if kept else runs
         if not len(ended):
             return [], None
-        finished = self._concluded(runs, results, watches, measures)
-        spent = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
-        shares = {name: np.full(len(ended), seconds / count) for name, seconds in spent.items()}
-        return ended.tolist(), replace(finished, stats={**finished.stats, **shares})
+        return ended.tolist(), self._concluded(runs, results, watches, measures)
 
     def _concluded(
         self, runs: PreparedRuns, results: LaneResults, watches: list[Watch] | None, measures: Sequence[str]
@@ -348,7 +395,7 @@ class LaneGroup:
         if watches is not None:
             found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
         begin = time.perf_counter()
-        digests = self.hash.shared_digests(arrays) if results.work is None else {}
+        digests = self.hash.shared_digests(arrays) if results.work is None and count > 1 else {}
         settings = runs.settings()
         arrays |= settings
         lengths = {"time": results.rows, "interval": results.rows - 1}
@@ -358,7 +405,7 @@ class LaneGroup:
         finish = (time.perf_counter() - begin) / count
         stats = dict(results.counters)
         stats["factorizations"] = stats["factorizations"] + int(first.pivots is not None)
-        known = {one: (Doubts.of(one, first.spec.accept), tuple(map(str, one))) for one in dict.fromkeys(found)}
+        known = {one: (Doubts.of(one, first.settings.accept), tuple(map(str, one))) for one in dict.fromkeys(found)}
         finished = FinishedRuns(
             status="complete", reason="",
             stats={**stats, "setup_s": runs.seconds, "finish_s": np.full(count, finish)},
@@ -448,7 +495,7 @@ class _Extremes:
         ]
 
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
-        ended = EndedRun(mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.spec.finer)
+        ended = EndedRun(mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer)
         extremes = Extremes(
             float(self.results.time[run, -1]),
             self.misalignment[run],

@@ -122,7 +122,7 @@ class LaneRuns:
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
         self._measures = measures
         self._groups: dict[tuple[object, ...], LaneGroup] = {}
-        self.starts, self._pivots = starts, PivotsAtStart()
+        self.starts, self.pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
         self._table: tuple[tuple[object, ...], Timetable] | None = None
@@ -186,7 +186,7 @@ class LaneRuns:
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
             return None
-        pivots = self._pivots.of(method, start, table)
+        pivots = self.pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))
         return LaneMember(spec, method, start, table, pivots, size, extent, found, self._topology_of(start.mechanism))
 
@@ -215,7 +215,7 @@ class LaneRuns:
         for place, member in enumerate(members):
             groups[member.key].append(place)
         for key, places in groups.items():
-            group = self._group(key, members[places[0]])
+            group = self.group(members[places[0]], key)
             if members[places[0]].method.traits.tolerances:
                 places = _by_cost(members, places)
             for first in range(0, len(places), group.size):
@@ -247,7 +247,7 @@ class LaneRuns:
         if prepared is None:
             self._bases[numbers] = None
             return
-        group = self._group(base.key, base)
+        group = self.group(base, base.key)
         for first in range(0, len(prepared), group.size):
             some = range(first, min(len(prepared), first + group.size))
             places, runs = group.finished(prepared.of(some), self._measures)
@@ -273,7 +273,8 @@ class LaneRuns:
             and not spec.files_read
         )
 
-    def _group(self, key: tuple[object, ...], first: LaneMember) -> LaneGroup:
+    def group(self, first: LaneMember, key: tuple[object, ...]) -> LaneGroup:
+        """Return the group of runs with the key of `first`."""
         group = self._groups.pop(key, None) or LaneGroup(first)
         self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
         if len(self._groups) > MOST_GROUPS:
@@ -322,8 +323,8 @@ def _varied_runs(base: LaneMember, stacks: Stacks, spec: Callable[[int], RunSpec
         top = mechanism.topology
         if len(looped_rows(mechanism)) or len(top.motion_start) > 1 or len(top.centers) or start.assembled.changed:
             return None
-        q, v, extent = stacks.q, stacks.v, stacks.sizes()
-        size = np.where(extent == 0.0, stacks.length.ravel(), extent)
+        q, v, extent = stacks.q, stacks.v, stacks.size.ravel()
+        size = np.where(extent == 0.0, stacks.longest.ravel(), extent)
         # Residuals are computed in another order than by assembly.
         tolerance = stacks.tolerance.ravel() * (1.0 - 1e-6)
     starts = VariedStarts(mechanism, stacks.topology, q, v, base.spec.limits.misalignment * size)

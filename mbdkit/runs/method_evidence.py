@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-import mbdkit
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.engine.native import machine_code
@@ -30,7 +29,7 @@ FILE, FORMAT, FORMAT_VERSION = "mbdkit-evidence.json", "mbdkit-evidence", 1
 CRITERION = "method-evidence"
 Word = Literal["verified", "changed since", "failed", "never", "checkout"]
 
-_OWN = Path(mbdkit.__file__).parent
+_OWN = Path(__file__).parent.parent
 #: Folders of mbdkit of which its methods consist, besides machine code; reading all of mbdkit takes ten times as long.
 _OWN_CODE = ("methods", "integrators")
 _CRLF, _LF = b"\r\n", b"\n"

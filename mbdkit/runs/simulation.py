@@ -37,6 +37,7 @@ from mbdkit.runs.preparation import (
     check_disk_space,
     make_method,
 )
+from mbdkit.runs.repeated_runs import repeated_run
 from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
 from mbdkit.runs.simulated_run import SimulatedRun
@@ -106,9 +107,14 @@ def run(
     >>> run.misalignment_max < 1e-9
     True
     """
-    spec = load_spec(source, (), **sections)
     path = None if archive is None else Path(archive)
     is_shown = progress is None and in_notebook()
+    is_plain = type(source) is dict and path is None and progress is None and not (is_shown or call)
+    if is_plain and not _LOG.isEnabledFor(logging.INFO):
+        again = repeated_run({**source, **sections}, load_spec)  # type: ignore[dict-item]
+        if again is not None:
+            return again
+    spec = load_spec(source, (), **sections)
     with progress_bar(spec.title or spec.model_item.name, quiet=not is_shown) as bar, calls_allowed(call):
         result = simulate(spec, path=path, overwrite=overwrite, progress=progress or bar)
     warn_on_stderr(result.warnings)

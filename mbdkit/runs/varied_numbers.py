@@ -8,6 +8,7 @@ comparisons have the same outcome; for other values, the model is built and reco
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,12 +23,13 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.mechanism.checks import check_centers, check_springs
+from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import names_in, parameter_values
-from mbdkit.mechanism.size import joint_points, sizes_of
+from mbdkit.mechanism.size import size_at_given_positions
 from mbdkit.mechanism.traced_elements import with_numbers
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.findings import findings
+from mbdkit.runs.findings import criteria, findings
 from mbdkit.runs.law_ranges import has_ranges
 from mbdkit.runs.preparation import timetable
 from mbdkit.runs.state_watchers import StateWatchers
@@ -37,7 +39,7 @@ from mbdkit.trust.finding import Finding
 
 MOST_VARIANTS = 8  #: Largest number of times that formulas are recorded, for other outcomes of comparisons.
 
-STATE = ("q", "v", "tolerance", "length", "points")  #: Arrays of a mechanism besides those of its topology.
+STATE = ("q", "v", "tolerance", "longest", "size")  #: Arrays of a mechanism besides those of its topology.
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +49,9 @@ class Stacks:
     - `members`: (M,) indices of the mechanisms among those that were asked for.
     - `topology`: arrays (M, ...) of those fields of `Topology` that differ between the mechanisms.
     - `q`, `v`: (M, 3 (B + 1)) initial positions and velocities before assembly, ground last.
-    - `tolerance`: (M,) tolerance of assembly.
-    - `length`: (M,) characteristic length [m].
-    - `points`: (M, P, 2) joint points in the frames of the bodies `point_bodies` (P,) [m].
+    - `tolerance`: (M, 1) tolerance of assembly.
+    - `longest`: (M, 1) characteristic length [m].
+    - `size`: (M, 1) size of the mechanism at its start [m]; see `mbdkit.mechanism.size`.
     """
 
     members: np.ndarray
@@ -57,13 +59,8 @@ class Stacks:
     q: np.ndarray
     v: np.ndarray
     tolerance: np.ndarray
-    length: np.ndarray
-    points: np.ndarray
-    point_bodies: Sequence[int]
-
-    def sizes(self) -> np.ndarray:
-        """Return the sizes of the mechanisms at their starts (M,) [m]; see `mbdkit.mechanism.size`."""
-        return sizes_of(self.point_bodies, self.points, self.q.reshape(len(self.q), -1, 3)[:, :-1])
+    longest: np.ndarray
+    size: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +71,8 @@ class Variant:
     - `places`: for each of these arrays that varies, the indices in the flat array, and those of the results.
     - `formulas`: the formulas.
     - `compiled`, `table`: the compiled mechanism for these numbers, and the timetable without limits on states.
-    - `points`: bodies of the joint points; see `mbdkit.mechanism.size.joint_points`.
     - `findings`: what criteria of specs find, which is equal for all numbers.
-    - `watched`: whether recorded states are watched, by criteria that need the spec or for the ranges of laws.
+    - `watched`: whether criteria look at recorded states, or at the spec at the end of a run.
     """
 
     base: Mapping[str, np.ndarray]
@@ -84,7 +80,6 @@ class Variant:
     formulas: Formulas
     compiled: CompiledMechanism
     table: Timetable
-    points: Sequence[int]
     findings: tuple[Finding, ...]
     watched: bool
 
@@ -105,7 +100,10 @@ class Variant:
             recorded = compile_mechanism(mechanism)
             check_springs(mechanism.forces, mechanism.bodies.__getitem__)
             check_centers(mechanism.joints, mechanism.bodies.__getitem__)
-            watched = bool(StateWatchers(varied, recorded, 1.0)) or has_ranges(mechanism)
+            # `passive-laws` looks at the laws of forces only
+            watched = any(isinstance(force, Law) for force in mechanism.forces.values())
+            watched |= any(criterion.name != "passive-laws" for _, criterion in criteria("end", varied))
+            watched |= bool(StateWatchers(varied, recorded, 1.0)) or has_ranges(mechanism)
             is_equal = timetable(varied, None) == table
             arrays = arrays_of(mechanism, recorded)
         is_equal &= all(array.tobytes() == base[name].tobytes() for name, array in arrays.items())
@@ -116,8 +114,7 @@ class Variant:
             if traced := trace.arrays.get(id(array), (array, {}))[1]:
                 places[name] = np.array([*traced]), len(results) + np.arange(len(traced))
                 results += traced.values()
-        points = joint_points(spec.mechanism())[0]
-        return cls(base, places, trace.formulas(results), compiled, table, points, found, watched)
+        return cls(base, places, trace.formulas(results), compiled, table, found, watched)
 
     @cached_property
     def key(self) -> tuple[object, ...]:
@@ -147,26 +144,36 @@ class VariedNumbers:
         self.variants: list[Variant] = []
         self._recorded = 0
 
+    def results(self, numbers: Sequence[float]) -> tuple[Variant, tuple[float, ...]] | None:
+        """Return the results of the formulas for some numbers; None if there are no formulas for them."""
+        if not all(map(math.isfinite, numbers)):  # validation rejects them
+            return None
+        for variant in self.variants:
+            if (results := variant.formulas(*numbers)) is not None:
+                return variant, results
+        made = self._new_variant(numbers)
+        return None if made is None else (made, made.formulas(*numbers) or ())
+
     def stacks(self, values: np.ndarray) -> Stacks | None:
         """Return the arrays of N mechanisms with other numbers (N, K); None if there are formulas for none of them."""
-        numbers, left = values.tolist(), list(range(len(values)))
-        parts: list[tuple[Variant, list[int], np.ndarray]] = []
-        for variant in self._variants_for(numbers, left):
-            results = {member: result for member in left if (result := variant.formulas(*numbers[member])) is not None}
-            if results:
-                parts.append((variant, [*results], np.array([*results.values()]).reshape(len(results), -1)))
-                left[:] = [member for member in left if member not in results]
+        parts: dict[Variant, tuple[list[int], list[tuple[float, ...]]]] = {}
+        for member, numbers in enumerate(values.tolist()):
+            if (found := self.results(numbers)) is not None:
+                part = parts.setdefault(found[0], ([], []))
+                part[0].append(member)
+                part[1].append(found[1])
         if not parts:
             return None
-        order = np.argsort(np.concatenate([members for _, members, _ in parts]), kind="stable")
-        names = {name for variant in self.variants for name in self._varying(variant)}
+        members = np.concatenate([members for members, _ in parts.values()])
+        order = np.argsort(members)
+        names = {name for variant in parts for name in self._varying(variant)}
         arrays = {
-            name: np.concatenate([variant.rows(name, results) for variant, _, results in parts])[order]
+            name: np.concatenate([variant.rows(name, np.array(results)) for variant, (_, results) in parts.items()])
             for name in (*STATE, *names.difference(STATE))
         }
-        members = np.concatenate([members for _, members, _ in parts])[order]
+        arrays = {name: array[order] for name, array in arrays.items()}
         state = {name: arrays.pop(name) for name in STATE}
-        return Stacks(members=members, topology=arrays, point_bodies=parts[0][0].points, **state)
+        return Stacks(members=members[order], topology=arrays, **state)
 
     def _varying(self, variant: Variant) -> Iterator[str]:
         """Yield the names of the arrays that differ between the mechanisms of this variant and the first one."""
@@ -175,22 +182,19 @@ class VariedNumbers:
             if name in variant.places or array.tobytes() != first[name].tobytes():
                 yield name
 
-    def _variants_for(self, numbers: Sequence[Sequence[float]], left: Sequence[int]) -> Iterator[Variant]:
-        """Yield the known variants, and new ones for the first of the members that are left, until none is left."""
-        yield from self.variants
-        tried = 0
-        while len(left) > tried and self._recorded < MOST_VARIANTS:
-            self._recorded += 1
-            try:
-                variant = Variant.of(self._spec(numbers[left[tried]]), self.paths, self._measures)
-            except (Exception, SystemExit):  # the spec is not valid, or a plugin computes in another way
-                tried += 1
-                continue
-            if self.variants and variant.key != self.variants[0].key:
-                tried += 1
-                continue
-            self.variants.append(variant)
-            yield variant
+    def _new_variant(self, numbers: Sequence[float]) -> Variant | None:
+        """Record formulas for some numbers; None if that is not possible, or if there are many variants already."""
+        if self._recorded >= MOST_VARIANTS:
+            return None
+        self._recorded += 1
+        try:
+            variant = Variant.of(self._spec(numbers), self.paths, self._measures)
+        except (Exception, SystemExit):  # the spec is not valid, or code computes in a way that cannot be recorded
+            return None
+        if self.variants and variant.key != self.variants[0].key:
+            return None
+        self.variants.append(variant)
+        return variant
 
 
 def arrays_of(mechanism: Mechanism, compiled: CompiledMechanism) -> dict[str, np.ndarray]:
@@ -201,8 +205,8 @@ def arrays_of(mechanism: Mechanism, compiled: CompiledMechanism) -> dict[str, np
         "q": float_array([*(x for body in bodies for x in (*body.position, body.angle)), 0.0, 0.0, 0.0]),
         "v": float_array([*(x for body in bodies for x in (*body.velocity, body.angular_velocity)), 0.0, 0.0, 0.0]),
         "tolerance": float_array([mechanism.assembly.tolerance]),
-        "length": float_array([compiled.length]),
-        "points": float_array(joint_points(mechanism)[1], 2),
+        "longest": float_array([compiled.length]),
+        "size": float_array([size_at_given_positions(mechanism)]),
     }
 
 
@@ -211,13 +215,15 @@ def _with_traced_numbers(spec: RunSpec, paths: Sequence[Path], trace: Trace) -> 
     parameters: dict[str, Any] = dict(spec.parameters)
     data = {"model": canonical(spec.model)}
     for path in paths:
-        holder: Any = {**data, "parameters": parameters}
-        for key in path[:-1]:
-            holder = holder[key]
-        value = holder[path[-1]]
-        if path in spec.written or not isinstance(value, int | float) or isinstance(value, bool):
+        holder: Any = None
+        value: Any = {**data, "parameters": parameters}
+        own: Path = ()
+        for key in path:
+            holder, own = value, (*own, int(key) if isinstance(value, list) else key)
+            value = holder[own[-1]]
+        if own in spec.written or not isinstance(value, int | float) or isinstance(value, bool):
             raise UntraceableError("the value is not a number")
-        holder[path[-1]] = trace.input(float(value))
+        holder[own[-1]] = trace.input(float(value))
     numbers = parameter_values(parameters)
     traced = {name for name, value in numbers.items() if is_traced(value)}
     for path, written in spec.written.items():

@@ -173,12 +173,6 @@ class ModelSpec(StrictSpec):
         """Return the measures of the result."""
 
     @property
-    def catalogue(self) -> dict[str, str]:
-        """Title, description, creator and licence, of which some may be empty, and the names of model and method."""
-        names = {"model": self.model_item.name, "integrator": getattr(self, "integrator_item", self.model_item).name}
-        return {"title": self.title, **dict(self.meta), **names}
-
-    @property
     def estimated(self) -> Estimated | None:
         """The parameters that are estimates, with their covariance; None if there are none."""
         result = None if self.estimates is None else self.estimates.within(self.parameters)

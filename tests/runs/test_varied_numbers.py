@@ -84,7 +84,9 @@ def assert_equal_to_ordinary(spec: RunSpec, paths: list[Path], values: np.ndarra
     variant = varied_numbers.variants[0]
     for number, member in enumerate(stacks.members.tolist()):
         other = varied(values[member].tolist())  # raises no error
-        expected = arrays_of(other.mechanism(), compile_mechanism(other.mechanism()))
+        compiled = compile_mechanism(other.mechanism())
+        expected = arrays_of(other.mechanism(), compiled)
+        assert len(expected) == len(compiled.topology) + len(STATE)
         for name, array in expected.items():
             assert array.tobytes() == member_array(stacks, variant.base, name, number).tobytes(), (name, values[member])
         assert tuple(findings("spec", other, ())) == variant.findings

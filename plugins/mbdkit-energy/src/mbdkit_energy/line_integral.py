@@ -38,7 +38,6 @@ from mbdkit.plugin.equations import gauss_on_unit
 
 if TYPE_CHECKING:
     from mbdkit.plugin import IterationMatrix
-    from mbdkit.plugin.methods import Dense
 
 #: Relative change of velocities at which iterations end, and below which they end if the change does not halve.
 CONVERGED, STAGNANT = 2e-16, 1e-9
@@ -258,7 +257,9 @@ class _Trial:
             result = mbdkit.StepState(result.q, v)
         a, lam = equations.accelerations(end, result.q, result.v)
         result = replace(result, multipliers=lam, memory=(a, lam, self.energy))
-        return mbdkit.Step(result, dense=self._interpolant(result, a))
+        begin, none = self.state, np.zeros_like(result.z)
+        change = result.q - begin.q, result.v - begin.v, none
+        return mbdkit.Step(result, dense=begin.interpolant(h, change, (begin.memory[0], a), (none, none)))
 
     def _kinetic(self, t: float, end: mbdkit.StepState) -> float:
         """Return the kinetic energy of the end of the step, with which rounding errors of the energy do not accumulate
@@ -271,19 +272,6 @@ class _Trial:
         if works or abs(lost) > ROUNDING * (abs(potential) + kinetic):
             self.energy, lost = potential + kinetic, 0.0
         return kinetic + lost
-
-    def _interpolant(self, state: mbdkit.StepState, a1: np.ndarray) -> Dense:
-        """Return the quintic polynomial through positions, velocities and accelerations at both ends of the step."""
-        h, q, a = self.h, self.state.q, self.state.memory[0]
-        v = h * self.state.v
-        of_q, of_v, of_a = state.q - q - v - h**2 / 2 * a, h * state.v - v - h**2 * a, h**2 * (a1 - a)
-        c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
-
-        def dense(x: float) -> tuple[np.ndarray, ...]:
-            position = q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
-            return position, (v + x * (h**2 * a + x * (3 * c3 + x * (4 * c4 + x * 5 * c5)))) / h, state.z
-
-        return dense
 
 
 def sums(weights: np.ndarray, x: np.ndarray) -> np.ndarray:

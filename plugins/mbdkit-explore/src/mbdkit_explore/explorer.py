@@ -13,6 +13,7 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.plain_data import copied, plain
 from mbdkit.base.text import shown
+from mbdkit.runs.preparation import build
 from mbdkit.spec.loading import load_spec, read_source
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
@@ -91,7 +92,7 @@ class Explorer:
     def _starts(self, slider: Slider, value: float) -> bool:
         assert self._prepared is not None
         try:
-            self._prepared.start_with({slider.key: value})
+            build(self._prepared.spec_with({slider.key: value}))
         except MbdkitError:
             return False
         return True

@@ -293,3 +293,37 @@ def test_motion_and_forces_follow_a_slider_in_two_browsers(knee: Exploration) ->
 def test_a_port_that_does_not_exist_is_refused_in_one_sentence(port: Any) -> None:
     with pytest.raises(mbdkit.MbdkitError, match=f"port '?{port}'? of this machine cannot be used"):
         mbdkit.explore("double-pendulum", port=port)
+
+
+def test_torques_of_drivers_are_plotted() -> None:
+    charts: Any = explorer_of("slider-crank", ["model.bodies.rod.mass"]).answer({})["charts"]
+    torques = next(chart for chart in charts if chart["name"] == "torques")
+    assert [line["label"] for line in torques["lines"]] == ["motor"]
+    assert torques["y"]["title"] == "torque [N m]"
+
+
+def test_sliders_end_where_the_spec_is_valid() -> None:
+    # expected: two rods between pins at a distance of 2 m, one of them 1 m long: the other is at least 1 m long
+    keys = {one.key: one for one in explorer_of("slider-crank").sliders}
+    assert "model.bodies.crank.angular_velocity" not in keys  # given by the motor, so that no other value is valid
+    reaching = {
+        "mbdkit": 1,
+        "parameters": {"a": 1.5},
+        "model": {
+            "name": "mechanism",
+            "bodies": {
+                "one": {"mass": 1.0, "inertia": 0.1, "angle": 0.5054},
+                "two": {"mass": 1.0, "inertia": 0.1, "position": [2, 0], "angle": -0.8128},
+            },
+            "joints": {
+                "A": {"type": "revolute", "bodies": ["ground", "one"], "points": [[0, 0], [0, 0]]},
+                "B": {"type": "revolute", "bodies": ["one", "two"], "points": [["a", 0], [-1, 0]]},
+                "C": {"type": "revolute", "bodies": ["ground", "two"], "points": [[2, 0], [0, 0]]},
+            },
+        },
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.01, "step": 0.01},
+    }
+    (slider,) = explorer_of(reaching).sliders
+    assert slider.low == pytest.approx(1.0, abs=0.75 / 2**6)
+    assert slider.low >= 1.0

@@ -16,8 +16,7 @@ differ, and V'_1 is the acceleration at the start of the step.
 At both ends of each step, accelerations and multipliers are those of the index-1 equations, as with the option IACC = 1
 of Murua's code. Two things follow from them, which differ from the codes of the authors:
 
-- *Dense output* is the polynomial of degree 5 in q with the positions, velocities and accelerations of both ends, its
-  derivative in v, and the cubic polynomial with the values and rates of both ends in z.
+- *Dense output* is `StepState.interpolant`, with the accelerations and rates of both ends.
 - *The error estimate* of controlled steps is the difference between the step and Simpson's rule, for which one
   acceleration is evaluated in the middle of the dense output, and for positions the corrected trapezoidal rule. Both
   have order 4.
@@ -35,7 +34,6 @@ from mbdkit.plugin.seams import integrator_method
 
 if TYPE_CHECKING:
     from mbdkit.plugin import Rates
-    from mbdkit.plugin.methods import Dense
 
 
 @dataclass(frozen=True)
@@ -86,7 +84,7 @@ class HalfExplicit(mbdkit.StepMethod):
         dq, dv, dz = self._increments(equations, t, state, h)
         result = state.moved(dq, dv, dz)
         a1, lam, rates1 = equations.derivatives(t + h, result.q, result.v, result.z)
-        dense = interpolant(state, h, (dq, dv, dz), (a, a1), (rates, rates1))
+        dense = state.interpolant(h, (dq, dv, dz), (a, a1), (rates, rates1))
         end = replace(result, multipliers=lam, memory=(a1, lam, rates1))
         if self.tolerances is None:
             return mbdkit.Step(end, dense=dense)
@@ -118,31 +116,3 @@ class HalfExplicit(mbdkit.StepMethod):
             )
         change = h * add(consistent * slopes)
         return change[:n], change[n : 2 * n], change[2 * n :]
-
-
-def interpolant(
-    state: mbdkit.StepState,
-    h: float,
-    change: tuple[np.ndarray, ...],
-    accelerations: tuple[np.ndarray, np.ndarray],
-    rates: tuple[np.ndarray, np.ndarray],
-) -> Dense:
-    """Return the dense output of a step.
-
-    - `state`: the state at its start. `h`: its size [s].
-    - `change`: changes of positions (n,), velocities (n,) and first-order states (Z,).
-    - `accelerations`, `rates`: (n,) and (Z,) values at both ends.
-    """
-    (dq, dv, dz), (a, a1), (r, r1) = change, accelerations, rates
-    v = h * state.v
-    of_q, of_v, of_a = dq - v - h**2 / 2 * a, h * dv - h**2 * a, h**2 * (a1 - a)
-    c3, c4, c5 = 10 * of_q - 4 * of_v + of_a / 2, 7 * of_v - 15 * of_q - of_a, 6 * of_q - 3 * of_v + of_a / 2
-    of_z, of_r = dz - h * r, h * (r1 - r)
-
-    def dense(x: float) -> tuple[np.ndarray, ...]:
-        q = state.q + x * (v + x * (h**2 / 2 * a + x * (c3 + x * (c4 + x * c5))))
-        velocity = state.v + x * (h * a + x / h * (3 * c3 + x * (4 * c4 + x * 5 * c5)))
-        z = state.z + x * (h * r + x * (3 * of_z - of_r + x * (of_r - 2 * of_z)))
-        return q, velocity, z
-
-    return dense

@@ -154,7 +154,9 @@ def segments_of(
     of_run = [name for name in spec.parameters if name in spec.run_spec.parameters or name.startswith("model.")]
     sensors = [signal.sensor for one in data for signal in one.signals]
     shown = {value for one in sensors for value in (one.gain, one.offset, one.delay)}
-    unknowns = [_parameter(spec, name) for name in spec.parameters if name in of_run or name in shown]
+    of_sensors = {one.sensor.offset: one.unit for data_of in data for one in data_of.signals}
+    of_sensors |= {one.delay: "s" for one in sensors}
+    unknowns = [_parameter(spec, name, of_sensors) for name in spec.parameters if name in of_run or name in shown]
     names = {one.name: place for place, one in enumerate(unknowns)}
     segments: list[Segment] = []
     shared: dict[object, PreparedSensitivities] = {}
@@ -165,8 +167,9 @@ def segments_of(
     return unknowns, segments, names
 
 
-def _parameter(spec: IdentifySpec, name: str) -> Unknown:
+def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[object, str]) -> Unknown:
     from mbdkit.plugin.reports import key_unit
+    from mbdkit.plugin.specs import variable_path
 
     given, base = spec.parameters[name], spec.run_spec
     low, high = given.bounds or (-np.inf, np.inf)
@@ -174,8 +177,6 @@ def _parameter(spec: IdentifySpec, name: str) -> Unknown:
     if start is None and name in base.numbers:
         start = base.numbers[name]
     if start is None and name.startswith("model."):
-        from mbdkit.plugin.specs import variable_path
-
         holder: object = base.model_dump()
         for part in variable_path(name):
             holder = holder[int(part) if isinstance(holder, list | tuple) else part]  # type: ignore[index]
@@ -186,7 +187,9 @@ def _parameter(spec: IdentifySpec, name: str) -> Unknown:
     size = max(abs(start), 1e-3 * (high - low) if np.isfinite(high - low) else 0.0, 1e-12) if start else 1.0
     if start == 0.0 and np.isfinite(high - low):
         size = 0.1 * (high - low)
-    unit = "" if name in sensor_names(spec) and name not in base.numbers else key_unit(name, [base])
+    is_of_sensor = name in sensor_names(spec) and name not in base.numbers
+    path = ("parameters", name) if name in base.parameters else variable_path(name)
+    unit = of_sensors.get(name, "") if is_of_sensor else key_unit(path, [base])
     return Unknown(name, float(np.clip(start, low, high)), low, high, prior, size, unit)
 
 

@@ -13,10 +13,14 @@ from typer.testing import CliRunner, Result
 
 import mbdkit
 import mbdkit_identify.identify
+from mbdkit.base.units import read_unit
 from mbdkit.cli import app
 from mbdkit.spec import example_names
 from mbdkit_identify.identification import Identification
 from mbdkit_identify.identify_spec import IdentifySpec
+from mbdkit_identify.loading import load_identify_spec
+from mbdkit_identify.measured_data import read_experiment
+from mbdkit_identify.segments import segments_of
 from tests.margins import assert_within
 
 RIG = """
@@ -168,3 +172,13 @@ def test_a_pendulum_is_identified_and_its_estimates_are_used(spec: Path) -> None
     assert [one.experiment for one in fit.hold_out] == ["late"]
     run = mbdkit.run("rig.yaml", parameters={"from": "fit.h5", "start": 1.4})
     assert run.spec["parameters"]["inertia"] == fit["inertia"].value
+
+
+def test_estimates_have_the_units_of_their_parameters_and_sensors() -> None:
+    # expected: the units in the comments of the base, with radians as pure numbers; offsets are those of angles
+    spec = load_identify_spec("double-pendulum-swing")
+    unknowns, _, _ = segments_of(spec, [read_experiment(spec, one) for one in spec.experiments])
+    units = {one.name: read_unit(one.unit) for one in unknowns if one.unit}
+    expected = {"center": "m", "inertia": "kg m^2", "damping": "N m s/rad", "friction": "N m", "zero": "rad"}
+    expected["drag"] = "N m s^2/rad^2"
+    assert all(units[name].is_like(read_unit(expected[name.partition("_")[2]])) for name in spec.parameters)

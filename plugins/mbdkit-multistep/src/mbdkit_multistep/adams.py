@@ -14,13 +14,13 @@ import numpy as np
 from pydantic import Field
 
 import mbdkit
+from mbdkit.plugin.methods import lagrange
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 from mbdkit_multistep.control import (
     HAIRER_NORSETT_WANNER,
     HINDMARSH,
     MultistepOptions,
     choice,
-    lagrange,
     norm,
     scale,
 )

@@ -89,11 +89,3 @@ def scale(
 def norm(error: np.ndarray, scales: np.ndarray) -> float:
     """Return the root mean square of an error over its tolerances."""
     return float(np.sqrt(np.mean((error / scales) ** 2)))
-
-
-def lagrange(times: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the (G, K) weights of values at `times` (K,) in their polynomial at the times `at` (G,)."""
-    own = np.eye(len(times), dtype=bool)
-    factors = (at[:, None, None] - times) / np.where(own, 1.0, times[:, None] - times)
-    weights: np.ndarray = np.prod(np.where(own, 1.0, factors), axis=2)
-    return weights

@@ -75,12 +75,3 @@ def coefficients(s: int) -> Coefficients:
         a, c, method.second_order_floats()[0], np.linalg.inv(a), float(values[kept[0]].real), values[kept],
         twice * vectors[:, kept], inverse[kept], *collocation_polynomials(c),
     )  # fmt: skip
-
-
-def lagrange(c: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return the (K, s) weights of the values at the nodes `c` (s,) in their polynomial at `at` (K,)."""
-    gaps = c[:, None] - c + np.eye(len(c))
-    others = at[:, None, None] - c + np.zeros((len(c), 1))
-    others[:, np.arange(len(c)), np.arange(len(c))] = 1.0
-    weights: np.ndarray = np.prod(others / gaps, axis=2)
-    return weights

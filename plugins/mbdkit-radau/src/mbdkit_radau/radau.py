@@ -24,9 +24,9 @@ import numpy as np
 
 import mbdkit
 from mbdkit.plugin import IterationMatrixWithStates, Orders
-from mbdkit.plugin.methods import ControlledOptions
+from mbdkit.plugin.methods import ControlledOptions, lagrange
 from mbdkit.plugin.seams import integrator_claims, integrator_method
-from mbdkit_radau.coefficients import HAIRER_WANNER, coefficients, lagrange
+from mbdkit_radau.coefficients import HAIRER_WANNER, coefficients
 
 REFERENCES = (
     """@article{hairer1999,

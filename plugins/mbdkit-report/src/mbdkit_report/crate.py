@@ -105,7 +105,7 @@ class _Crate:
         content = path.read_bytes()
         media_type, page = _FORMATS[path.suffix]
         kind = self.add({"@id": page, "@type": "WebSite", "name": media_type})
-        entity = {"@id": name, "@type": "File", "name": what, "encodingFormat": [media_type, kind]}
+        entity: Entity = {"@id": name, "@type": "File", "name": what, "encodingFormat": [media_type, kind]}
         entity |= {"contentSize": str(len(content)), "sha256": hashlib.sha256(content).hexdigest(), **further}
         return self.add(entity)
 
@@ -130,7 +130,7 @@ class _Crate:
             begin = datetime.fromisoformat(run.created_utc)
             end = begin + timedelta(seconds=float(sum(run.stats.get(key, 0.0) for key in ("setup_s", "wall_s"))))
             is_failed = run.status == "failed"
-            action = {
+            action: Entity = {
                 "@id": f"#run-{run.run_id}-{stem}", "@type": "CreateAction", "name": f"run of {stem}",
                 "description": f"{texts['description']} Verdict: {run.verdict}. {run.provenance.get(EVIDENCE, '')}",
                 "instrument": instruments, "object": [spec, *evidence], "result": [archive, page],

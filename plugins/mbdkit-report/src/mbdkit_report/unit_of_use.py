@@ -8,13 +8,23 @@ from fractions import Fraction
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
-from mbdkit.mechanism.parameter_units import is_turn, unit_of_parts
+from mbdkit.mechanism.parameter_units import is_turn, outside_pure_functions, unit_of_parts
 
 _RADIAN, _SECOND = read_unit("rad"), read_unit("s")
 _SAME = frozenset({"abs", "min", "max"})
 _OF_ANGLE = frozenset({"sin", "cos", "tan"})
 #: Factors that are assumed to have no unit. Others may be constants of nature or densities, such as 9.81 and 7800.
 _FACTORS = frozenset({float(n) for n in range(1, 11)} | {1.0 / n for n in range(2, 11)})
+
+#: Units of quantities of bodies in expressions of the state.
+_STATE = {".angular_velocity": read_unit("rad/s"), ".angle": _RADIAN, ".x": read_unit("m"), ".y": read_unit("m")}
+
+
+class _OfState(ast.NodeTransformer):
+    """Replaces quantities of bodies, such as ``rod.angle``, by names with a unit, such as ``.angle``."""
+
+    def visit_Attribute(self, node: ast.Attribute) -> ast.expr:
+        return ast.Name(f".{node.attr}") if f".{node.attr}" in _STATE and isinstance(node.value, ast.Name) else node
 
 
 def unit_of_use(name: str, uses: Iterable[tuple[str, str]], units: Mapping[str, Unit]) -> str:
@@ -30,10 +40,11 @@ def unit_of_use(name: str, uses: Iterable[tuple[str, str]], units: Mapping[str, 
     result = set()
     for text, unit in uses:
         try:
-            tree, wanted = ast.parse(text.strip(), mode="eval").body, read_unit(unit.replace("²", "^2"))
+            tree = _OfState().visit(ast.parse(text.strip(), mode="eval").body)
+            wanted = read_unit(unit.replace("²", "^2"))
         except (SyntaxError, SpecError):  # a unit such as "N or N m", or none
             continue
-        derived = _unit(tree, name, wanted, {**units, "t": _SECOND})
+        derived = _unit(tree, name, wanted, {**_STATE, **units, "t": _SECOND})
         if derived is not None and _contains(tree, name):
             result.add(derived.text)
     return result.pop() if len(result) == 1 else ""
@@ -81,7 +92,7 @@ def _factor(node: ast.expr, wanted: Unit, units: Mapping[str, Unit]) -> Unit | N
     """Return the unit of the other factor of a product."""
     if is_turn(node) and wanted.text == "rad/s":
         return Unit("rad", counts=(Fraction(1), Fraction(-1), Fraction(0)))
-    numbers = [one.value for one in ast.walk(node) if isinstance(one, ast.Constant)]
+    numbers = [one.value for one in outside_pure_functions(node) if isinstance(one, ast.Constant)]
     return unit_of_parts(node, units) if {*numbers} <= _FACTORS else None
 
 

@@ -17,6 +17,7 @@ from mbdkit.engine.consistent_start import CompiledForStarts, Starts, at_starts,
 from mbdkit.engine.kernels.angles import FAR
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.lane_runs import why_alone
+from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit_studies.compute.batch import simulate_batch
@@ -159,6 +160,7 @@ CASES: list[tuple[Any, dict[str, Any], str, float]] = [
     ("knee", {"time": {"end": 0.02, "step": 0.0025}}, "model.springs.support.stiffness", 900.0),
     ("jump", {"time": {"end": 0.02, "step": 0.005}}, "duration", 0.2),  # rigid contacts, events, named parameters
     ("delayed-balance", {"time": {"end": 0.1, "step": 0.002}}, "lean", 0.02),  # a sampled controller
+    ("slider-crank", {"time": {"end": 0.1, "step": 0.01}}, "model.bodies.rod.mass", 3.0),  # assembled velocities
     ("limit-stop", {"time": {"end": 0.5}}, "model.bodies.thigh.angle", 0.2),  # a method of SciPy
 ]  # fmt: skip
 
@@ -167,7 +169,7 @@ def alone(spec: RunSpec, key: str, value: float) -> mbdkit.Run:
     """Run a spec with a value, without preparation."""
     data = json.loads(spec.canonical_json())
     put(data, parse_key(key) if "." in key else ("parameters", key), value)
-    return mbdkit.run(data)
+    return simulate(load_spec(data))
 
 
 @pytest.mark.parametrize(("source", "sections", "key", "value"), CASES)

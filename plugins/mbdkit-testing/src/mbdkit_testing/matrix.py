@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -68,14 +68,13 @@ class Row:
 
     def cells(self) -> dict[str, tuple[str, str]]:
         """Return text and name of the check of each cell by the heading of its column."""
-        cells: dict[str, tuple[str, str]] = {}
+        cells = {"order claimed": (str(self.record.get("claims", {}).get("order", "")), "order.forced-pendulum")}
         for heading, check, names in FIGURES if self.kind == "integrator" else ():
             figures = self.checks.get(check, {}).get("figures", {})
             known = [str(figures[name]) for name in names if name in figures]
             text = known[0] if known else "; ".join(f"{name} {value}" for name, value in figures.items() if not names)
             cells[heading] = text, check
-        groups = dict.fromkeys(name.partition(".")[0] for name in self.checks)
-        for group in groups:
+        for group in dict.fromkeys(name.partition(".")[0] for name in self.checks):
             own = {name: entry["outcome"] for name, entry in self.checks.items() if name.startswith(f"{group}.")}
             worst = [name for name, outcome in own.items() if outcome == "fail"]
             text = f"fail: {listed(name.partition('.')[2] for name in worst)}" if worst else f"{len(own)} checked"
@@ -102,6 +101,14 @@ def recorded_rows(further: Iterable[Row] = ()) -> list[Row]:
     return [row for some in rows.values() for row in some]
 
 
+def rows_of(path: Path) -> list[Row]:
+    """Return a row for each record in a file of evidence, whose plugins need not be installed."""
+    return [
+        Row(f"{one['distribution']}:{one['name']}", one["kind"], f"by mbdkit {one['mbdkit']} on {one['date']}", one)
+        for one in read_records(path)
+    ]
+
+
 def verified_row(item: Registered, options: Mapping[str, Any], *, quick: bool) -> Row:
     """Verify a plugin now."""
     report = verify(item.kind, item.id, options, quick=quick)
@@ -124,16 +131,10 @@ def rows_against(path: Path, *, quick: bool, watch: Callable[[str], None]) -> li
         item = registry().get(old["kind"], f"{old['distribution']}:{old['name']}")
         watch(f"{item.id} {old['options'] or ''}")
         now = verified_row(item, options_of(item, old), quick=quick or old["quick"])
-        broken = [_broken(name, entry, now.checks.get(name)) for name, entry in old["checks"].items()]
-        rows.append(Row(now.id, now.kind, now.status, now.record, [sentence for sentence in broken if sentence]))
+        before = {name: old["checks"].get(name, {}).get("outcome", "skip") for name in now.record["failed"]}
+        broken = [(name, was, now.checks[name].get("cause", "fail")) for name, was in before.items() if was != "fail"]
+        rows.append(replace(now, broken=[f"{name}: {was} before, now: {cause}" for name, was, cause in broken]))
     return rows
-
-
-def _broken(name: str, before: Mapping[str, Any], now: Mapping[str, Any] | None) -> str:
-    """Return a sentence on a check that passed before and fails now; empty for others."""
-    if now is None or now["outcome"] != "fail" or before["outcome"] == "fail":
-        return ""
-    return f"{name}: {before['outcome']} before, now: {now.get('cause', 'fail')}"
 
 
 def check_files(folder: Path, *, overwrite: bool) -> None:
@@ -144,19 +145,12 @@ def check_files(folder: Path, *, overwrite: bool) -> None:
 
 def write_matrix(rows: Sequence[Row], folder: Path) -> None:
     """Write page, CSV and JSON."""
-    texts = (
-        html(rows),
-        table_csv(rows),
-        json_text({"mbdkit": mbdkit.__version__, "rows": [_plain(row) for row in rows]}),
-    )
+    data = {"mbdkit": mbdkit.__version__, "rows": [vars(row) for row in rows]}
+    texts = html(rows), table_csv(rows), json_text(data)
     folder.mkdir(exist_ok=True)
     for name, text in zip(_FILES, texts, strict=True):
         with replacing(folder / name, overwrite=True) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
-
-
-def _plain(row: Row) -> dict[str, Any]:
-    return {"id": row.id, "kind": row.kind, "status": row.status, "broken": list(row.broken), "record": row.record}
 
 
 def tables(rows: Sequence[Row]) -> list[tuple[str, list[str], list[tuple[int, Row, dict[str, tuple[str, str]]]]]]:

@@ -35,10 +35,15 @@ class Case:
         """Run the check."""
         import pytest
 
-        under_test = _under_test(self.kind, self.plugin, self.options)
+        under_test: Any = _under_test(self.kind, self.plugin, self.options)
         result = self.check.run(under_test)
         if (unrecorded := _UNRECORDED.get((self.kind, self.plugin, self.options))) is not None:
-            unrecorded.add(self.kind, under_test, result)
+            unrecorded.results[result.name] = result
+            if len(unrecorded.results) == unrecorded.count:
+                from mbdkit_testing.recorded_evidence import renew
+
+                report = report_of(self.kind, under_test, unrecorded.results.values())
+                renew(under_test.item, report, quick=unrecorded.quick)
         if result.outcome == "skip":
             pytest.skip(result.cause)
         if result.outcome == "not claimed":
@@ -62,15 +67,6 @@ class _Unrecorded:
     count: int
     quick: bool
     results: dict[str, Result] = field(default_factory=dict)
-
-    def add(self, kind: Kind, under_test: Any, result: Result) -> None:
-        """Add a result; after the last one, write the evidence if that in the source tree is not of this code."""
-        self.results[result.name] = result
-        if len(self.results) == self.count:
-            from mbdkit_testing import recorded_evidence
-
-            report = report_of(kind, under_test, self.results.values())
-            recorded_evidence.renew(under_test.item, report, quick=self.quick)
 
 
 _UNRECORDED: dict[tuple[Kind, str, tuple[tuple[str, Any], ...]], _Unrecorded] = {}

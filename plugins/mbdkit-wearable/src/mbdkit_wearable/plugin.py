@@ -13,6 +13,7 @@ from mbdkit.plugin import (
     ElementKind,
     Example,
     GuidePage,
+    HeadlineItem,
     Item,
     ModelKey,
     ModelPlugin,
@@ -133,6 +134,13 @@ def mbdkit_items() -> Iterable[Item]:
             summary="Force in a joint with and without devices that follow a measured motion.",
             of="Run",
             target=Target("mbdkit_wearable.worn.added_force:added_force_of"),
+        ),
+        HeadlineItem(
+            name="devices",
+            summary="What devices change in the joint that they load most.",
+            order=5,
+            take=Target("mbdkit_wearable.worn.added_force:device_headlines"),
+            group="followers",
         ),
         SummaryLine(
             name="devices",

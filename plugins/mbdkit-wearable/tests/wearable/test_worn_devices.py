@@ -115,7 +115,13 @@ def test_the_bar_of_the_added_force_is_that_of_misfits_computed_one_by_one() -> 
     added = run.added_force("knee")
     np.testing.assert_allclose(added.added_error, 1.96 * change, rtol=0.1, atol=0.05)
     assert "misfit y of brace" in run.contributions("knee").shares
-    assert "they add at most" in run.summary()
+    # with one uncertain number, the bar of a change is 1.96 times half the difference of its values at both ends
+    pairs = [side.added_force("knee").changes for side in sides]
+    for one, first, second in zip(added.changes, *pairs, strict=True):
+        assert one.difference_bar[1] == pytest.approx(
+            0.98 * abs(first.difference - second.difference), rel=0.1, abs=0.05
+        )
+    assert f"mean force {added.changes[1].force:.4g} N with devices" in run.summary()
 
 
 @pytest.mark.parametrize(

@@ -117,12 +117,16 @@ class Person:
         of, kg = self.subject, self.masses
         plates = [f"{one.body} on plate {one.plate} {one.when(self.time)}" for one in self.plates.contacts]
         sizes = ((name, length.value, length.deviation) for name, length in self.lengths.items())
-        lengths = (f"{name} {size:.3f} +- {deviation:.3f} m, {kg[name]:.3g} kg" for name, size, deviation in sizes)
-        centers = (f"{name} {one.method} +- {1000 * max(one.deviation):.0f} mm" for name, one in self.centers.items())
+        lengths = (
+            f"{name} {size:.3f} m (deviation {deviation:.3f} m), {kg[name]:.3g} kg" for name, size, deviation in sizes
+        )
+        centers = (
+            f"{name} {one.method} (deviation {1000 * max(one.deviation):.0f} mm)" for name, one in self.centers.items()
+        )
         offset = ""
         if (own := self.plates.offset) is not None:
             done = "corrected" if own.corrected else "not corrected"
-            offset = f"; {1000 * own.late:.0f} +- {1000 * own.deviation:.0f} ms late, {done}"
+            offset = f"; {1000 * own.late:.0f} ms late (deviation {1000 * own.deviation:.0f} ms), {done}"
         return {
             "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
             "centres": ", ".join(centers),

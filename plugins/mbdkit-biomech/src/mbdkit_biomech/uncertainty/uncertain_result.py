@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,11 +43,23 @@ OF_DATA, INTERACTIONS = "noise of the data", "interactions"
 
 KINDS: tuple[Kind, ...] = ("person", "muscles", "devices")
 
+CHANGES = ("largest", "mean", "added")  #: What bodies that follow the motion change, in the order of `AddedBars`.
+
 #: Relative standard error of the quantile `LEVEL`, 1.96, of magnitudes of Gaussian numbers, times the root of their
 #: number: ``sqrt(LEVEL (1 - LEVEL)) / (1.96 f)`` with their density f = 0.1169 there.
 GAUSSIAN = 0.95
 
 LARGEST_SCATTER = 0.1  #: Relative standard error of bars from which the number of samples is too small.
+
+
+class AddedBars(NamedTuple):
+    """Bounds for bodies that follow the motion, by all sources but the noise of the data [N]."""
+
+    without: np.ndarray  #: (T, J) of the forces of joints without them.
+    added: np.ndarray  #: (T, J) of what they add to the forces.
+    largest_without: np.ndarray  #: (J,) of the largest forces without them.
+    #: (3, J) of the changes of the largest and of the mean force, and of the largest added force.
+    changes: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -66,9 +79,7 @@ class UncertainResult:
     scalars: int
     samples: int
     failed: int  #: Number of scalars, of samples, and of samples in which some frames have no result.
-    #: Bounds (T, J) of the forces of joints without the bodies that follow the motion, and of what these add [N]; None
-    #: without such bodies.
-    added: tuple[np.ndarray, np.ndarray] | None
+    added: AddedBars | None  #: Bars of what bodies that follow the motion add; None without such bodies.
     failed_rows: float  #: Share of the frames of all samples that have no result.
     reasons: str  #: Why, with the numbers of samples.
 
@@ -135,12 +146,22 @@ class UncertainResult:
         }
 
     def _added_parts(self) -> dict[str, TableColumn]:
-        words = {
-            "reaction_without_error": "error of followers/reaction_force_without, not by noise",
-            "reaction_added_error": "error of what devices add to reaction_force by all sources but the noise",
+        if self.added is None:
+            return {}
+        noise = "by all sources but the noise"
+        what = f"error of the largest followers/reaction_force_without, {noise}"
+        change = f"errors of the changes of the largest and the mean force, and of the largest added force, {noise}"
+        return {
+            "reaction_without_error": TableColumn(
+                self.added.without, _TJ, "N", "error of followers/reaction_force_without, not by noise"
+            ),
+            "reaction_added_error": TableColumn(
+                self.added.added, _TJ, "N", f"error of what devices add to reaction_force {noise}"
+            ),
+            "reaction_without_peak_error": TableColumn(self.added.largest_without, ("joint",), "N", what),
+            "change": TableColumn(np.array(CHANGES, object), ("change",), "1", "what devices change"),
+            "reaction_change_error": TableColumn(self.added.changes, ("change", "joint"), "N", change),
         }
-        pairs = zip(words.items(), self.added or (), strict=False)
-        return {name: TableColumn(values, _TJ, "N", what) for (name, what), values in pairs}
 
     def share_of(self, kind: Kind) -> np.ndarray:
         """Return the share (T, J) of a kind of sources in the squared bars; interactions are divided among the kinds in
@@ -181,7 +202,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     kinds = {source.group: source.kind for source in sources}
     shares, bias = _shares(stacked, sources, nominal, force, [*kinds])
     peaks = _bound(np.abs(largest - np.nanmedian(largest, axis=0)))
-    failed, added = sampled.lost > 0, _added(result, sources, values, reactions)
+    failed, added = sampled.lost > 0, _added(result, sources, values, sampled.reactions, nominal.reactions)
     counts = [int(np.sum((sampled.lost == number).any(axis=1))) for number in range(1, 1 + len(LOST))]
     reasons = listed([f"{one} in {count}" for one, count in zip(LOST, counts, strict=True) if count], "and")
     failures = int(np.sum(failed.any(axis=1))), added, float(np.mean(failed)), reasons
@@ -190,18 +211,37 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
 
 
 def _added(
-    result: Inverse, sources: Sequence[UncertainScalar], values: np.ndarray, reactions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return bounds (T, J) of forces without the bodies that follow the motion, and of what these add, given changes
-    (S, T, J, 3) of the reactions with them for values (S, K) of the scalars.
+    result: Inverse,
+    sources: Sequence[UncertainScalar],
+    values: np.ndarray,
+    reactions: np.ndarray,
+    nominal: np.ndarray,
+) -> AddedBars | None:
+    """Return the bars of what bodies that follow the motion add, given the reactions (S, T, J, 3) with them for values
+    (S, K) of the scalars, and those (1, T, J, 3) of the result; None without such bodies.
     """
     if not result.problem.followers:
         return None
     stacked = StackedOutcomes(without_followers(result), sources)
-    without = stacked.at(values).reactions - stacked.at(np.zeros((1, len(sources)))).reactions
-    changes = without[..., :2], (reactions - without)[..., :2]
-    first, second = (_bound(np.linalg.norm(change, axis=-1)) for change in changes)
-    return first, second
+    own = [stacked.at(numbers).reactions for numbers in (values, np.zeros((1, len(sources))))]
+    sampled, plain = ((one[..., :2], other[..., :2]) for one, other in zip((reactions, nominal), own, strict=True))
+    of_without, of_added = (
+        _bound(np.linalg.norm(x - y, axis=-1))
+        for x, y in ((sampled[1], plain[1]), (sampled[0] - sampled[1], plain[0] - plain[1]))
+    )
+    sizes, nominal_sizes = (_changes(*pair, result.motion.time) for pair in (sampled, plain))
+    largest, *changes = (_bound(np.abs(x - y)) for x, y in zip(sizes, nominal_sizes, strict=True))
+    return AddedBars(of_without, of_added, largest, np.stack(changes))
+
+
+def _changes(force: np.ndarray, without: np.ndarray, time: np.ndarray) -> list[np.ndarray]:
+    """Return numbers (S, J) of forces (S, T, J, 2) with and without further bodies: the largest force without, and the
+    changes in the order of `CHANGES`.
+    """
+    first, second, added = (np.linalg.norm(one, axis=-1) for one in (force, without, force - without))
+    mean = np.trapezoid(first - second, time, axis=1) / (time[-1] - time[0])
+    largest = np.max(second, axis=1)
+    return [largest, np.max(first, axis=1) - largest, mean, np.max(added, axis=1)]
 
 
 def _scatter(sizes: np.ndarray) -> np.ndarray:

@@ -43,7 +43,13 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     cells = np.column_stack([cell for method in curves for cell in (1e3 * curves[method][1], counts[method])])
     rows = [(int(number), *row) for number, row in zip(numbers, cells.tolist(), strict=True)]
     columns = (Column("bodies"), *(Column(*label) for m in curves for label in ((m, "ms"), (f"{m}: operations",))))
-    lines = [Line(method, number, 1e3 * seconds, "both", method) for method, (number, seconds) in curves.items()]
+    slow = {method: own.along("model.n", SLOW_SECONDS)[1] for method, own in points.items()}
+    lines = [
+        Line(
+            method, n, 1e3 * fast, "both", method, np.vstack([np.c_[n, 1e3 * fast], np.c_[n, 1e3 * slow[method]][::-1]])
+        )
+        for method, (n, fast) in curves.items()
+    ]
     return claim, WORDS.table("time-bodies", rows, columns), WORDS.figure("time-bodies", lines)
 
 

@@ -58,7 +58,7 @@ def bar_cells(value: float, bar: Ends, key: str, columns: int = 1) -> list[Cell]
     """Return a number with the digits that its bar justifies, and its bar in one or two columns."""
     if bar is None or math.isnan(bar[0] + bar[1]):
         return [value, *[None] * columns]
-    ends = [Stated.of(end, plus_minus(0.0, end).rpartition(" ")[2], key) for end in bar[:columns]]
+    ends = [Stated.of(end, plus_minus(value, end).partition(" +- ")[2] or "0", key) for end in bar[:columns]]
     return [Stated.of(value, plus_minus(value, bar).partition(" ")[0], key), *ends]
 
 

@@ -107,11 +107,12 @@ def _columns(run: Run, quantity: ElementQuantity) -> list[tuple[list[Column], li
         if one.quantity == f"joints.{word}":
             loads.setdefault(one.until, {})[one.element] = one
     for when, found in loads.items():
-        what = f"{word}{'' if math.isnan(when) else f' until {when:.4g} s'}"
+        name = run.errors.force_in.removesuffix(" in") if word == "force" else word
+        what = f"{name}{'' if math.isnan(when) else f' until {when:.4g} s'}"
         headings = [] if run.accuracy is None else bar_columns(f"the {what}", unit, [one.bar for one in found.values()])
         none: list[Cell] = [None] * (1 + len(headings))
-        shown = {name: bar_cells(own.value, own.bar, own.id, len(headings)) for name, own in found.items()}
-        cells = [shown.get(name, none) for name in names]
+        shown = {joint: bar_cells(own.value, own.bar, own.id, len(headings)) for joint, own in found.items()}
+        cells = [shown.get(joint, none) for joint in names]
         groups.append(([Column(f"largest {what}", unit), *headings], cells))
     groups.insert(1, ([Column(f"time of the {word}", "s")], [[time] for time in quantity.data.peak_times.tolist()]))
     return groups

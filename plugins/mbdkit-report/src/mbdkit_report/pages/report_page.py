@@ -237,7 +237,7 @@ def chart_data(chart: Figure) -> dict[str, Any]:
                 "color": color_key(color),
                 "is_emphasized": line.is_emphasized,
                 "dash": DASHES[style % len(DASHES)],
-                "symbol": SYMBOLS[color_number(color) % len(SYMBOLS)],
+                "symbol": SYMBOLS[(color_number(color) + style) % len(SYMBOLS)],
             }
             for line, (color, style) in zip(chart.lines, line_styles(chart), strict=True)
         ],

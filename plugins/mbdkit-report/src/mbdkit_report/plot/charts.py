@@ -165,7 +165,7 @@ def _house_looks(chart: Figure) -> list[Look]:
             "color": color,
             "linestyle": "" if line.kind == "points" else _DASHES[style % len(_DASHES)],
             "linewidth": 1.3 + 1.1 * wide * (len(chart.lines) - 1 - number),
-            "marker": _MARKERS[color_number(color) % len(_MARKERS)] if line.kind != "line" else "",
+            "marker": _MARKERS[(color_number(color) + style) % len(_MARKERS)] if line.kind != "line" else "",
             "markersize": 4.5,
         }
         for number, (line, (color, style)) in enumerate(zip(chart.lines, line_styles(chart), strict=True))

@@ -150,7 +150,9 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     """
     curves = bands(np.asarray(run.time), run.dataset(f"joints/reaction_{word}"), values)
     texts = _largest_texts(run, f"joints.{word}", run.joint_names)
-    quantity = ElementQuantity(f"reaction {word}", unit, run.joint_names, curves, largest_texts=texts)
+    name = "reaction force" if run.errors.force_in == "force in" else run.errors.force_in.removesuffix(" in")
+    name = name if word == "force" else f"reaction {word}"
+    quantity = ElementQuantity(name, unit, run.joint_names, curves, largest_texts=texts)
     return with_errors(run, quantity, error)
 
 

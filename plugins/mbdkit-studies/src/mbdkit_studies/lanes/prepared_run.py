@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Unpack
 
 import numpy as np
@@ -57,7 +58,9 @@ class PreparedRun:
 
     def __init__(self, spec: RunSpec):
         self.spec = spec
-        self._varied = VariedSpecs(spec.canonical_json())
+        self._text = spec.canonical_json()
+        self._varied = VariedSpecs(self._text)
+        self._paths: dict[tuple[str, ...], tuple[Path, ...]] = {}  # by names
         self._runs = ShortRuns()
         self._starts = self._runs.lanes.starts
         self._is_long = False
@@ -124,16 +127,27 @@ class PreparedRun:
         PluginError
             If a plugin fails.
         """
+        is_short = not (self._is_long or self.spec.gradients)
+        if is_short and not initial and (run := self._by_formulas(parameters or {})) is not None:
+            self._is_long = self._runs.work > LONG
+            return run
         spec = self.spec_with(parameters, initial)
-        if not (self._is_long or spec.gradients):
-            made = self._runs.run(spec)
-            if made is not None:
-                self._is_long = self._runs.work > LONG
-                return made
+        if is_short and (run := self._runs.run(spec)) is not None:
+            self._is_long = self._runs.work > LONG
+            return run
         made = simulate(spec, starts=self._starts)
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made
+
+    def _by_formulas(self, parameters: Numbers) -> Run | None:
+        """Return the run with these numbers if there are formulas for them, otherwise None."""
+        paths = self._paths.get(names := tuple(parameters))
+        if paths is None:
+            paths = self._paths[names] = tuple([self._path_of(name) for name in names])
+        if not all(type(value) is float or type(value) is int for value in parameters.values()):
+            return None
+        return self._runs.varied(paths, [*map(float, parameters.values())], partial(_varied, self._text, paths))
 
     def _path_of(self, name: str) -> Path:
         path = variable_path(name)
@@ -144,6 +158,11 @@ class PreparedRun:
             hint += f"; numbers of the model have dotted keys{f', such as {keys[0]}' if keys else ''}"
             raise SpecError(f"the spec has no parameter '{name}'{hint}", key="parameters")
         return path
+
+
+def _varied(text: str, paths: Sequence[Path], numbers: Sequence[float]) -> RunSpec:
+    """Return a new spec, given as JSON, with other numbers at some key paths."""
+    return VariedSpecs(text).spec([*zip(paths, numbers, strict=True)])
 
 
 def prepare(source: RunSource, **sections: Unpack[Sections]) -> PreparedRun:

@@ -111,6 +111,14 @@ class MeasuredTable:
         place = self._place.get(heading)
         return None if place is None else self.units.get(self.headings[place])
 
+    @property
+    def force_hint(self) -> str:
+        """Clause on how to name the columns of a file of forces of OpenSim; empty for other tables."""
+        start = next((name[:-2] for name in self.headings if name.endswith("ground_force_vx")), "")
+        force, point = (f"[{start}{kind}x, {start}{kind}y]" for kind in "vp")
+        keys = f"`force: {force}, point: {point}`"
+        return f"; for forces of OpenSim, a load has {keys}; `plates` are of C3D files" if start else ""
+
     def column(self, heading: str, key: str) -> np.ndarray:
         """Return the numbers of a column, (T,); gaps are nan.
 
@@ -132,9 +140,7 @@ class MeasuredTable:
             remark = f" ({self.remark})" if self.remark else ""
             if heading == "time" and names:
                 remark += f"; name the column with the times in `{key}`, such as `time: {names[0]}`"
-            if start := next((name[:-2] for name in names if name.endswith("ground_force_vx")), ""):
-                force, point = (f"[{start}{kind}x, {start}{kind}y]" for kind in "vp")
-                remark += f"; for forces of OpenSim, write `force: {force}, point: {point}`; `plates` are of C3D files"
+            remark += self.force_hint
             with suppress(SpecError):  # a text that is almost a number with a unit
                 if quantity := read_quantity(heading):
                     remark += f"; for a constant, give the number in SI units without its unit: {quantity[0]:.6g}"

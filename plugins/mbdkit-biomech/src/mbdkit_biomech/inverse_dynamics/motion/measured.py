@@ -205,7 +205,8 @@ def _columns(motion: MeasuredMotion, table: MeasuredTable, names: QuantityNames)
     found = {heading: ObservedColumn(column=heading) for heading in table.headings if names.knows(heading)}
     if not found:
         raise SpecError(
-            f"is missing: no heading of {table.name} is a quantity of the mechanism, such as {names.examples}",
+            f"is missing: no heading of {table.name} is a quantity of the mechanism, such as {names.examples}"
+            f"{table.force_hint}",
             key="motion.columns",
         )
     return found

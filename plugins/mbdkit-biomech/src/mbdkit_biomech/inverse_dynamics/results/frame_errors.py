@@ -63,9 +63,8 @@ class FrameErrors(RunErrors):
         return np.asarray(bars)
 
     def sentence(self, *, with_force: bool = True) -> str:
-        """Return a sentence on the error bar of the largest reaction force, or on why it is unknown.
-
-        It is empty if no error bars were requested, or if there are no joints.
+        """Return a sentence on the error bar of the largest reaction force, or on why it is unknown; without the force,
+        on error bars in general. It is empty if no error bars were requested, or if there are no joints.
         """
         run, accuracy = self.run, self.run.accuracy
         if accuracy is None:
@@ -75,6 +74,9 @@ class FrameErrors(RunErrors):
         if largest is None:
             return ""
         loads = f"; {exact}" if (exact := exact_loads(run)) else ""
+        if not with_force:
+            unknown = f", unknown {times}" if (times := self.unknown_times) else ""
+            return f"error bars hold with a probability of 95 %{unknown}{loads}"
         at = f"at {largest.time:.4f} s"
         if not largest.bar.is_known:
             return f"{largest.label} {largest.value:.4g} N {at}, error unknown{loads}"

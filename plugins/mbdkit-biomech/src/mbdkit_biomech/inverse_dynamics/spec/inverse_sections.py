@@ -313,9 +313,12 @@ class Load(Section):
                     raise SpecError("cannot be given with `plates`, from which it follows", key=key)
             return self
         if self.force is None and self.torque is None:
-            raise PydanticCustomError(
-                "mbdkit", "needs `force` (two columns), `torque` (a column) or, for a person, `plates` (numbers)"
+            keys = "`force: [ground_force_vx, ground_force_vy], point: [ground_force_px, ground_force_py]`"
+            hint = f"; OpenSim's files often have {keys}" if str(self.file).endswith((".mot", ".sto")) else ""
+            message = (
+                "needs `force` (two columns), `torque` (a column) or, for a person, `plates` (numbers, of C3D files)"
             )
+            raise PydanticCustomError("mbdkit", f"{message}{hint}")
         if self.point is not None and self.force is None:
             raise SpecError("is a point of application, but there is no `force`", key="point")
         return self
