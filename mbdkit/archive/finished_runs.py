@@ -105,11 +105,14 @@ class FinishedRuns:
             self,
             stats={name: values[places] for name, values in self.stats.items()},
             misalignment_max=self.misalignment_max[places],
+            judgements=[self.judgements[place] for place in places],
+            warnings=[self.warnings[place] for place in places],
             arrays={key: values[places, : ends[key]] for key, values in self.arrays.items()},
             lengths=lengths,
+            data_sha256=[self.data_sha256[place] for place in places],
+            assembly=[self.assembly[place] for place in places],
             sizes=None if self.sizes is None else self.sizes[places],
             integrals=[self.integrals[place] for place in places] if self.integrals else (),
-            **{name: [getattr(self, name)[place] for place in places] for name in _BY_RUN},
         )
 
     def with_layout(self, layout: tuple[Array, ...]) -> FinishedRuns:
@@ -117,6 +120,3 @@ class FinishedRuns:
         keys = {array.key for array in layout if array.grows}
         arrays = {key: values for key, values in self.arrays.items() if key in keys}
         return replace(self, layout=layout, arrays=arrays, single=None)
-
-
-_BY_RUN = ("judgements", "warnings", "data_sha256", "assembly")

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart
 from mbdkit.engine.counters import Counters
@@ -27,8 +28,8 @@ from mbdkit.integrators.interface import StepEvidence, Timetable
 from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots, load_stage_pivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
-from mbdkit.integrators.lanes.lane_run import new_lane_run
-from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
+from mbdkit.integrators.lanes.lane_run import BY_LANE, new_lane_run
+from mbdkit.integrators.run.run_plan import GuardLimits, guard_limits, smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
 from mbdkit.integrators.run.step_guards import new_guard_state
@@ -72,13 +73,15 @@ class LaneResults:
 
     def of(self, runs: np.ndarray) -> LaneResults:
         """Return the results of some of the runs, given by their indices."""
-        return LaneResults(
-            *(getattr(self, name)[runs] for name in _BY_RUN),
-            Observed(*(values[runs] for values in self.observed)),
-            None if self.work is None else self.work[runs],
-            {name: values[runs] for name, values in self.counters.items()},
-            self.guards[:, runs],
-            [self.turns[run] for run in runs.tolist()],
+        own: dict[str, Any] = {name: getattr(self, name)[runs] for name in _BY_RUN}
+        return replace(
+            self,
+            **own,
+            observed=Observed(*(values[runs] for values in self.observed)),
+            work=None if self.work is None else self.work[runs],
+            counters={name: values[runs] for name, values in self.counters.items()},
+            guards=self.guards[:, runs],
+            turns=[self.turns[run] for run in runs.tolist()],
         )
 
     @classmethod
@@ -95,18 +98,54 @@ class LaneResults:
             return np.concatenate(arrays)
 
         works = [part.work for part in parts if part.work is not None]
-        return cls(
-            *(join([getattr(x, name) for x in parts], has_rows=name not in _SINGLE) for name in _BY_RUN),
-            Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
-            join(works) if works else None,
-            {name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
-            np.hstack([part.guards for part in parts]),
-            [turns for part in parts for turns in part.turns],
+        arrays = {name: [getattr(part, name) for part in parts] for name in _BY_RUN}
+        joined: dict[str, Any] = {name: join(values, has_rows=name not in _SINGLE) for name, values in arrays.items()}
+        return replace(
+            parts[0],
+            **joined,
+            observed=Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
+            work=join(works) if works else None,
+            counters={name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
+            guards=np.hstack([part.guards for part in parts]),
+            turns=[turns for part in parts for turns in part.turns],
         )
 
 
 _BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows")
 _SINGLE = ("lost", "worst", "rows")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
+
+
+@dataclass(frozen=True, eq=False)
+class VariedStarts:
+    """Runs of mechanisms that differ in some arrays only, at their starts.
+
+    - `mechanism`: the mechanism, without first-order states and inputs, and without loops unless only forces differ.
+    - `numbers`: arrays (R, ...) of those fields of its topology that differ.
+    - `q`, `v`: (R, 3 (B + 1)) consistent positions and velocities.
+    - `limits`: (R,) largest misalignments at which the runs stop [m]; other limits are those of a common timetable.
+    """
+
+    mechanism: CompiledMechanism
+    numbers: Mapping[str, np.ndarray]
+    q: np.ndarray
+    v: np.ndarray
+    limits: np.ndarray
+
+    def of(self, runs: slice | Sequence[int]) -> VariedStarts:
+        """Return some of the runs."""
+        numbers = {name: values[runs] for name, values in self.numbers.items()}
+        return VariedStarts(self.mechanism, numbers, self.q[runs], self.v[runs], self.limits[runs])
+
+    def at(self, run: int) -> MechanismAtStart:
+        """Return one of the mechanisms at its start, which assembly has not changed."""
+        own = {name: values[run] for name, values in self.numbers.items()}
+        mechanism = replace(self.mechanism, topology=self.mechanism.topology._replace(**own))
+        none = dict.fromkeys(mechanism.bodies, 0.0)
+        q, v = (x[run, :-3].reshape(-1, 3) for x in (self.q, self.v))
+        return MechanismAtStart(
+            mechanism, self.q[run], self.v[run], AssembledState(q, v, False, none, none, none, none, 0.0, 0.0)
+        )
+
 
 AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
 
@@ -124,6 +163,8 @@ class LaneStepper:
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)
         self._topologies: list[Topology | None] = [None] * WIDTH
+        #: Mechanism, names of numbers, pairs whose residuals are lengths and other limits of runs of `advance_varied`.
+        self._varied: tuple[CompiledMechanism, list[str], list[int], GuardLimits] | None = None
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
         self.run.watch.guards[:] = [pinned_guard.address for pinned_guard in self._pinned_guards]
@@ -146,9 +187,34 @@ class LaneStepper:
         self._load_steps([tables[lane] for lane in lanes])
         self._load_pivots(pivots, lanes)
         self._in_lanes.drive(self._pinned.address)
+        return self._of_fixed_steps(count)
+
+    def _of_fixed_steps(self, count: int) -> LaneResults:
         steps = int(self.run.times.steps[0])
         made = np.full(count, steps)
         return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
+
+    def advance_varied(self, varied: VariedStarts, table: Timetable) -> LaneResults:
+        """Return the results of at most `WIDTH` runs with fixed steps of an explicit method, and with equal times."""
+        count, c, mechanism = len(varied.q), self.run, varied.mechanism
+        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
+        if self._varied is None or self._varied[0] is not mechanism or self._varied[1] != [*varied.numbers]:
+            fill_lanes(c.top, slice(None), mechanism.topology)
+            pairs = [row.pair for row in mechanism.rows if row.unit == "m"]
+            limits = guard_limits(mechanism, table.guards)
+            self._topologies, self._varied = [None] * WIDTH, (mechanism, [*varied.numbers], pairs, limits)
+        for name, values in varied.numbers.items():
+            own, chosen = getattr(c.top, name), values[lanes]
+            own[...] = chosen if name in BY_LANE else chosen.transpose(*range(1, chosen.ndim), 0)
+        c.q[...], c.v[...] = varied.q[lanes].T, varied.v[lanes].T
+        _, _, pairs, limits = self._varied
+        c.squared_misalignment[...] = limits.squared_misalignment[:, None]
+        c.squared_misalignment[pairs] = varied.limits[lanes] ** 2
+        c.energy_share[0] = limits.energy_jump
+        self._reset([mechanism] * WIDTH, [table] * WIDTH)
+        self._load_steps([table] * WIDTH)
+        self._in_lanes.drive(self._pinned.address)
+        return self._of_fixed_steps(count)
 
     def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
         """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
@@ -163,7 +229,7 @@ class LaneStepper:
                 known = loaded[0] if all(one is loaded[0] for one in loaded) else None
                 fill_lanes(c.top, slice(lane, lane + count), same[0], known)
                 lane += count
-            self._topologies = [*topologies]
+            self._topologies, self._varied = [*topologies], None
         _put(c.q, [start.q0 for start in starts])
         _put(c.v, [start.v0 for start in starts])
         pairs = [(start.mechanism, table.guards) for start, table in zip(starts, tables, strict=True)]
@@ -171,6 +237,11 @@ class LaneStepper:
         limits = [limits_of[pair] for pair in pairs]
         _put(c.squared_misalignment, [limit.squared_misalignment for limit in limits])
         _put(c.energy_share, [limit.energy_jump for limit in limits])
+        self._reset(mechanisms, tables)
+
+    def _reset(self, mechanisms: list[CompiledMechanism], tables: list[Timetable]) -> None:
+        """Begin the runs of `WIDTH` mechanisms, whose numbers are in the lanes."""
+        c = self.run
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.every[0] = tables[0].every
@@ -183,9 +254,10 @@ class LaneStepper:
         c.watch.has_loops[0] = int(self._guards[0].has_loops[0])
         if c.watch.has_loops[0]:
             c.watch.mass[:] = [one.topology.mass for one in mechanisms]
+            fresh = {id(mechanism): new_guard_state(mechanism) for mechanism in mechanisms}
             for guards, mechanism in zip(self._guards, mechanisms, strict=True):
-                for array, fresh in zip(guards, new_guard_state(mechanism), strict=True):
-                    array[...] = fresh
+                for array, values in zip(guards, fresh[id(mechanism)], strict=True):
+                    array[...] = values
 
     def _load_pivots(self, pivots: Sequence[StagePivots | None], lanes: list[int]) -> list[StagePivots]:
         """Copy the pivots of the run of each lane; return them, or an empty list if the method is explicit."""

@@ -50,6 +50,20 @@ class CoincidentEnds:
         values[..., :3], values[..., 3] = states.observed.forces[:, self._columns, :3], states.time[:, None]
         values = np.concatenate([self._last, values])
         self._last = values[-1:].copy()
+        self._first = np.minimum(self._first, self._times(values).min(axis=0, initial=np.inf))
+
+    def found_in(self, time: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return whether there would be a finding in each of R runs, (R,).
+
+        `time`: (R, T) times [s]. `forces`: (R, T, F, 5) values of all force elements.
+        """
+        values = np.empty((*time.shape, len(self._names), 4))
+        values[..., :3], values[..., 3] = forces[:, :, self._columns, :3], time[:, :, None]
+        return np.asarray(np.isfinite(self._times(values.swapaxes(0, 1))).any(axis=(0, 2)))
+
+    @staticmethod
+    def _times(values: np.ndarray) -> np.ndarray:
+        """Return the times (T - 1, ...) at which ends meet, infinite if they do not, from values (T, ..., 4)."""
         (s0, rate0, force0, t0), (s1, rate1, force1, t1) = (
             np.moveaxis(values[:-1], -1, 0),
             np.moveaxis(values[1:], -1, 0),
@@ -58,8 +72,7 @@ class CoincidentEnds:
         turned = (s0 + h * rate0 < REVERSED * s1) & (s1 - h * rate1 < REVERSED * s0) | (s1 == 0.0)
         met = turned & (np.where(s0 < s1, force0, force1) != 0.0)  # a slack rope has no force to reverse
         with np.errstate(invalid="ignore"):  # 0 / 0 if the ends stay together
-            times = np.where(met, t0 + h * np.nan_to_num(s0 / (s0 + s1)), np.inf)
-        self._first = np.minimum(self._first, times.min(axis=0, initial=np.inf))
+            return np.asarray(np.where(met, t0 + h * np.nan_to_num(s0 / (s0 + s1)), np.inf))
 
     def findings(self, _energies: EnergyRecord, _integrals: Integrals) -> tuple[str, ...]:
         """Return a sentence for each force whose ends have met."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,8 +18,8 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.observed_states import joint_sums
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Stretch, Timetable
-from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, LaneStepper
+from mbdkit.integrators.interface import Stretch
+from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, LaneStepper, VariedStarts
 from mbdkit.quantities.array import TEXT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
@@ -35,7 +35,11 @@ from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
-    from mbdkit.runs.lane_runs import LaneMember
+    from mbdkit.engine.consistent_start import MechanismAtStart
+    from mbdkit.integrators.interface import Timetable
+    from mbdkit.integrators.lanes.lane_collocation import StagePivots
+    from mbdkit.methods.kinds import Method
+    from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
 #: Largest size of the recorded arrays that are computed together [bytes]; they should remain in the processor's cache.
@@ -44,6 +48,41 @@ BYTES = 1 << 22
 ROWS = 200  #: Assumed number of recorded states of a run with controlled steps.
 
 MOST_TOGETHER = 32 * WIDTH  #: Largest number of runs whose arrays are computed together.
+
+
+@dataclass(eq=False)
+class LaneMember:
+    """A prepared run that can be vectorized.
+
+    If `varied` is given, `settings` is the spec of a run that differs in numbers of its model only, and `varied`
+    returns the spec of this run.
+    """
+
+    settings: RunSpec
+    method: Method
+    start: MechanismAtStart
+    table: Timetable
+    pivots: StagePivots | None  #: Pivots of the stage matrix; None if the method is explicit.
+    size: float  #: Size of the mechanism at its start [m]; its characteristic length if all points coincide.
+    extent: float  #: Size of the mechanism at its start [m].
+    findings: tuple[Finding, ...]
+    topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
+    seconds: float = 0.0  #: Wall time of the preparation [s].
+    varied: Callable[[], RunSpec] | None = None
+    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end.
+
+    @property
+    def spec(self) -> RunSpec:
+        """The spec of the run."""
+        return self.settings if self.varied is None else self.varied()
+
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Key that is equal for runs that can share a loop and whose archives have the same arrays."""
+        table, pivots = self.table, None if self.pivots is None else self.pivots.key
+        steps = table.interval if self.method.traits.tolerances else table.steps
+        settings = self.settings.output.recorded, tuple(self.settings.accept)
+        return self.topology, self.method, pivots, steps, table.every, settings
 
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
@@ -57,6 +96,207 @@ def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
 def _rows(first: LaneMember) -> int:
     """Return the number of recorded states of a run with fixed steps."""
     return 1 + -(-first.table.steps // first.table.every)
+
+
+class Watch:
+    """What watches the recorded states of a run in a lane."""
+
+    def __init__(self, member: LaneMember, results: LaneResults, run: int):
+        self._member = member
+        self._ranges = self._watchers = None
+        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
+        if not member.watched:
+            return
+        mechanism, rows, spec = member.start.mechanism, int(results.rows[run]), member.spec
+        self._ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
+        if self._ranges is not None:
+            left = self._ranges.add(results.time[run, :rows], results.observed.forces[run, :rows])
+            self.has_stopped = left is not None and self._ranges.stops
+        self._watchers = StateWatchers(spec, mechanism, member.size)
+        if self._watchers:
+            observed = Observed(*(values[run, :rows] for values in results.observed))
+            time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
+            self._watchers.add(States(mechanism, time, q, v, lambda: observed))
+
+    def findings(self, energies: np.ndarray) -> tuple[Finding, ...]:
+        """Return what is found in the run, from the values of its `EnergyRecord`."""
+        ranges = () if self._ranges is None else self._ranges.findings()
+        watched = () if self._watchers is None else self._watchers.findings(EnergyRecord.of(energies), {})
+        return (*self._member.findings, *watched, *ranges)
+
+
+class PreparedRuns:
+    """Prepared runs that can share a loop.
+
+    Parameters
+    ----------
+    members
+        The runs.
+
+    Attributes
+    ----------
+    first : LaneMember
+        One of the runs.
+    size, extent, limit, seconds : (R,) arrays
+        See `LaneMember`; smallest limit of misalignments.
+    """
+
+    def __init__(self, members: Sequence[LaneMember]):
+        self.members, self.first = members, members[0]
+        self.size, self.extent, self.seconds = (
+            np.array([getattr(member, name) for member in members]) for name in ("size", "extent", "seconds")
+        )
+        guards = [member.table.guards for member in members]
+        self.limit = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
+
+    def __len__(self) -> int:
+        return len(self.members)
+
+    def member(self, run: int) -> LaneMember:
+        """Return one of the runs."""
+        return self.members[run]
+
+    def of(self, runs: Sequence[int]) -> PreparedRuns:
+        """Return some of the runs."""
+        return PreparedRuns([self.members[run] for run in runs])
+
+    def advance(self, stepper: LaneStepper, runs: slice) -> LaneResults:
+        """Advance some of the runs, at most `WIDTH`."""
+        some = self.members[runs]
+        return stepper.advance([one.start for one in some], [one.table for one in some], [one.pivots for one in some])
+
+    def sound(self, results: LaneResults) -> np.ndarray:
+        """Return the indices of the runs that need not be repeated alone."""
+        largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
+        # Joints whose states may exceed a limit of misalignment must be checked one by one. The residual of a joint,
+        # which has at most three rows, is below 4 times that of its largest row.
+        return np.flatnonzero(~results.lost & (largest <= self.limit / 4))
+
+    def watched(self, results: LaneResults) -> list[Watch] | None:
+        """Return what watches the recorded states of each run; None if nothing does."""
+        return [Watch(member, results, run) for run, member in enumerate(self.members)]
+
+    def settings(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the settings of inputs."""
+        own = [start_settings(member.start.mechanism, member.table.start) for member in self.members]
+        return {key: np.stack([one[key] for one in own]) for key in own[0]}
+
+    def assembly(self) -> list[str]:
+        """Return sentences on how the starts were made consistent."""
+        return [member.start.assembled.describe() for member in self.members]
+
+    def integrals(self, results: LaneResults, measures: Sequence[str]) -> list[Integrals]:
+        """Return the extrema and values that the measures of the runs need; nothing if they need none.
+
+        They are computed from the rows of the runs, which are the ends of all steps.
+        """
+        integrals: list[Integrals] = []
+        for run, member in enumerate(self.members if functionals_of(self.first.settings, measures) else ()):
+            start, rows = member.start, int(results.rows[run])
+            workspace, stiff = Workspace(start.mechanism, member.table.start, start.q0, start.v0), member.method.traits
+            functionals = functionals_of(member.spec, measures)
+            own = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff.suits_stiff)
+            assert own.continuous is not None
+            time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
+            own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
+            integrals.append(own.totals())
+        return integrals
+
+    def steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the sizes of the steps of the runs, and of their last steps, (R,) [s]."""
+        tables = [member.table for member in self.members]
+        return np.array([table.step for table in tables]), np.array([table.last_step for table in tables])
+
+
+class VariedRuns(PreparedRuns):
+    """Prepared runs that differ in some numbers of their mechanisms only, and have no objects of their own.
+
+    Parameters
+    ----------
+    first
+        A run with the same loop.
+    starts
+        The mechanisms and their starts.
+    extent, size
+        See `LaneMember`.
+    spec
+        Function that returns the spec of a run.
+    tolerance
+        (R,) largest residual of constraints with which assembly certainly changes nothing; None if the starts are
+        known to be consistent.
+    seconds
+        Wall time of the preparation of a run [s].
+    """
+
+    def __init__(
+        self,
+        first: LaneMember,
+        starts: VariedStarts,
+        extent: np.ndarray,
+        size: np.ndarray,
+        spec: Callable[[int], RunSpec],
+        tolerance: np.ndarray | None,
+        seconds: float,
+    ):
+        self.first, self.starts, self.extent, self.size, self.spec = first, starts, extent, size, spec
+        self.tolerance, self.seconds = tolerance, np.full(len(extent), seconds)
+        self.limit = np.minimum(starts.limits, first.table.guards.angle_misalignment)
+        self.watchers = StateWatchers(first.spec, first.start.mechanism, first.size).of_many or []
+
+    def __len__(self) -> int:
+        return len(self.extent)
+
+    def member(self, run: int) -> LaneMember:
+        """See `PreparedRuns.member`."""
+        guards = replace(self.first.table.guards, misalignment=float(self.starts.limits[run]))
+        table, size, extent = replace(self.first.table, guards=guards), float(self.size[run]), float(self.extent[run])
+        start = self.starts.at(run)
+        spec = partial(self.spec, run)
+        return replace(self.first, varied=spec, start=start, table=table, size=size, extent=extent)
+
+    def of(self, runs: Sequence[int]) -> VariedRuns:
+        """See `PreparedRuns.of`."""
+        places, tolerance = [*runs], None if self.tolerance is None else self.tolerance[[*runs]]
+        return VariedRuns(
+            self.first, self.starts.of(places), self.extent[places], self.size[places],
+            lambda run: self.spec(places[run]), tolerance, float(self.seconds[0]),
+        )  # fmt: skip
+
+    def advance(self, stepper: LaneStepper, runs: slice) -> LaneResults:
+        """See `PreparedRuns.advance`."""
+        return stepper.advance_varied(self.starts.of(runs), self.first.table)
+
+    def sound(self, results: LaneResults) -> np.ndarray:
+        """See `PreparedRuns.sound`; runs with findings, and those whose starts assembly may change, are repeated."""
+        sound = super().sound(results)
+        for watcher in self.watchers:
+            sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
+        if self.tolerance is None:
+            return sound
+        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
+        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
+        consistent = (gap <= self.tolerance) & (rate <= self.tolerance)
+        return np.asarray(sound[consistent[sound]])
+
+    def watched(self, results: LaneResults) -> None:
+        """See `PreparedRuns.watched`."""
+
+    def settings(self) -> dict[str, np.ndarray]:
+        """See `PreparedRuns.settings`."""
+        return {}
+
+    def assembly(self) -> list[str]:
+        """See `PreparedRuns.assembly`."""
+        return [self.first.start.assembled.describe()] * len(self)
+
+    def integrals(self, results: LaneResults, measures: Sequence[str]) -> list[Integrals]:
+        """See `PreparedRuns.integrals`."""
+        return []
+
+    def steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `PreparedRuns.steps`."""
+        table = self.first.table
+        return np.full(len(self), table.step), np.full(len(self), table.last_step)
 
 
 class LaneGroup:
@@ -89,82 +329,96 @@ class LaneGroup:
         self.size = max(1, together // WIDTH) * WIDTH
 
     def finished(
-        self, members: Sequence[LaneMember], measures: Sequence[str]
-    ) -> tuple[Sequence[int], FinishedRuns | None]:
+        self, members: PreparedRuns | Sequence[LaneMember], measures: Sequence[str]
+    ) -> tuple[list[int], FinishedRuns | None]:
         """Carry out at most `size` runs of the group together.
 
         Returns the indices of the runs that have ended, and their results; the others must be repeated alone.
         """
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
         begin, cpu = time.perf_counter(), time.process_time()
-        ended, runs = self.concluded(members, self.advance(members), measures)
-        if runs is not None:
+        runs = members if isinstance(members, PreparedRuns) else PreparedRuns(members)
+        ended, finished = self._ended(runs, self._advanced(runs), measures)
+        if finished is not None:
             spent = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
-            lanes = -(-len(members) // WIDTH) * WIDTH
-            each = {name: np.full(len(ended), seconds / lanes) for name, seconds in spent.items()}
-            runs = replace(runs, stats={**runs.stats, **each})
-        return ended, runs
+            shares = {name: np.full(len(ended), seconds / len(runs)) for name, seconds in spent.items()}
+            finished = replace(finished, stats={**finished.stats, **shares})
+        return ended, finished
 
     def advance(self, members: Sequence[LaneMember]) -> LaneResults:
         """Take the steps of at most `size` runs of the group."""
-        vectors = [members[first : first + WIDTH] for first in range(0, len(members), WIDTH)]
-        return LaneResults.joined(
-            [
-                self.stepper.advance(
-                    [one.start for one in some], [one.table for one in some], [one.pivots for one in some]
-                )
-                for some in vectors
-            ]
-        )
+        return self._advanced(PreparedRuns(members))
+
+    def _advanced(self, runs: PreparedRuns) -> LaneResults:
+        vectors = range(0, len(runs), WIDTH)
+        return LaneResults.joined([runs.advance(self.stepper, slice(one, one + WIDTH)) for one in vectors])
+
+    def sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
+        """Return the indices of the runs that need not be repeated alone, as far as their joints are concerned."""
+        sound: list[int] = PreparedRuns(members).sound(results).tolist()
+        return sound
 
     def concluded(
         self, members: Sequence[LaneMember], results: LaneResults, measures: Sequence[str]
-    ) -> tuple[Sequence[int], FinishedRuns | None]:
+    ) -> tuple[list[int], FinishedRuns | None]:
         """Return the indices of the runs that have ended, and what they have recorded, without the times of the steps.
 
         The others must be repeated alone.
         """
-        watches = {place: _Watch(members[place], results, place) for place in self.sound(results, members)}
-        ended = [place for place, watch in watches.items() if not watch.has_stopped]
-        if not ended:
+        return self._ended(PreparedRuns(members), results, measures)
+
+    def _ended(
+        self, runs: PreparedRuns, results: LaneResults, measures: Sequence[str]
+    ) -> tuple[list[int], FinishedRuns | None]:
+        ended = runs.sound(results)
+        if len(ended) < len(runs):
+            results, runs = results.of(ended), runs.of(ended.tolist()) if len(ended) else runs
+        watches = runs.watched(results) if len(ended) else None
+        if watches is not None and any(watch.has_stopped for watch in watches):
+            kept = [run for run, watch in enumerate(watches) if not watch.has_stopped]
+            ended, watches = ended[kept], [watches[run] for run in kept]
+            results, runs = results.of(np.array(kept, int)), runs.of(kept) if kept else runs
+        if not len(ended):
             return [], None
-        if len(ended) < len(members):
-            results, members = results.of(np.array(ended)), [members[place] for place in ended]
-        return ended, self._concluded(members, results, [watches[place] for place in ended], measures)
+        return ended.tolist(), self._concluded(runs, results, watches, measures)
 
     def _concluded(
-        self, members: Sequence[LaneMember], results: LaneResults, watches: Sequence[_Watch], measures: Sequence[str]
+        self, runs: PreparedRuns, results: LaneResults, watches: list[Watch] | None, measures: Sequence[str]
     ) -> FinishedRuns:
         """Return the results of runs that have reached their ends."""
-        count, states = len(members), self._states(results)
+        count, states, first = len(runs), self._states(results), runs.first
         with np.errstate(all="ignore"):  # values in lanes whose run has failed may overflow
             arrays = {key: self._by_run(one.take(states), key, count) for key, one in self.recorded.items()}
-        arrays |= self._intervals([member.table for member in members], results)
+        arrays |= self._intervals(runs, results)
         extremes = _Extremes(self, results, states)
-        found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
+        found = [first.findings] * count
+        if watches is not None:
+            found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
         begin = time.perf_counter()
         digests = self.hash.shared_digests(arrays) if results.work is None and count > 1 else {}
-        settings = [start_settings(member.start.mechanism, member.table.start) for member in members]
-        arrays |= {key: np.stack([own[key] for own in settings]) for key in settings[0]}
+        settings = runs.settings()
+        arrays |= settings
         lengths = {"time": results.rows, "interval": results.rows - 1}
-        lengths |= {"set/number": np.full(count, len(values)) for values in settings[0].values()}
+        if settings:
+            lengths["set/number"] = np.full(count, settings["inputs/set/number"].shape[1])
         hashes = self.hash.of_runs(arrays, lengths, digests)
         finish = (time.perf_counter() - begin) / count
         stats = dict(results.counters)
-        stats["factorizations"] = stats["factorizations"] + int(members[0].pivots is not None)
-        stats["setup_s"] = np.array([member.seconds for member in members])
-        doubts = [Doubts.of(one, member.settings.accept) for one, member in zip(found, members, strict=True)]
-        runs = FinishedRuns(
-            status="complete", reason="", stats={**stats, "finish_s": np.full(count, finish)},
-            misalignment_max=extremes.misalignment, judgements=extremes.judgements(members, doubts),
-            warnings=[tuple(map(str, one)) for one in found], names=self.names, layout=self.layout, arrays=arrays,
-            lengths=lengths, data_sha256=hashes, assembly=[one.start.assembled.describe() for one in members],
-            sizes=np.array([member.extent for member in members]), integrals=[*_integrals(members, results, measures)],
+        stats["factorizations"] = stats["factorizations"] + int(first.pivots is not None)
+        known = {one: (Doubts.of(one, first.settings.accept), tuple(map(str, one))) for one in dict.fromkeys(found)}
+        finished = FinishedRuns(
+            status="complete", reason="",
+            stats={**stats, "setup_s": runs.seconds, "finish_s": np.full(count, finish)},
+            misalignment_max=extremes.misalignment,
+            judgements=extremes.judgements(runs, [known[one][0] for one in found]),
+            warnings=[known[one][1] for one in found], names=self.names, layout=self.layout, arrays=arrays,
+            lengths=lengths, data_sha256=hashes, assembly=runs.assembly(), sizes=runs.extent,
+            integrals=runs.integrals(results, measures),
         )  # fmt: skip
         if logs_ends():
-            for run, member in enumerate(members):
-                log_end(member.spec, runs.run(run))
-        return runs
+            for run in range(count):
+                log_end(runs.member(run).spec, finished.run(run))
+        return finished
 
     def _states(self, results: LaneResults) -> States:
         """Return the states of all runs, one run after another."""
@@ -185,28 +439,17 @@ class LaneGroup:
         shaped = values.reshape(count, len(values) // count, *values.shape[1:])
         return np.ascontiguousarray(shaped, self.types[key])
 
-    def sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
-        """Return the indices of the runs that are not lost and whose recorded states certainly exceed no limit of
-        misalignment. The joints of the others must be checked one by one.
-        """
-        limits = [member.table.guards for member in members]
-        largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
-        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in limits])
-        # The residual of a joint, which has at most three rows, is below 4 times that of its largest row.
-        sound: list[int] = np.flatnonzero(~results.lost & (largest <= smallest / 4)).tolist()
-        return sound
-
-    def _intervals(self, tables: Sequence[Timetable], results: LaneResults) -> dict[str, np.ndarray]:
+    def _intervals(self, runs: PreparedRuns, results: LaneResults) -> dict[str, np.ndarray]:
         """Return the statistics (R, T - 1) of the intervals between the recorded states of all runs."""
         shape = len(results.time), results.time.shape[1] - 1
         if results.work is not None:
             steps, size, rejected = np.moveaxis(results.work[:, 1:], 2, 0)
         else:  # the numbers of steps are equal for all runs
-            first = tables[0]
+            first = runs.first.table
             ends = np.minimum(first.every * np.arange(1, 1 + shape[1]), first.steps)
             steps, rejected = np.broadcast_to(np.diff(ends, prepend=0), shape), np.zeros(shape)
-            size = np.repeat([[table.step] for table in tables], shape[1], axis=1)
-            size[:, -1] = [table.last_step for table in tables]
+            size = np.repeat(runs.steps()[0][:, None], shape[1], axis=1)
+            size[:, -1] = runs.steps()[1]
         values = {
             "interval": np.broadcast_to(np.arange(1, 1 + shape[1]), shape),
             "time": results.time[:, 1:],
@@ -218,33 +461,6 @@ class LaneGroup:
         }
         typed = {f"steps/{name}": array for name, array in values.items() if f"steps/{name}" in self.types}
         return {key: np.ascontiguousarray(array, self.types[key]) for key, array in typed.items()}
-
-
-class _Watch:
-    """What watches the recorded states of a run in a lane."""
-
-    def __init__(self, member: LaneMember, results: LaneResults, run: int):
-        self._member = member
-        self._ranges = self._watchers = None
-        self.has_stopped = False  #: Whether the run stops where a law leaves its range.
-        if not member.watched:
-            return
-        mechanism, rows, spec = member.start.mechanism, int(results.rows[run]), member.spec
-        self._ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
-        if self._ranges is not None:
-            left = self._ranges.add(results.time[run, :rows], results.observed.forces[run, :rows])
-            self.has_stopped = left is not None and self._ranges.stops
-        self._watchers = StateWatchers(spec, mechanism, member.size)
-        if self._watchers:
-            observed = Observed(*(values[run, :rows] for values in results.observed))
-            time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
-            self._watchers.add(States(mechanism, time, q, v, lambda: observed))
-
-    def findings(self, energies: np.ndarray) -> tuple[Finding, ...]:
-        """Return what is found in the run, from the values of its `EnergyRecord`."""
-        ranges = () if self._ranges is None else self._ranges.findings()
-        watched = () if self._watchers is None else self._watchers.findings(EnergyRecord.of(energies), {})
-        return (*self._member.findings, *watched, *ranges)
 
 
 class _Extremes:
@@ -263,9 +479,9 @@ class _Extremes:
         others = np.stack([results.observed.potential, results.energy[:, :, 0], results.energy[:, :, 1]])
         self.energies = largest_energies(kinetic, others, balance)
 
-    def judgements(self, members: Sequence[LaneMember], doubts: Sequence[Doubts]) -> list[Judgement]:
+    def judgements(self, runs: PreparedRuns, doubts: Sequence[Doubts]) -> list[Judgement]:
         """Return the verdicts on the runs; those whose numbers give a reason are judged one by one."""
-        sizes = np.array([member.size for member in members])
+        sizes = runs.size
         gap, angle = (values.max(axis=1, initial=0.0) for values in (self.misalignment, self.angles))
         kinetic, jump, _ = self.results.guards
         errors = [jump, self.energies[2]] if not self.mechanism.is_locked else [0.0 * jump] * 2
@@ -274,7 +490,7 @@ class _Extremes:
             energy = self.energies[1]
             plain = is_inconspicuous(share, angle, np.maximum(self.energies[0], kinetic), energy, errors)
         return [
-            _judgement_of(doubts[run]) if plain and not turns else self._judgement(run, members[run], doubts[run])
+            _judgement_of(doubts[run]) if plain and not turns else self._judgement(run, runs.member(run), doubts[run])
             for run, (plain, turns) in enumerate(zip(plain.tolist(), self.results.turns, strict=True))
         ]
 
@@ -294,20 +510,3 @@ class _Extremes:
 def _judgement_of(doubts: Doubts) -> Judgement:
     """Return the verdict on a complete run whose numbers give no reason."""
     return judge(Evidence(warnings=doubts.open, accepted=doubts.accepted, faults=doubts.faults))
-
-
-def _integrals(members: Sequence[LaneMember], results: LaneResults, measures: Sequence[str]) -> Iterator[Integrals]:
-    """Yield the extrema and values of runs that their measures need; nothing if they need none.
-
-    They are computed from the rows of the runs, which are the ends of all steps.
-    """
-    functionals = functionals_of(members[0].settings, measures)
-    for run, member in enumerate(members if functionals else ()):
-        start, rows = member.start, int(results.rows[run])
-        workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
-        stiff = member.method.traits.suits_stiff
-        integrals = RunIntegrals(workspace, functionals_of(member.spec, measures), member.table, suits_stiff=stiff)
-        assert integrals.continuous is not None
-        time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
-        integrals.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
-        yield integrals.totals()

@@ -27,8 +27,8 @@ from mbdkit.integrators.lane_stepper import LaneResults
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.runs.findings import criteria
 from mbdkit.runs.finish import run_in_memory
-from mbdkit.runs.lane_group import LaneGroup
-from mbdkit.runs.lane_runs import LaneMember, LaneRuns
+from mbdkit.runs.lane_group import LaneGroup, LaneMember
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.preparation import guards_of
 from mbdkit.runs.varied_numbers import STATE, Variant, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from mbdkit.quantities.states import States
 from mbdkit.registry.manager import use
@@ -16,6 +18,16 @@ if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
     from mbdkit.trust.energy_record import EnergyRecord
     from mbdkit.trust.finding import Finding
+
+
+class WatcherOfMany(Protocol):
+    """A watcher that can look at many runs at once; its decisions do not depend on the numbers of a mechanism."""
+
+    def found_in(self, time: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return whether there would be a finding in each of R runs, (R,).
+
+        `time`: (R, T) times [s]. `forces`: (R, T, F, 5) values of all force elements.
+        """
 
 
 class StateWatchers:
@@ -35,6 +47,12 @@ class StateWatchers:
 
     def __bool__(self) -> bool:
         return bool(self._watchers)
+
+    @property
+    def of_many(self) -> list[WatcherOfMany] | None:
+        """The watchers, if all can look at many runs at once; else None."""
+        watchers = [*self._watchers.values()]
+        return watchers if all(hasattr(watcher, "found_in") for watcher in watchers) else None  # type: ignore[return-value]
 
     def add(self, states: States) -> None:
         """Take note of states, which are later than those of earlier calls."""

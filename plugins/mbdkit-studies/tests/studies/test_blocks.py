@@ -20,12 +20,14 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import data_sha256, datasets, seal
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit.integrators.lane_stepper import VariedStarts
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit_studies.compute import batch, pool, run_blocks, unfinished_block
 from mbdkit_studies.compute import compute_block as compute_block_module
 from mbdkit_studies.compute.compute_block import compute_block
 from mbdkit_studies.compute.tasks import mark_of, run_at_work
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock, pieces_of
+from mbdkit_studies.compute.varied_runs import VariedRuns
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints
@@ -559,3 +561,56 @@ def test_runs_with_inputs_are_stored_with_what_was_set(tmp_path: Path) -> None:
     for path in (study.folder / "runs").glob("*.h5"):
         with Block(path) as block:
             assert block.is_sound()
+
+
+ENSEMBLES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "angles": ({"name": "double-pendulum"}, {"model.angles.0": [0.3, -0.4, 0.0, 1.0], "model.angles.1": [1, 2, 3, -1]}),
+    "lengths": ({"name": "single-pendulum"}, {"model.length": [0.5, 1.5, -1, 1], "model.mass": [0.7, 2, 3, 0.1]}),
+    "springs": (
+        {"name": "four-bar-knee", "springs": {"a": {"points": [[0.05, 0.1], [0.05, -0.1]], "stiffness": 1.0}}},
+        {"model.springs.a.stiffness": [1000.0, 2e3, 0.0, 4e3], "model.springs.a.damping": [20.0, 3, 1, -0.0]},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ENSEMBLES)
+def test_runs_computed_from_arrays_are_those_with_specs_of_their_own(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # expected: each run, prepared from its own spec; among the values are defaults, zeros and refused ones
+    model, variables = ENSEMBLES[name]
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.01}}
+    done, finished = [], VariedRuns.finished
+
+    def noted(*arguments: Any) -> Any:
+        for places, runs in finished(*arguments):
+            done.extend(places)
+            yield places, runs
+
+    monkeypatch.setattr(VariedRuns, "finished", noted)
+    mbdkit.ensemble(spec, variables, store="all", out=tmp_path / "s", notify=lambda _: None)
+    folder = StudyFolder(tmp_path / "s")
+    arrays = contents(folder.block(0))
+    assert len(done) >= 2
+    compute_block(folder.path, 0, one_by_one=True, notify=lambda _: None)
+    own = contents(folder.block(0))
+    assert own.keys() == arrays.keys()
+    assert [key for key, values in own.items() if values != arrays[key]] == []
+
+
+def test_a_study_ends_with_both_hashes_if_a_run_computed_twice_differs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = VariedStarts.of
+
+    def shifted(self: VariedStarts, runs: Any) -> VariedStarts:
+        starts = of(self, runs)
+        return dataclasses.replace(starts, v=starts.v + 1e-300)
+
+    monkeypatch.setattr(VariedStarts, "of", shifted)
+    monkeypatch.setattr(compute_block_module, "drawn", lambda places, _: frozenset(places))
+    variables = {"model.angles.0": [0.1, 0.2]}
+    with pytest.raises(MbdkitError, match=r"data_sha256 [0-9a-f]{64} .* but [0-9a-f]{64} .* defect of mbdkit"):
+        mbdkit.ensemble(BASE, variables, out=tmp_path / "s")
+    for number in (1, 2):  # computed by the ordinary way after all
+        mbdkit.load_study(tmp_path / "s").remake(number=number).close()

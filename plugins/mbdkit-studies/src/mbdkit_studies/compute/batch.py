@@ -64,8 +64,8 @@ def simulate_in_any_order(
 
     The numbers, and therefore `FinishedRun.data_sha256`, are equal to those of `simulate` for the same spec. Runs on
     index-1 equations with explicit, Gauss and Radau IIA methods are vectorized; see `mbdkit.runs.lane_runs`
-    for the exceptions. All others are computed one after another. Similar runs that are vectorized are yielded
-    together, other runs one by one.
+    for the exceptions. All others are computed one after another. Similar vectorized runs are yielded together, other
+    runs one by one.
 
     Parameters
     ----------

@@ -11,7 +11,7 @@ import gc
 import json
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -20,25 +20,29 @@ from pathlib import Path
 
 import numpy as np
 
+from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.plain_data import path_text
 from mbdkit.base.terminal import say
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.provenance import plugins_of, surroundings
+from mbdkit.runs.simulation import simulate_arrays
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.compute.batch import CHUNK, refusal, simulate_in_any_order
 from mbdkit_studies.compute.study_plan import StudyPlan
-from mbdkit_studies.compute.tasks import Outcome, mark_of
+from mbdkit_studies.compute.tasks import Outcome, mark_of, run_at_work
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
+from mbdkit_studies.compute.varied_runs import DifferenceError, VariedRuns, drawn, is_determined
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import PlannedPoint
+from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints
 from mbdkit_studies.spec.measures import (
     MEASURES,
     OF_CHECKED_RUNS,
@@ -48,7 +52,7 @@ from mbdkit_studies.spec.measures import (
     other_values,
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import BlockHeading, BlockRuns, kept, write_block
+from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
@@ -82,6 +86,11 @@ class BlockMeasures:
         checked = OF_CHECKED_RUNS if self.is_checked else {}
         measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
         return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
+
+    @cached_property
+    def varied(self) -> VariedRuns:
+        """The runs whose specs differ in numbers only."""
+        return VariedRuns(self.plan.points, self.plan.expressions)
 
     @property
     def is_checked(self) -> bool:
@@ -142,7 +151,12 @@ class _Member:
 
 
 def compute_block(
-    folder: str | Path, block: int, *, skip: Mapping[int, str] | None = None, notify: Callable[[str], None] = say
+    folder: str | Path,
+    block: int,
+    *,
+    skip: Mapping[int, str] | None = None,
+    notify: Callable[[str], None] = say,
+    one_by_one: bool = False,
 ) -> int:
     """Compute the runs of a block and write its file.
 
@@ -159,6 +173,8 @@ def compute_block(
         Reasons for which runs are recorded as failed without being computed, by number of the run.
     notify
         Called with each warning of a run.
+    one_by_one
+        Whether each run has a spec of its own, even if the specs differ in numbers only.
 
     Returns
     -------
@@ -171,15 +187,31 @@ def compute_block(
         If the folder contains no study.
     ResourceError
         If the block cannot be written, or another process is computing it.
+    DifferenceError
+        If a run that was computed twice has different results; the block has then been computed run by run.
     """
-    files = StudyFolder(Path(folder))
+    try:
+        return _compute_block(Path(folder), block, skip or {}, notify, one_by_one=one_by_one)
+    except DifferenceError:
+        _compute_block(Path(folder), block, skip or {}, notify, one_by_one=True)
+        raise
+
+
+def _compute_block(
+    folder: Path, block: int, skip: Mapping[int, str], notify: Callable[[str], None], *, one_by_one: bool
+) -> int:
+    files = StudyFolder(folder)
     measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
     plan = measures.plan
-    skip = skip or {}
     heading = BlockHeading(
         plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
     )
     unfinished = UnfinishedBlock(files.block(block), heading)
+    # The run in which a process has died is found if runs are computed one by one.
+    one_by_one = one_by_one or bool(skip) or run_at_work(files.block(block)) is not None
+    if block == 0 and not one_by_one and (reason := measures.varied.note):
+        notify(reason)
+    twice = drawn(plan.blocks.places(block), len(plan.points))
     # entered here, because entering it for each vector of runs would take time
     with _Mark(files.block(block)) as mark, _collecting_new_objects_only(), one_thread_of_linear_algebra():
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
@@ -194,7 +226,14 @@ def compute_block(
 
         # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
         for first in range(0, len(places), CHUNK):
-            members = [_member(plan.points[place], varied, skip, mark) for place in places[first : first + CHUNK]]
+            left: Sequence[int] = places[first : first + CHUNK]
+            if not (one_by_one or saved or measures.varied.reason):
+                mark.note(left[-1] + 1)
+                pending += _varied_runs(measures, left, lanes, notify, twice)
+                computed = {number for part in pending for number in part.numbers}
+                left = [place for place in left if place + 1 not in computed]
+                add()
+            members = [_member(plan.points[place], varied, skip, mark) for place in left]
             known = _taken_over(saved, members)
             runs += known.values()
             missing = [member for member in members if member.point.number not in known]
@@ -203,9 +242,22 @@ def compute_block(
                 if unfinished.is_due:
                     add()
             add()
-        write_block(files.block(block), heading, plan.points.in_block(places), runs)
+        write_block(files.block(block), heading, _points(plan.points, places), runs)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
+
+
+def _points(points: PlannedPoints, places: range) -> BlockPoints:
+    """Return the points of a study at some places for a block."""
+    numbers, table = [place + 1 for place in places], points.table()
+    if table is not None:
+        values = {key: column[places.start : places.stop] for key, column in table.items()}
+        return BlockPoints(numbers, [points.grids[0].base_json] * len(numbers), values)
+    some = [points[place] for place in places]
+    own = [{path_text(setting.path): setting.value for setting in point.settings} for point in some]
+    keys = dict.fromkeys(key for values in own for key in values)
+    columns = {key: [values.get(key, UNSET) for values in own] for key in keys}
+    return BlockPoints(numbers, [point.grid.base_json for point in some], columns)
 
 
 def _taken_over(saved: Mapping[int, BlockRuns], members: Sequence[_Member]) -> dict[int, BlockRuns]:
@@ -272,6 +324,53 @@ def _results(
     for member in members:
         if isinstance(member.spec, Outcome):
             yield [member], member.spec
+
+
+def _varied_runs(
+    measures: BlockMeasures,
+    places: Sequence[int],
+    lanes: LaneRuns,
+    notify: Callable[[str], None],
+    twice: Collection[int],
+) -> Iterator[BlockRuns]:
+    """Yield the data of those runs that can be computed without specs of their own; those at `twice` are compared.
+
+    Raises DifferenceError if their results differ.
+    """
+    varied = measures.varied
+    for done, results in varied.finished(lanes, places):
+        for warning in chain.from_iterable(results.warnings):
+            notify(f"warning: {warning}")
+        taken, failed = measures.of(results, varied.specs(done))
+        ended = [failed.get(place, results) for place in range(len(done))] if failed else ()
+        hashes = varied.hashes(done)
+        for number, place in enumerate(done):
+            if place not in twice:
+                continue
+            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], measures)
+        yield BlockRuns(
+            [place + 1 for place in done],
+            [one.status for one in ended] or results.status,
+            [one.reason for one in ended] or results.reason,
+            *hashes,
+            plugins=_plugins_json(tuple(plugins_of(varied.base).items())),
+            results=kept(results, stored(measures.spec)),
+            measures=taken,
+        )
+
+
+def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], measures: BlockMeasures) -> None:
+    """Raise DifferenceError if a run differs from the same run by the ordinary way."""
+    other = simulate_arrays(spec, measures=measures.plan.expressions)
+    mine = run.data_sha256, *hashes, run.judgement, run.warnings, run.status
+    theirs = other.data_sha256, spec.sha256(), spec.run_id(), other.judgement, other.warnings, other.status
+    names = "data_sha256", "spec_sha256", "run_id", "verdict", "warnings", "status"
+    for name, one, two in zip(names, mine, theirs, strict=True):
+        if one != two:
+            raise DifferenceError(
+                f"run {place + 1} has the {name} {one} by the way of ensembles, but {two} by the ordinary way. This is "
+                "a defect of mbdkit; please report it, with this study. Its block was computed by the ordinary way"
+            )
 
 
 def _block_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
@@ -348,9 +447,3 @@ class _Mark:
     def __exit__(self, *_: object) -> None:
         os.close(self.handle)
         self.path.unlink(missing_ok=True)
-
-
-def is_determined(spec: RunSpec) -> bool:
-    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
-    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
-    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)

@@ -15,7 +15,7 @@ from mbdkit.base.errors import ArchiveError, MbdkitError, ResourceError, SpecErr
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit_studies.compute.compute_block import MISALIGNMENT
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
-from mbdkit_studies.compute.tasks import Outcome, Task, forget_run_at_work
+from mbdkit_studies.compute.tasks import DIFFERS, Outcome, Task, forget_run_at_work
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
@@ -49,7 +49,7 @@ class RunBlocks(RunStore[int]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        self.count = len(self.plan.points)
+        self.count, self._sha256 = len(self.plan.points), spec.sha256()
         self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
         self._read: dict[int, tuple[tuple[int, ...], Index | None]] = {}  # rows of the index, with the file's state
 
@@ -88,11 +88,14 @@ class RunBlocks(RunStore[int]):
         yield Round(self._tasks, sum(task.runs for task in self._tasks))
 
     def note(self, task: Task, outcome: Outcome) -> None:
-        """See `RunStore.note`."""
+        """See `RunStore.note`; raises MbdkitError if a run that was computed twice has different results."""
         self.note_file(task.key, outcome)
+        if outcome.status == DIFFERS:
+            raise MbdkitError(outcome.reason)
         if outcome.status == "complete":
             self._sound[task.key] = state = _state(task.path)
-            self._read[task.key] = state, self._from_file(task.key)  # while further blocks are computed
+            # while further blocks are computed; the file has just been written
+            self._read[task.key] = state, self._from_file(task.key, is_verified=False)
         self.unfinished += [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
         self.computed += task.runs
         self.failed += int(outcome.values.get("failed", 0))
@@ -158,13 +161,13 @@ class RunBlocks(RunStore[int]):
             return rows
         return self._indexed(block) or self._from_file(block)
 
-    def _from_file(self, block: int) -> Index | None:
+    def _from_file(self, block: int, *, is_verified: bool = True) -> Index | None:
         """Return the rows of the index for the runs of a block, read from its file; None if it does not exist or cannot
         be read.
         """
         count = len(self.plan.blocks.places(block))
         try:
-            with Block(self.folder.block(block), self.spec.sha256()) as file:
+            with Block(self.folder.block(block), self._sha256, is_verified=is_verified) as file:
                 if len(file.numbers) != count:
                     return None
                 columns = file.columns("runs", {*OF_BLOCKS, MISALIGNMENT})

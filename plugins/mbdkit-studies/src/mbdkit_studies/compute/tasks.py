@@ -18,6 +18,9 @@ Message: TypeAlias = dict[str, Any]  #: A task for a worker, or its answer, as p
 #: External reasons of failure: a resource was not available, a process died or was stopped, or mbdkit has a defect.
 PASSING = ("no-resources", "worker-died", "interrupted", "error")
 
+#: Status of a block in which a run that was computed twice has different results, which ends the study.
+DIFFERS = "differs"
+
 #: Reasons of failure after which a run is computed again, because a second attempt may succeed.
 TRIED_AGAIN = ("plugin-error", *PASSING)
 

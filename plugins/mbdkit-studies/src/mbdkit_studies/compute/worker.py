@@ -27,7 +27,7 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.terminal import executing
 from mbdkit.base.text import shown
 from mbdkit_studies.compute.batch import refusal
-from mbdkit_studies.compute.tasks import Message
+from mbdkit_studies.compute.tasks import DIFFERS, Message
 
 #: Function that carries out the task described by a message, and returns the answer.
 #:
@@ -123,9 +123,13 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
 
     if "block" in task:
         from mbdkit_studies.compute.compute_block import compute_block
+        from mbdkit_studies.compute.varied_runs import DifferenceError
 
         skip = {int(run): reason for run, reason in task["skip"].items()}
-        failed = compute_block(task["folder"], task["block"], skip=skip, notify=notify)
+        try:
+            failed = compute_block(task["folder"], task["block"], skip=skip, notify=notify)
+        except DifferenceError as error:
+            return {"status": DIFFERS, "reason": str(error)}
         return {"status": "complete", "reason": "", "values": {"failed": failed}}
     spec = RunSpec(**json.loads(task["spec"]))
     if "second" in task:

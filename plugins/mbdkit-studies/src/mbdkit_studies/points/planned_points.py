@@ -28,7 +28,6 @@ from mbdkit_studies.spec.method_claims import METHOD, claims_of
 from mbdkit_studies.spec.sample_section import unit_of
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, Family, StudySpec
 from mbdkit_studies.spec.value_sets import Value, expand, size
-from mbdkit_studies.store.block_writer import UNSET, BlockPoints
 
 HOW = ("formulation", "stabilization")  #: Keys of a run spec that belong to a method.
 
@@ -460,18 +459,6 @@ class PlannedPoints(Sequence[PlannedPoint]):
         if len(self.grids) > 1 or only.axes or not only.table:
             return None
         return {path_text(parse_key(key)): column for key, column in only.table.items()}
-
-    def in_block(self, places: range) -> BlockPoints:
-        """Return the points at some places for a block."""
-        numbers, table = [place + 1 for place in places], self.table()
-        if table is not None:
-            values = {key: column[places.start : places.stop] for key, column in table.items()}
-            return BlockPoints(numbers, self.grids[0].base_json, values)
-        points = [self[place] for place in places]
-        own = [{path_text(setting.path): setting.value for setting in point.settings} for point in points]
-        keys = dict.fromkeys(key for values in own for key in values)
-        columns = {key: [values.get(key, UNSET) for values in own] for key in keys}
-        return BlockPoints(numbers, [point.grid.base_json for point in points], columns)
 
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis by dotted key, (N,); nan or None for points that lack the

@@ -290,7 +290,7 @@ class _Writer:
             "status_reason": of_runs("reason"),
             "verdict": of_results(lambda one: [judgement.level for judgement in one.judgements]),
             "worst_joint": of_results(_worst_joints),
-            "base": self.column([(self.points.base, slice(None))], ""),
+            "base": self.column([(self.points.base, np.arange(self.count))], ""),
             "plugins": of_runs("plugins"),
             "mechanism": of_runs("mechanism"),
             "files": of_runs("files"),
@@ -307,7 +307,7 @@ class _Writer:
         }
         for name, what in _HASHES.items():
             array = Array(f"runs/{name}", ("run",), "1", what)
-            write_hashes(self.file, array, hashes[name], compress=self.heading.compress)
+            write_hashes(self.file, array, hashes[name].tolist(), compress=self.heading.compress)
         self.add(
             "runs/misalignment_max",
             of_results(lambda one: one.misalignment_max.max(axis=1, initial=0.0), np.nan, float),

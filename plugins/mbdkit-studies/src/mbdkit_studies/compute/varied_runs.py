@@ -1,0 +1,120 @@
+"""The runs of an ensemble, whose specs differ only in numbers: computed from arrays, without a spec for each run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.base.errors import MbdkitError
+from mbdkit.runs.lane_runs import LaneRuns
+from mbdkit.runs.varied_numbers import VariedNumbers
+from mbdkit.spec.reading import parse_key
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.spec_texts import SpecTexts
+from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_studies.points.planned_points import PlannedPoints
+
+#: Share of the runs, and their largest number in a study, that are computed in the ordinary way as well.
+SHARE, MOST = 0.01, 200
+
+
+class DifferenceError(MbdkitError):
+    """A run that was computed from arrays differs from the same run, computed in the ordinary way."""
+
+
+class VariedRuns:
+    """The runs of an ensemble.
+
+    Parameters
+    ----------
+    points
+        Points of the study.
+    measures
+        Expressions that are evaluated for the runs.
+
+    Attributes
+    ----------
+    reason : str
+        Reason why the runs cannot be computed from arrays, as a clause; empty if they can.
+    note : str
+        What the user should know about it; empty if there is nothing.
+    """
+
+    def __init__(self, points: PlannedPoints, measures: Sequence[str]):
+        self.note = ""
+        self._points, self._table = points, points.table() or {}
+        self._columns = [column for column in self._table.values() if column.dtype != object]
+        self.reason = "" if self._columns and len(self._columns) == len(self._table) else "their values are no numbers"
+        if self.reason:
+            return
+        self._specs = VariedSpecs(points.grids[0].base_json)
+        self._keys = [parse_key(key) for key in self._table]
+        try:
+            self.base = points[0].spec
+            self.texts = SpecTexts(self.base, self._keys)
+        except MbdkitError:
+            self.reason = "the text of their specs depends on more than these values"
+            return
+        if not is_determined(self.base):
+            self.reason = "a plugin builds their mechanisms, which are stored"
+            self.note = f"each run is prepared by itself, which takes longer, because {self.reason}"
+            return
+        if any(path[0] not in ("model", "parameters") for path in self.texts.paths):
+            self.reason = "values outside of the model differ"
+            return
+        self.numbers = VariedNumbers(self.texts.paths, self._with, measures)
+
+    def _with(self, numbers: Sequence[float]) -> RunSpec:
+        return self._specs.spec([*zip(self._keys, numbers, strict=True)])
+
+    def spec(self, place: int) -> RunSpec:
+        """Return the spec of the run with this index in the study."""
+        return self._with([column[place].item() for column in self._columns])
+
+    def finished(self, lanes: LaneRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
+        """Yield indices in the study and results of some of the runs at `places`."""
+        columns = [column[places] for column in self._columns]
+        known = np.asarray(places)[self.texts.are_known(columns)].tolist()
+        if not known:
+            return
+        values = np.stack([column[known].astype(float) for column in self._columns], axis=1)
+        for members, runs in lanes.varied(self.numbers, values, lambda member: self.spec(known[member])):
+            if runs is not None:
+                yield [known[member] for member in members], runs
+
+    def hashes(self, places: Sequence[int]) -> tuple[list[str], list[str]]:
+        """Return the hashes of the specs, and the identifiers, of the runs at some places."""
+        return self.texts.hashes([column[places] for column in self._columns])
+
+    def specs(self, places: Sequence[int]) -> VariedSpecsAt:
+        """Return the specs of the runs at some places, each of which is made when it is needed."""
+        return VariedSpecsAt(self, places)
+
+
+class VariedSpecsAt(Sequence[RunSpec]):
+    """Specs of some runs of an ensemble, each of which is made when it is needed."""
+
+    def __init__(self, runs: VariedRuns, places: Sequence[int]):
+        self.runs, self.places = runs, places
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    def __getitem__(self, number: int) -> RunSpec:  # type: ignore[override]
+        return self.runs.spec(self.places[number])
+
+
+def drawn(places: Sequence[int], runs: int) -> frozenset[int]:
+    """Return the places, among those of a block of a study with this number of runs, whose runs are computed twice."""
+    generator = np.random.default_rng()
+    count = len(places) * min(SHARE, MOST / runs)
+    return frozenset(generator.choice(places, math.floor(count + generator.random()), replace=False).tolist())
+
+
+def is_determined(spec: RunSpec) -> bool:
+    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
+    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
+    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)
