@@ -19,7 +19,8 @@ from mbdkit.base.plain_data import Path, copied
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.registry.manager import registry
 from mbdkit.runs.findings import criteria
-from mbdkit.runs.lane_runs import LaneMember, LaneRuns
+from mbdkit.runs.lane_group import LaneMember
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.short_runs import VariedRuns
 from mbdkit.runs.varied_numbers import Variant
 from mbdkit.spec.reading import put
