@@ -205,7 +205,12 @@ def _judged(item: Registered, record: Mapping[str, Any], digest: str) -> PluginE
         why = f"version {record['version']} was checked {when}, and {version} is installed"
         return PluginEvidence(changed, why, digest)
     if record["digest"] != digest:
-        return PluginEvidence(changed, f"its code is not that which was checked {when}", digest)
+        why = (
+            "the sources were edited after the checks"
+            if changed == "checkout"
+            else "its code is not that which was checked"
+        )
+        return PluginEvidence(changed, f"{why} {when}", digest)
     if not record["verified"]:
         names = record["failed"][:MOST_NAMES] or ["too few checks could be run"]
         more = f" and {len(record['failed']) - MOST_NAMES} more" if len(record["failed"]) > MOST_NAMES else ""
