@@ -120,7 +120,9 @@ def catalogue_texts(spec: ModelSpec | PlainSpec) -> dict[str, str]:
     model, by = (name.rpartition(":")[2] for name in names)
     defaults = {"title": model, "description": f"Planar motion of the model {model}{by and f', computed by {by}'}."}
     texts = {key: given.get(key) or defaults.get(key, "") for key in ("title", "description", "creator", "license")}
-    return {"Conventions": layout.CONVENTIONS, **{key: str(text) for key, text in texts.items() if text}}
+    # attributes of HDF5 end at a null character
+    known = {key: str(text).replace("\0", " ") for key, text in texts.items() if text}
+    return {"Conventions": layout.CONVENTIONS, **known}
 
 
 @dataclass(frozen=True)

@@ -311,6 +311,7 @@ def recordable(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _recordable(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(function)
     def call(*operands: Any, **options: Any) -> Any:
         trace = _current.get()
         if trace is None or not is_traced(operands):
@@ -320,9 +321,14 @@ def _recordable(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
+def _second(values: Sequence[float]) -> float:
+    """Return the second largest of the values."""
+    return sorted(values)[-2]
+
+
 _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max, "_min": min,
-    "_power": _power, "_second": lambda values: sorted(values)[-2],
+    "_power": _power, "_second": _second,
 }  # fmt: skip
 _RECORDABLE = {function: _recordable(name, function) for name, function in _FUNCTIONS.items()}
 dist, hypot, sqrt, largest, smallest, _, second_largest = _RECORDABLE.values()

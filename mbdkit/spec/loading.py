@@ -44,6 +44,7 @@ class Sections(TypedDict, total=False):
 
     mbdkit: Literal[1]
     title: str
+    meta: Section
     parameters: Mapping[str, float | str]
     estimates: Section | None
     model: Section

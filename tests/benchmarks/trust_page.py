@@ -91,10 +91,11 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
   which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
   last recorded time before, and the summary and the verdict give the reason. The summary prints, for example, `largest
   force in J1 24.525000 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive contains
-  them. A force may have its peak between two recorded times: by how much the largest forces and torques there exceed
-  the recorded ones is part of the errors, and counts in the verdict, except for a joint whose largest force is a
-  measure. To reduce this error, use smaller steps, or record more of them. A check usually takes 10 to 20 times as long
-  as the run, and longer with beams, controllers or time-stepping methods ([performance](performance.md#a-single-run)).
+  them. A force may have its peak between two recorded times: a check determines the largest forces and torques there as
+  well, and [states these](#one-number-one-bar). By how much they exceed the recorded ones counts in the verdict, except
+  for a joint whose largest force is a measure; smaller steps, or more recorded ones, reduce it. A check usually takes
+  10 to 20 times as long as the run, and longer with beams, controllers or time-stepping methods
+  ([performance](performance.md#a-single-run)).
 - **`check: true` with estimated parameters** (`parameters: {{from: fit.h5}}`) states the errors by the estimates as
   well, by 2 K more runs for K parameters: bounds of 95 % at each time for normally distributed estimates, to first
   order. They are `run.accuracy.position_error_parameters`, `run.accuracy.reaction_error_parameters`, and
@@ -118,6 +119,29 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
 - **`stabilization: projection`** returns positions and velocities to the constraints after every step. Misalignments
   are then at the level of rounding errors, and adaptive methods stay on their branch in singular positions. Projection
   alone does not make the motion more accurate.
+
+## One number, one bar
+
+A number has the same value and the same bar in the summary, `--json`, the report, plots, the workload and the
+archive. Its *id* is the expression of a largest value, such as `max(abs(joints.A.force))`, or `measures.NAME`;
+`d(NAME)/d(PARAMETER)` is that of a derivative. `mbdkit run --json` and `mbdkit inverse --json` list all such numbers
+under `answers`, with `id`, `label`, `value`, `unit`, `lower`, `upper` and `text`; the root attribute `answers` of
+checked archives is the same list, elements of reports have the attribute `data-id`, and titles of plots as SVG have
+the id.
+
+A bar says how far the true value may lie below (`lower`) and above (`upper`). It is written `1970 +- 700 N` if both are
+equal, and `1970 (-380, +900) N` otherwise.
+
+| number | its bar contains | what it leaves out, and where that is said |
+|---|---|---|
+| largest load of a checked run | the error of the method at any time, and of the value between recorded times | errors by estimated parameters: a second bar, `by parameters`; what the line `error bars` names, such as the mesh of beams |
+| measure, derivative | the error of the method | the same |
+| largest load of inverse dynamics | with 95 %: noise of the data, and, with `uncertainty`, the person, muscles, plates and devices | what the line `error bars` names, such as muscles that the model lacks |
+| change by a [worn device](../../plugins/mbdkit-wearable/src/mbdkit_wearable/guide/misfit.md) | with 95 %: the person, muscles, misfit and tissue | noise of the data, which changes the force with and without the device alike: the line `devices` |
+
+The largest value is that of the whole motion, not of the recorded rows. Where the value between rows is not known, as
+in runs without check that do not record every step, the number is that `in the recorded rows`. Errors at single
+times, such as `run.accuracy.reaction_error`, are no bars of largest values.
 
 ## What is not promised
 
@@ -155,7 +179,7 @@ between two of them.
 | mechanism | method | position: true | estimate | force: true | estimate | known until | verdict |
 |---|---|---|---|---|---|---|---|
 {rows}
-"""
+"""  # noqa: E501 (tables)
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,7 @@ def test_version(mbdkit):
 
 def test_plugins_list_show_and_doctor(mbdkit):
     listed = json.loads(mbdkit("plugins", "list", "--json").stdout)["plugins"]
-    assert {"id", "kind", "distribution", "version", "status", "error"} == set(listed[0])
+    assert {"id", "kind", "distribution", "version", "status", "error", "evidence"} == set(listed[0])
     assert "mbdkit:gauss" in mbdkit("plugins", "list").stdout
     assert "stages" in mbdkit("plugins", "show", "gauss").stdout
     assert json.loads(mbdkit("plugins", "show", "gauss", "--json").stdout)["plugins"][0]["claims"]["symplectic"]

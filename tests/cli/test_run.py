@@ -43,7 +43,7 @@ def test_json_prints_one_object_with_the_keys_of_the_contract(mbdkit, small, in_
     result = mbdkit("run", "spec.yaml", "--json", "-o", "out.h5")
     answer = json.loads(result.stdout)
     told = {"path", "status", "status_reason", "run_id", "stats", "misalignment_max", "events"}
-    assert set(answer) == told | {"verdict", "verdict_reasons", "warnings"}
+    assert set(answer) == told | {"verdict", "verdict_reasons", "warnings", "answers"}
     assert (answer["verdict"], answer["verdict_reasons"], answer["warnings"]) == ("unknown", [], [])
     assert (answer["path"], answer["status"]) == ("out.h5", "complete")
     assert answer["stats"]["steps"] == 100

@@ -80,7 +80,7 @@ def test_the_elbow_of_a_resting_forearm_carries_the_muscle_less_the_weight():
     np.testing.assert_allclose(run.array("muscles/reaction_force_without")[:, 0, 1], weight, rtol=1e-12)
     assert run.measures["pull"] == pytest.approx(force, rel=1e-12)
     summary = run.summary()
-    assert f"elbow {force - weight:.4g} N, {weight:.4g} N without muscles" in summary
+    assert f"elbow {force - weight:.6g} N, {weight:.4g} N without muscles" in summary
     assert "reserves      none" in summary
 
 

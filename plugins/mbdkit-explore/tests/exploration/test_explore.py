@@ -53,18 +53,19 @@ def test_the_force_follows_the_mass_and_the_spec_keeps_it() -> None:
     explorer = explorer_of(HANGING, ["model.mass"])
     (mass,) = explorer.sliders
     assert (mass.low, mass.high, mass.words, mass.unit) == (1.0, 4.0, "mass", "kg")
-    assert explorer.answer({})["headlines"] == [["largest force in J1", "19.62 N"]]  # 2 kg at rest
+    at_rest, force = ("largest force in J1", "19.62 N"), "max(abs(joints.J1.force))"
+    assert explorer.answer({})["headlines"] == [[*at_rest, force]]  # 2 kg at rest
     heavier = explorer.answer({"model.mass": 3.0})
-    assert heavier["headlines"] == [["largest force in J1", "29.43 N"]]
+    assert heavier["headlines"] == [["largest force in J1", "29.43 N", force]]
     assert "mass: 3.0" in heavier["spec"]
-    assert explorer.answer({"model.length": 9.0, "time.end": 99.0})["headlines"] == [["largest force in J1", "19.62 N"]]
+    assert explorer.answer({"model.length": 9.0, "time.end": 99.0})["headlines"] == [[*at_rest, force]]
     assert "should be greater than 0" in explorer.answer({"model.mass": -1.0})["error"]
 
 
 def test_every_measure_is_shown() -> None:
     measures = {f"after_{k}": f"at(rod1.x, {k}/100)" for k in range(1, 8)}
     shown = explorer_of({**HANGING, "measures": measures}, ["model.mass"]).answer({})["headlines"]
-    assert [name for name, _ in shown] == list(measures)
+    assert [name for name, *_ in shown] == list(measures)
 
 
 def test_sliders_are_the_parameters_of_the_spec_or_numbers_of_its_model() -> None:
@@ -81,8 +82,8 @@ def test_sliders_are_the_parameters_of_the_spec_or_numbers_of_its_model() -> Non
 def test_a_device_changes_the_loads_of_inverse_dynamics() -> None:
     explorer = explorer_of(load_inverse_spec("walking", ["motion.errors=none"]), ["model.body_mass"])
     (mass,) = explorer.sliders
-    (name, usual), *_ = explorer.answer({})["headlines"]
-    (same, heavier), *_ = explorer.answer({mass.key: 1.2 * mass.value})["headlines"]
+    (name, usual, _), *_ = explorer.answer({})["headlines"]
+    (same, heavier, _), *_ = explorer.answer({mass.key: 1.2 * mass.value})["headlines"]
     assert name == same == "hip_force"
     assert heavier != usual
 

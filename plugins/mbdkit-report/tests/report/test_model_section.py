@@ -142,6 +142,7 @@ def test_parameters_are_listed_with_their_values():
 
 def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):
     document = run_report(make_run(model={"name": "acme:crane"}))
+    assert (glance := document.glance) is not None
     section = document.sections[0]
     (sentence,) = section.sentences
     assert sentence.startswith(
@@ -149,7 +150,7 @@ def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):
     )
     assert [table.name for table in section.tables] == ["bodies"]
     assert [len(row) for row in section.tables[0].rows] == [4, 4]
-    assert {"rod1", "rod2"} <= set(texts(section.drawing.wide))
+    assert {"rod1", "rod2"} <= set(texts(glance.drawing.wide))
 
 
 def test_a_cable_is_drawn_beside_its_joints() -> None:

@@ -67,8 +67,9 @@ class Row:
         return known
 
     def cells(self) -> dict[str, tuple[str, str]]:
-        """Return text and name of the check of each cell by the heading of its column."""
-        cells = {"order claimed": (str(self.record.get("claims", {}).get("order", "")), "order.forced-pendulum")}
+        """Return text and name of the check of each cell, empty if there is none, by the heading of its column."""
+        claimed, check = str(self.record.get("claims", {}).get("order", "")), "order.forced-pendulum"
+        cells = {"order claimed": (claimed, check if check in self.checks else "")}
         for heading, check, names in FIGURES if self.kind == "integrator" else ():
             figures = self.checks.get(check, {}).get("figures", {})
             known = [str(figures[name]) for name in names if name in figures]

@@ -33,6 +33,7 @@ def test_the_listing_has_the_keys_of_the_contract(mixed):
     listing = describe.listing(mixed)
     assert json.loads(json.dumps(listing)) == listing
     fine = {"distribution": "fine", "version": "2.0", "status": "ok", "error": None}
+    fine |= {"evidence": "never: there is no evidence of it"}
     assert listing["plugins"][-1] == {"id": "fine:swing", "kind": "integrator", **fine}
     assert listing["plugins"][0]["status"] == "error"
     place = f"{__file__}, line {Broken.load.__code__.co_firstlineno + 1}"

@@ -26,7 +26,7 @@ sys.path += [
 from mbdkit_energy import line_integral
 from mbdkit_energy import methods as energy
 from mbdkit_half_explicit import methods as half_explicit
-from mbdkit_half_explicit.half_explicit import HalfExplicit, interpolant
+from mbdkit_half_explicit.half_explicit import HalfExplicit
 from mbdkit_multistep import adams, bdf
 from mbdkit_radau import radau
 
@@ -42,7 +42,7 @@ class EarlyCurve(HalfExplicit):
         made, (a, _, rates) = super().step(equations, t, state, h), state.memory
         end = made.state
         change = end.q - state.q, end.v - state.v, end.z - state.z
-        return replace(made, dense=interpolant(state, h, change, (a, a), (rates, rates)))
+        return replace(made, dense=state.interpolant(h, change, (a, a), (rates, rates)))
 
 
 class EarlyMultipliers(HalfExplicit):

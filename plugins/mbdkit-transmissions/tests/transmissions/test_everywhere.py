@@ -44,7 +44,12 @@ def test_vectorized_runs_have_the_bits_of_single_runs(integrator: dict[str, Any]
     lanes = LaneRuns(Starts(), ())
     members = [member for member in lanes.members(specs) if member is not None]
     assert len(members) == len(specs)
-    found = {index: run for vector in lanes.finished(members) for index, run in vector if run is not None}
+    found = {
+        place: runs.run(number)
+        for places, runs in lanes.finished(members)
+        for number, place in enumerate(places)
+        if runs is not None
+    }
     assert [found[i].data_sha256 for i in range(len(specs))] == [mbdkit.run(spec).data_sha256 for spec in specs]
 
 
