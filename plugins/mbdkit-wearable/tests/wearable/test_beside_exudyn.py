@@ -165,7 +165,7 @@ def test_forces_of_cuffs_are_those_of_exudyn() -> None:
     other = _Exudyn(m, run)
     for limb in CUFFS:
         other.cuff(limb, run)
-    theirs = other.forces(4000)
+    theirs = other.forces(8000)
     ours = np.stack(
         [getattr(run.cuffs[limb], name) for limb in CUFFS for name in ("normal_force", "shear_force", "moment")], axis=1
     )
