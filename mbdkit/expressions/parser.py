@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import islice
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
@@ -48,6 +49,9 @@ TIME = dict.fromkeys(("time", "T"), " (the time is t)")
 _QUOTED = r"""(["'])(?:(?!\1)[^\\]|\\["'\\])*\1"""
 
 
+#: Longest text after a number in which a unit is looked for, and largest number of such texts.
+LONGEST_UNIT, MOST_UNITS = 30, 20
+
 #: Pattern of a number with a unit in an expression.
 _WITH_UNIT = re.compile(
     r"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*((?!e\d)[A-Za-z%](?:[A-Za-z%*/^ ]*[A-Za-z%])?)"
@@ -56,7 +60,7 @@ _WITH_UNIT = re.compile(
 
 def _number_with_unit(match: re.Match[str]) -> str:
     """Return the beginning of a match that is a number with a unit; empty if there is none."""
-    number, unit = match[0].removesuffix(match[1]), match[1]
+    number, unit = match[0].removesuffix(match[1]), match[1][:LONGEST_UNIT]
     while unit:
         with suppress(SpecError):
             read_unit(unit)
@@ -187,7 +191,7 @@ class Compiler:
             return ast.parse(self.source, mode="eval").body
         except SyntaxError as error:
             place = min(max((error.offset or 1) - 1, 0), len(self.source) - 1)
-            for match in _WITH_UNIT.finditer(self.source):
+            for match in islice(_WITH_UNIT.finditer(self.source), MOST_UNITS):
                 if quantity := _number_with_unit(match):
                     how = f"make '{quantity}' a parameter and write its name, or convert it to SI units"
                     self.refuse(f"numbers in expressions have no units; {how}", match.start())

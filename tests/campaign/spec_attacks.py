@@ -325,7 +325,7 @@ BOMBS: dict[str, Callable[[], str | bytes]] = {
     "keys-in-one-object.json": lambda: "{" + ", ".join(f'"k{i}": 1' for i in range(300_000)) + "}",
     "events.yaml": lambda: (
         "mbdkit: 1\nmodel: {name: single-pendulum}\nintegrator: {name: rk4}\n"
-        "time: {end: 1, step: 0.1}\nevents: {" + ", ".join(f"e{i}: {{when: 't - {i}'}}" for i in range(20_000)) + "}\n"
+        "time: {end: 1, step: 0.1}\nevents: {" + ", ".join(f"e{i}: {{when: 't - {i}'}}" for i in range(8_000)) + "}\n"
     ),
     "quoted-event.yaml": lambda: (
         "mbdkit: 1\nmodel: {name: single-pendulum}\nintegrator: {name: rk4}\n"

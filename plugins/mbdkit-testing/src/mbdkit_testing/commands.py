@@ -89,6 +89,7 @@ def plugins_verify(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Set an option, such as stages=3; may be repeated."),
     ] = None,
+    *,
     quick: Annotated[bool, typer.Option("--quick", help="Skip the slow checks.")] = False,
     record: Annotated[
         bool, typer.Option("--record", help="Write the results into the package, as mbdkit-evidence.json.")
