@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart
 from mbdkit.engine.counters import Counters
@@ -117,34 +116,35 @@ _SINGLE = ("lost", "worst", "rows")  #: Arrays of `_BY_RUN` without an axis for 
 
 @dataclass(frozen=True, eq=False)
 class VariedStarts:
-    """Runs of mechanisms that differ in some arrays only, at their starts.
+    """Runs of mechanisms that differ in floating-point numbers only, at their starts.
 
-    - `mechanism`: the mechanism, without first-order states and inputs, and without loops unless only forces differ.
+    - `mechanism`: one of the mechanisms.
     - `numbers`: arrays (R, ...) of those fields of its topology that differ.
+    - `lengths`: (R,) characteristic lengths [m].
     - `q`, `v`: (R, 3 (B + 1)) consistent positions and velocities.
     - `limits`: (R,) largest misalignments at which the runs stop [m]; other limits are those of a common timetable.
+    - `pivots`: pivots of each run, with equal keys; none if the method is explicit.
     """
 
     mechanism: CompiledMechanism
     numbers: Mapping[str, np.ndarray]
+    lengths: np.ndarray
     q: np.ndarray
     v: np.ndarray
     limits: np.ndarray
+    pivots: Sequence[StagePivots] = ()
 
-    def of(self, runs: slice | Sequence[int]) -> VariedStarts:
+    def of(self, runs: Sequence[int]) -> VariedStarts:
         """Return some of the runs."""
         numbers = {name: values[runs] for name, values in self.numbers.items()}
-        return VariedStarts(self.mechanism, numbers, self.q[runs], self.v[runs], self.limits[runs])
+        pivots = [self.pivots[run] for run in runs] if self.pivots else ()
+        lengths, q, v, limits = (x[runs] for x in (self.lengths, self.q, self.v, self.limits))
+        return VariedStarts(self.mechanism, numbers, lengths, q, v, limits, pivots)
 
-    def at(self, run: int) -> MechanismAtStart:
-        """Return one of the mechanisms at its start, which assembly has not changed."""
+    def mechanism_of(self, run: int) -> CompiledMechanism:
+        """Return the mechanism of a run."""
         own = {name: values[run] for name, values in self.numbers.items()}
-        mechanism = replace(self.mechanism, topology=self.mechanism.topology._replace(**own))
-        none = dict.fromkeys(mechanism.bodies, 0.0)
-        q, v = (x[run, :-3].reshape(-1, 3) for x in (self.q, self.v))
-        return MechanismAtStart(
-            mechanism, self.q[run], self.v[run], AssembledState(q, v, False, none, none, none, none, 0.0, 0.0)
-        )
+        return self.mechanism.with_numbers(own, float(self.lengths[run]))
 
 
 AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
@@ -163,7 +163,7 @@ class LaneStepper:
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)
         self._topologies: list[Topology | None] = [None] * WIDTH
-        #: Mechanism, names of numbers, pairs whose residuals are lengths and other limits of runs of `advance_varied`.
+        #: Mechanism, names of numbers, pairs that may have an angle, and other limits of runs of `advance_varied`.
         self._varied: tuple[CompiledMechanism, list[str], list[int], GuardLimits] | None = None
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
@@ -181,40 +181,48 @@ class LaneStepper:
         pivots
             Pivots of each run, with equal keys; none if the method is explicit.
         """
-        count = len(starts)
-        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
-        self.load([starts[lane] for lane in lanes], [tables[lane] for lane in lanes])
-        self._load_steps([tables[lane] for lane in lanes])
-        self._load_pivots(pivots, lanes)
-        self._in_lanes.drive(self._pinned.address)
-        return self._of_fixed_steps(count)
-
-    def _of_fixed_steps(self, count: int) -> LaneResults:
-        steps = int(self.run.times.steps[0])
-        made = np.full(count, steps)
-        return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
+        lanes = _filled(len(starts))
+        chosen, planned = [starts[lane] for lane in lanes], [tables[lane] for lane in lanes]
+        self.load(chosen, planned)
+        own = [pivot for pivot in pivots if pivot is not None]
+        mechanisms = [start.mechanism for start in chosen]
+        return self._drive(mechanisms, planned, [own[lane] for lane in lanes if own], len(starts))
 
     def advance_varied(self, varied: VariedStarts, table: Timetable) -> LaneResults:
-        """Return the results of at most `WIDTH` runs with fixed steps of an explicit method, and with equal times."""
-        count, c, mechanism = len(varied.q), self.run, varied.mechanism
-        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
+        """Return the results of at most `WIDTH` runs whose timetables differ in limits only."""
+        lanes, c, mechanism = _filled(len(varied.q)), self.run, varied.mechanism
         if self._varied is None or self._varied[0] is not mechanism or self._varied[1] != [*varied.numbers]:
             fill_lanes(c.top, slice(None), mechanism.topology)
-            pairs = [row.pair for row in mechanism.rows if row.unit == "m"]
+            angles = [row.pair for row in mechanism.rows if row.unit == "rad"]
             limits = guard_limits(mechanism, table.guards)
-            self._topologies, self._varied = [None] * WIDTH, (mechanism, [*varied.numbers], pairs, limits)
+            self._topologies, self._varied = [None] * WIDTH, (mechanism, [*varied.numbers], angles, limits)
         for name, values in varied.numbers.items():
             own, chosen = getattr(c.top, name), values[lanes]
             own[...] = chosen if name in BY_LANE else chosen.transpose(*range(1, chosen.ndim), 0)
         c.q[...], c.v[...] = varied.q[lanes].T, varied.v[lanes].T
-        _, _, pairs, limits = self._varied
-        c.squared_misalignment[...] = limits.squared_misalignment[:, None]
-        c.squared_misalignment[pairs] = varied.limits[lanes] ** 2
+        _, _, angles, limits = self._varied
+        c.squared_misalignment[...] = varied.limits[lanes] ** 2
+        c.squared_misalignment[angles] = limits.squared_misalignment[angles, None]
         c.energy_share[0] = limits.energy_jump
-        self._reset([mechanism] * WIDTH, [table] * WIDTH)
-        self._load_steps([table] * WIDTH)
+        has_own = (self._guards[0].has_loops[0] or mechanism.states) and varied.numbers
+        mechanisms = [varied.mechanism_of(lane) for lane in lanes] if has_own else [mechanism] * WIDTH
+        tables = [table] * WIDTH
+        self._reset(mechanisms, tables)
+        return self._drive(mechanisms, tables, [varied.pivots[lane] for lane in lanes if varied.pivots], len(varied.q))
+
+    def _drive(
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots], count: int
+    ) -> LaneResults:
+        """Take the steps of the `count` runs that are loaded; lists have an item for each lane."""
+        times = self.run.times
+        for name in ("step", "last_step"):
+            getattr(times, name)[0] = [getattr(table, name) for table in tables]
+        times.steps[0] = tables[0].steps
+        if pivots:
+            load_stage_pivots(self.run.method, pivots)
         self._in_lanes.drive(self._pinned.address)
-        return self._of_fixed_steps(count)
+        made = np.full(count, tables[0].steps)
+        return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
 
     def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
         """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
@@ -245,8 +253,8 @@ class LaneStepper:
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.every[0] = tables[0].every
-        c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         _put(c.z, [one.initial_states for one in mechanisms])
+        c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
         for array in (*zeros, *c.guards):
             array[...] = 0.0
@@ -258,20 +266,6 @@ class LaneStepper:
             for guards, mechanism in zip(self._guards, mechanisms, strict=True):
                 for array, values in zip(guards, fresh[id(mechanism)], strict=True):
                     array[...] = values
-
-    def _load_pivots(self, pivots: Sequence[StagePivots | None], lanes: list[int]) -> list[StagePivots]:
-        """Copy the pivots of the run of each lane; return them, or an empty list if the method is explicit."""
-        chosen = [pivot for pivot in pivots if pivot is not None]
-        by_lane = [chosen[lane] for lane in lanes if chosen]
-        if by_lane:
-            load_stage_pivots(self.run.method, by_lane)
-        return by_lane
-
-    def _load_steps(self, tables: list[Timetable]) -> None:
-        times = self.run.times
-        for name in ("step", "last_step"):
-            getattr(times, name)[0] = [getattr(table, name) for table in tables]
-        times.steps[0] = tables[0].steps
 
     def results(self, steps: Mapping[str, np.ndarray], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
         """Return the results of the first runs.
@@ -344,6 +338,11 @@ class PivotsAtStart:
             raise
 
 
+def _filled(count: int) -> list[int]:
+    """Return the run of each lane; idle lanes repeat the first run."""
+    return [*range(count), *[0] * (WIDTH - count)]
+
+
 def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
     """Copy one array for each lane into an array of lanes."""
     if all(array is arrays[0] for array in arrays):
@@ -373,18 +372,15 @@ class ControlledLaneStepper(LaneStepper):
         self.runs = new_lane_control(self.run, self._control(workspace.mechanism))
         self._pinned = PinnedBundle(self.runs)
 
-    def advance(
-        self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
+    def _drive(
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots], count: int
     ) -> LaneResults:
-        """Return the results of the runs; see `LaneStepper.advance`. The runs may take different numbers of steps."""
-        count = len(starts)
-        lanes = [*range(count), *[0] * (WIDTH - count)]  # idle lanes repeat the first run
-        chosen, planned = [starts[lane] for lane in lanes], [tables[lane] for lane in lanes]
-        while max(map(_rows_by_interval, planned)) > len(self.runs.row_work):
+        """See `LaneStepper`; the runs may take different numbers of steps."""
+        while max(map(_rows_by_interval, tables)) > len(self.runs.row_work):
             self._grow()
-        self.load(chosen, planned)
-        sizes = [pivot.size for pivot in self._load_pivots(pivots, lanes)]
-        self._load_control([one.mechanism for one in chosen], planned, sizes)
+        if pivots:
+            load_stage_pivots(self.run.method, pivots)
+        self._load_control(mechanisms, tables, [pivot.size for pivot in pivots])
         while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
         accepted, rejected = (

@@ -6,13 +6,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mbdkit.archive.disk_space import row_bytes
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.engine.consistent_start import MechanismAtStart
 from mbdkit.engine.input_schedule import start_settings
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
@@ -35,10 +36,11 @@ from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
-    from mbdkit.engine.consistent_start import MechanismAtStart
+    from mbdkit.engine.assembly import AssembledState
     from mbdkit.integrators.interface import Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
+    from mbdkit.runs.state_watchers import WatcherOfMany
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
@@ -69,7 +71,8 @@ class LaneMember:
     topology: tuple[object, ...]  #: Key that is equal for mechanisms that differ only in numbers.
     seconds: float = 0.0  #: Wall time of the preparation [s].
     varied: Callable[[], RunSpec] | None = None
-    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end.
+    watched: bool = True  #: Whether criteria may look at recorded states, and at the spec at the end, of each run.
+    watchers: Sequence[WatcherOfMany] = ()  #: Other criteria that look at the recorded states of all runs at once.
 
     @property
     def spec(self) -> RunSpec:
@@ -103,10 +106,7 @@ class Watch:
 
     def __init__(self, member: LaneMember, results: LaneResults, run: int):
         self._member = member
-        self._ranges = self._watchers = None
         self.has_stopped = False  #: Whether the run stops where a law leaves its range.
-        if not member.watched:
-            return
         mechanism, rows, spec = member.start.mechanism, int(results.rows[run]), member.spec
         self._ranges = LawRanges.of(spec.mechanism(), mechanism, stops=spec.limits.law_range == "stop")
         if self._ranges is not None:
@@ -121,8 +121,7 @@ class Watch:
     def findings(self, energies: np.ndarray) -> tuple[Finding, ...]:
         """Return what is found in the run, from the values of its `EnergyRecord`."""
         ranges = () if self._ranges is None else self._ranges.findings()
-        watched = () if self._watchers is None else self._watchers.findings(EnergyRecord.of(energies), {})
-        return (*self._member.findings, *watched, *ranges)
+        return (*self._member.findings, *self._watchers.findings(EnergyRecord.of(energies), {}), *ranges)
 
 
 class PreparedRuns:
@@ -139,18 +138,20 @@ class PreparedRuns:
         One of the runs.
     size, extent, limit, seconds : (R,) arrays
         See `LaneMember`; smallest limit of misalignments.
+    tables : list of Timetable
+        The timetable of each run.
     """
 
     def __init__(self, members: Sequence[LaneMember]):
-        self.members, self.first = members, members[0]
+        self.members, self.first, self.tables = members, members[0], [member.table for member in members]
         self.size, self.extent, self.seconds = (
             np.array([getattr(member, name) for member in members]) for name in ("size", "extent", "seconds")
         )
-        guards = [member.table.guards for member in members]
+        guards = [table.guards for table in self.tables]
         self.limit = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
 
     def __len__(self) -> int:
-        return len(self.members)
+        return len(self.tables)
 
     def member(self, run: int) -> LaneMember:
         """Return one of the runs."""
@@ -160,9 +161,9 @@ class PreparedRuns:
         """Return some of the runs."""
         return PreparedRuns([self.members[run] for run in runs])
 
-    def advance(self, stepper: LaneStepper, runs: slice) -> LaneResults:
+    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
         """Advance some of the runs, at most `WIDTH`."""
-        some = self.members[runs]
+        some = [self.members[run] for run in runs]
         return stepper.advance([one.start for one in some], [one.table for one in some], [one.pivots for one in some])
 
     def sound(self, results: LaneResults) -> np.ndarray:
@@ -174,11 +175,13 @@ class PreparedRuns:
 
     def watched(self, results: LaneResults) -> list[Watch] | None:
         """Return what watches the recorded states of each run; None if nothing does."""
-        return [Watch(member, results, run) for run, member in enumerate(self.members)]
+        return [Watch(self.member(run), results, run) for run in range(len(self))] if self.first.watched else None
 
     def settings(self) -> dict[str, np.ndarray]:
         """Return the arrays of the settings of inputs."""
-        own = [start_settings(member.start.mechanism, member.table.start) for member in self.members]
+        if not self.first.start.mechanism.inputs:
+            return {}
+        own = [start_settings(self.member(run).start.mechanism, self.tables[run].start) for run in range(len(self))]
         return {key: np.stack([one[key] for one in own]) for key in own[0]}
 
     def assembly(self) -> list[str]:
@@ -191,9 +194,10 @@ class PreparedRuns:
         They are computed from the rows of the runs, which are the ends of all steps.
         """
         integrals: list[Integrals] = []
-        for run, member in enumerate(self.members if functionals_of(self.first.settings, measures) else ()):
-            start, rows = member.start, int(results.rows[run])
-            workspace, stiff = Workspace(start.mechanism, member.table.start, start.q0, start.v0), member.method.traits
+        for run in range(len(self) if functionals_of(self.first.settings, measures) else 0):
+            member, rows = self.member(run), int(results.rows[run])
+            start, stiff = member.start, member.method.traits
+            workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
             functionals = functionals_of(member.spec, measures)
             own = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff.suits_stiff)
             assert own.continuous is not None
@@ -202,13 +206,8 @@ class PreparedRuns:
             integrals.append(own.totals())
         return integrals
 
-    def steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sizes of the steps of the runs, and of their last steps, (R,) [s]."""
-        tables = [member.table for member in self.members]
-        return np.array([table.step for table in tables]), np.array([table.last_step for table in tables])
 
-
-class VariedRuns(PreparedRuns):
+class VariedLanes(PreparedRuns):
     """Prepared runs that differ in some numbers of their mechanisms only, and have no objects of their own.
 
     Parameters
@@ -217,86 +216,76 @@ class VariedRuns(PreparedRuns):
         A run with the same loop.
     starts
         The mechanisms and their starts.
-    extent, size
-        See `LaneMember`.
-    spec
-        Function that returns the spec of a run.
+    assembled
+        How each start was made consistent.
+    size, extent, seconds
+        (R,) arrays; see `LaneMember`.
     tolerance
-        (R,) largest residual of constraints with which assembly certainly changes nothing; None if the starts are
+        (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the start is
         known to be consistent.
-    seconds
-        Wall time of the preparation of a run [s].
+    indices
+        Index of each run among those that were asked for.
+    spec
+        Function that returns the spec of the run with an index.
     """
 
     def __init__(
-        self,
-        first: LaneMember,
-        starts: VariedStarts,
-        extent: np.ndarray,
-        size: np.ndarray,
+        self, first: LaneMember, starts: VariedStarts, assembled: Sequence[AssembledState], size: np.ndarray,
+        extent: np.ndarray, seconds: np.ndarray, tolerance: np.ndarray, indices: Sequence[int],
         spec: Callable[[int], RunSpec],
-        tolerance: np.ndarray | None,
-        seconds: float,
-    ):
-        self.first, self.starts, self.extent, self.size, self.spec = first, starts, extent, size, spec
-        self.tolerance, self.seconds = tolerance, np.full(len(extent), seconds)
+    ):  # fmt: skip
+        self.first, self.starts, self.assembled, self.size, self.extent = first, starts, assembled, size, extent
+        self.seconds, self.tolerance, self.indices, self.spec = seconds, tolerance, indices, spec
         self.limit = np.minimum(starts.limits, first.table.guards.angle_misalignment)
-        self.watchers = StateWatchers(first.spec, first.start.mechanism, first.size).of_many or []
-
-    def __len__(self) -> int:
-        return len(self.extent)
+        self.tables = [first.table] * len(size)
 
     def member(self, run: int) -> LaneMember:
         """See `PreparedRuns.member`."""
         guards = replace(self.first.table.guards, misalignment=float(self.starts.limits[run]))
         table, size, extent = replace(self.first.table, guards=guards), float(self.size[run]), float(self.extent[run])
-        start = self.starts.at(run)
-        spec = partial(self.spec, run)
+        mechanism, q, v = self.starts.mechanism_of(run), self.starts.q[run], self.starts.v[run]
+        start, spec = MechanismAtStart(mechanism, q, v, self.assembled[run]), partial(self.spec, self.indices[run])
         return replace(self.first, varied=spec, start=start, table=table, size=size, extent=extent)
 
-    def of(self, runs: Sequence[int]) -> VariedRuns:
+    def of(self, runs: Sequence[int]) -> VariedLanes:
         """See `PreparedRuns.of`."""
-        places, tolerance = [*runs], None if self.tolerance is None else self.tolerance[[*runs]]
-        return VariedRuns(
-            self.first, self.starts.of(places), self.extent[places], self.size[places],
-            lambda run: self.spec(places[run]), tolerance, float(self.seconds[0]),
-        )  # fmt: skip
+        places, starts = [*runs], self.starts.of([*runs])
+        size, extent, seconds, tolerance = (x[places] for x in (self.size, self.extent, self.seconds, self.tolerance))
+        assembled, indices = [self.assembled[run] for run in places], [self.indices[run] for run in places]
+        return VariedLanes(self.first, starts, assembled, size, extent, seconds, tolerance, indices, self.spec)
 
-    def advance(self, stepper: LaneStepper, runs: slice) -> LaneResults:
+    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
         """See `PreparedRuns.advance`."""
-        return stepper.advance_varied(self.starts.of(runs), self.first.table)
+        return stepper.advance_varied(self.starts.of([*runs]), self.first.table)
+
+    def is_consistent(self, results: LaneResults) -> np.ndarray:
+        """Return whether assembly certainly changes nothing, (R,)."""
+        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
+        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
+        return np.asarray((gap <= self.tolerance) & (rate <= self.tolerance))
 
     def sound(self, results: LaneResults) -> np.ndarray:
         """See `PreparedRuns.sound`; runs with findings, and those whose starts assembly may change, are repeated."""
         sound = super().sound(results)
-        for watcher in self.watchers:
+        for watcher in self.first.watchers:
             sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
-        if self.tolerance is None:
-            return sound
-        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
-        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
-        consistent = (gap <= self.tolerance) & (rate <= self.tolerance)
-        return np.asarray(sound[consistent[sound]])
-
-    def watched(self, results: LaneResults) -> None:
-        """See `PreparedRuns.watched`."""
-
-    def settings(self) -> dict[str, np.ndarray]:
-        """See `PreparedRuns.settings`."""
-        return {}
+        return np.asarray(sound[self.is_consistent(results)[sound]])
 
     def assembly(self) -> list[str]:
         """See `PreparedRuns.assembly`."""
-        return [self.first.start.assembled.describe()] * len(self)
+        texts = {id(one): one.describe() for one in {id(one): one for one in self.assembled}.values()}
+        return [texts[id(one)] for one in self.assembled]
 
-    def integrals(self, results: LaneResults, measures: Sequence[str]) -> list[Integrals]:
-        """See `PreparedRuns.integrals`."""
-        return []
 
-    def steps(self) -> tuple[np.ndarray, np.ndarray]:
-        """See `PreparedRuns.steps`."""
-        table = self.first.table
-        return np.full(len(self), table.step), np.full(len(self), table.last_step)
+class Advanced(NamedTuple):
+    """The results of the steps of runs, and the wall and processor times that they took [s]."""
+
+    results: LaneResults
+    spent: np.ndarray
+
+
+def _clocks() -> np.ndarray:
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 class LaneGroup:
@@ -328,48 +317,28 @@ class LaneGroup:
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
 
-    def finished(
-        self, members: PreparedRuns | Sequence[LaneMember], measures: Sequence[str]
-    ) -> tuple[list[int], FinishedRuns | None]:
+    def finished(self, runs: PreparedRuns, measures: Sequence[str]) -> tuple[list[int], FinishedRuns | None]:
         """Carry out at most `size` runs of the group together.
 
         Returns the indices of the runs that have ended, and their results; the others must be repeated alone.
         """
+        return self.concluded(runs, self.advanced(runs), measures)
+
+    def advanced(self, runs: PreparedRuns) -> Advanced:
+        """Take the steps of runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
-        begin, cpu = time.perf_counter(), time.process_time()
-        runs = members if isinstance(members, PreparedRuns) else PreparedRuns(members)
-        ended, finished = self._ended(runs, self._advanced(runs), measures)
-        if finished is not None:
-            spent = {"wall_s": time.perf_counter() - begin, "cpu_s": time.process_time() - cpu}
-            shares = {name: np.full(len(ended), seconds / len(runs)) for name, seconds in spent.items()}
-            finished = replace(finished, stats={**finished.stats, **shares})
-        return ended, finished
-
-    def advance(self, members: Sequence[LaneMember]) -> LaneResults:
-        """Take the steps of at most `size` runs of the group."""
-        return self._advanced(PreparedRuns(members))
-
-    def _advanced(self, runs: PreparedRuns) -> LaneResults:
-        vectors = range(0, len(runs), WIDTH)
-        return LaneResults.joined([runs.advance(self.stepper, slice(one, one + WIDTH)) for one in vectors])
-
-    def sound(self, results: LaneResults, members: Sequence[LaneMember]) -> list[int]:
-        """Return the indices of the runs that need not be repeated alone, as far as their joints are concerned."""
-        sound: list[int] = PreparedRuns(members).sound(results).tolist()
-        return sound
+        begin, vectors = _clocks(), range(0, len(runs), WIDTH)
+        parts = [runs.advance(self.stepper, range(len(runs))[one : one + WIDTH]) for one in vectors]
+        return Advanced(LaneResults.joined(parts), _clocks() - begin)
 
     def concluded(
-        self, members: Sequence[LaneMember], results: LaneResults, measures: Sequence[str]
+        self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
     ) -> tuple[list[int], FinishedRuns | None]:
-        """Return the indices of the runs that have ended, and what they have recorded, without the times of the steps.
+        """Return the indices of the runs that have ended, and what they have recorded.
 
         The others must be repeated alone.
         """
-        return self._ended(PreparedRuns(members), results, measures)
-
-    def _ended(
-        self, runs: PreparedRuns, results: LaneResults, measures: Sequence[str]
-    ) -> tuple[list[int], FinishedRuns | None]:
+        begin, results, count = _clocks(), advanced.results, len(runs)
         ended = runs.sound(results)
         if len(ended) < len(runs):
             results, runs = results.of(ended), runs.of(ended.tolist()) if len(ended) else runs
@@ -380,7 +349,10 @@ class LaneGroup:
             results, runs = results.of(np.array(kept, int)), runs.of(kept) if kept else runs
         if not len(ended):
             return [], None
-        return ended.tolist(), self._concluded(runs, results, watches, measures)
+        finished = self._concluded(runs, results, watches, measures)
+        spent = (advanced.spent + _clocks() - begin) / count
+        shares = {name: np.full(len(ended), share) for name, share in zip(("wall_s", "cpu_s"), spent, strict=True)}
+        return ended.tolist(), replace(finished, stats={**finished.stats, **shares})
 
     def _concluded(
         self, runs: PreparedRuns, results: LaneResults, watches: list[Watch] | None, measures: Sequence[str]
@@ -448,8 +420,8 @@ class LaneGroup:
             first = runs.first.table
             ends = np.minimum(first.every * np.arange(1, 1 + shape[1]), first.steps)
             steps, rejected = np.broadcast_to(np.diff(ends, prepend=0), shape), np.zeros(shape)
-            size = np.repeat(runs.steps()[0][:, None], shape[1], axis=1)
-            size[:, -1] = runs.steps()[1]
+            size = np.repeat([[table.step] for table in runs.tables], shape[1], axis=1)
+            size[:, -1] = [table.last_step for table in runs.tables]
         values = {
             "interval": np.broadcast_to(np.arange(1, 1 + shape[1]), shape),
             "time": results.time[:, 1:],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -16,21 +16,17 @@ import numpy as np
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts, at_starts
-from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.interface import Timetable
-from mbdkit.integrators.lane_stepper import PivotsAtStart, VariedStarts
+from mbdkit.integrators.lane_stepper import PivotsAtStart
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
-from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.size import mechanism_sizes
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.findings import criteria, findings
+from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import functionals_of
-from mbdkit.runs.lane_group import LaneGroup, LaneMember, PreparedRuns, VariedRuns
+from mbdkit.runs.lane_group import LaneGroup, LaneMember, PreparedRuns
 from mbdkit.runs.law_ranges import has_ranges, steps_are_rows
 from mbdkit.runs.preparation import guards_of, make_method, timetable
-from mbdkit.runs.state_watchers import StateWatchers
-from mbdkit.runs.varied_numbers import Stacks, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding
 
@@ -120,13 +116,12 @@ class LaneRuns:
     """
 
     def __init__(self, starts: Starts, measures: Sequence[str]) -> None:
-        self._measures = measures
+        self.measures = measures
         self._groups: dict[tuple[object, ...], LaneGroup] = {}
         self.starts, self.pivots = starts, PivotsAtStart()
         self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
         self._table: tuple[tuple[object, ...], Timetable] | None = None
-        self._bases: dict[VariedNumbers, LaneMember | None] = {}
 
     def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
         """Prepare runs for vectorization; None for a run that has to be computed alone.
@@ -159,7 +154,7 @@ class LaneRuns:
         if method is None:
             return None
         check_jumps(spec)
-        cautions = findings("spec", spec, self._measures)
+        cautions = findings("spec", spec, self.measures)
         return _Compiled(spec, method, cautions, self.starts.compiled(spec.mechanism(), spec.time.start))
 
     def _method(self, spec: RunSpec) -> Method | None:
@@ -174,7 +169,7 @@ class LaneRuns:
         if self._settings is None or any(
             a is not b and a != b for a, b in zip(settings, self._settings[0], strict=True)
         ):
-            self._settings = settings, None if why_alone(spec, self._measures) else make_method(spec)
+            self._settings = settings, None if why_alone(spec, self.measures) else make_method(spec)
         return self._settings[1]
 
     def _member(self, run: _Compiled, start: MechanismAtStart, size: float) -> LaneMember | None:
@@ -214,67 +209,21 @@ class LaneRuns:
         groups: dict[tuple[object, ...], list[int]] = defaultdict(list)
         for place, member in enumerate(members):
             groups[member.key].append(place)
-        for key, places in groups.items():
-            group = self.group(members[places[0]], key)
+        for places in groups.values():
+            group = self.group(members[places[0]])
             if members[places[0]].method.traits.tolerances:
                 places = _by_cost(members, places)
             for first in range(0, len(places), group.size):
                 some = places[first : first + group.size]
-                ended, runs = group.finished(PreparedRuns([members[place] for place in some]), self._measures)
+                ended, runs = group.finished(PreparedRuns([members[place] for place in some]), self.measures)
                 if runs is not None:
                     yield [some[number] for number in ended], runs
                 if len(ended) < len(some):
                     yield [place for number, place in enumerate(some) if number not in {*ended}], None
 
-    def varied(
-        self, numbers: VariedNumbers, values: np.ndarray, spec: Callable[[int], RunSpec]
-    ) -> Iterator[tuple[list[int], FinishedRuns | None]]:
-        """Carry out runs with other numbers (N, K) of one spec, without preparing each; see `finished`.
-
-        Runs that must be prepared in the ordinary way are left out. `spec` returns the spec of a run.
-        """
-        begin = time.perf_counter()
-        stacks = numbers.stacks(values)
-        if stacks is None:
-            return
-        if numbers not in self._bases:
-            (member,) = self.members([spec(int(stacks.members[0]))])
-            self._bases[numbers] = member if member is not None and self._has_alike(member) else None
-        base = self._bases[numbers]
-        if base is None:
-            return
-        prepared = _varied_runs(base, stacks, spec, begin)
-        if prepared is None:
-            self._bases[numbers] = None
-            return
-        group = self.group(base, base.key)
-        for first in range(0, len(prepared), group.size):
-            some = range(first, min(len(prepared), first + group.size))
-            places, runs = group.finished(prepared.of(some), self._measures)
-            if runs is None:  # assembly changes the starts of such mechanisms
-                self._bases[numbers] = None
-                return
-            yield stacks.members[[some[place] for place in places]].tolist(), runs
-
-    def _has_alike(self, base: LaneMember) -> bool:
-        """Return whether runs that differ from `base` in numbers need no preparation of their own."""
-        mechanism, spec = base.start.mechanism, base.spec
-        names = {criterion.name for stage in ("start", "end") for _, criterion in criteria(stage, spec)}
-        return (
-            base.method.traits.is_explicit
-            and base.method.traits.tolerances is None
-            and not has_ranges(spec.mechanism())
-            and StateWatchers(spec, mechanism, base.size).of_many is not None
-            and names <= {"moved-start", "changed-velocities", "passive-laws"}
-            and not any(isinstance(force, Law) for force in spec.mechanism().forces.values())
-            and not mechanism.inputs
-            and not len(mechanism.topology.states)
-            and not functionals_of(spec, self._measures)
-            and not spec.files_read
-        )
-
-    def group(self, first: LaneMember, key: tuple[object, ...]) -> LaneGroup:
+    def group(self, first: LaneMember) -> LaneGroup:
         """Return the group of runs with the key of `first`."""
+        key = first.key
         group = self._groups.pop(key, None) or LaneGroup(first)
         self._groups[key] = group  # moves the group to the end; the group used least recently is discarded first
         if len(self._groups) > MOST_GROUPS:
@@ -304,29 +253,3 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
         fall = np.einsum("mbi,mi->m", (mass * q).reshape(len(places), -1, 3)[:, :-1, :2], gravity)
         energy = 0.5 * np.sum((mass * v * v)[:, :-3], axis=1) - fall
     return [places[place] for place in np.argsort(energy, kind="stable")]
-
-
-#: Arrays of a topology on which neither assembly nor the analysis of redundancy depends.
-_OF_FORCES = frozenset({"linear", "law_parameters", "spring_points", "load_points", "marker_points"})
-
-
-def _varied_runs(base: LaneMember, stacks: Stacks, spec: Callable[[int], RunSpec], begin: float) -> VariedRuns | None:
-    """Return runs that differ from a prepared one in their numbers; None if each has to be prepared.
-
-    `begin`: when the preparation began [s].
-    """
-    start, mechanism, count = base.start, base.start.mechanism, len(stacks.members)
-    if stacks.topology.keys() <= _OF_FORCES and not any(np.ptp(x, axis=0).any() for x in (stacks.q, stacks.v)):
-        q, v = (np.tile(x, (count, 1)) for x in (start.q0, start.v0))
-        extent, size, tolerance = np.full(count, base.extent), np.full(count, base.size), None
-    else:
-        top = mechanism.topology
-        if len(looped_rows(mechanism)) or len(top.motion_start) > 1 or len(top.centers) or start.assembled.changed:
-            return None
-        q, v, extent = stacks.q, stacks.v, stacks.size.ravel()
-        size = np.where(extent == 0.0, stacks.longest.ravel(), extent)
-        # Residuals are computed in another order than by assembly.
-        tolerance = stacks.tolerance.ravel() * (1.0 - 1e-6)
-    starts = VariedStarts(mechanism, stacks.topology, q, v, base.spec.limits.misalignment * size)
-    members, seconds = stacks.members.tolist(), (time.perf_counter() - begin) / count
-    return VariedRuns(base, starts, extent, size, lambda run: spec(members[run]), tolerance, seconds)

@@ -21,8 +21,8 @@ from mbdkit.registry.manager import registry
 from mbdkit.runs.findings import criteria
 from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
-from mbdkit.runs.short_runs import VariedRuns
-from mbdkit.runs.varied_numbers import Variant
+from mbdkit.runs.varied_numbers import Variant, VariedNumbers
+from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
 
@@ -73,7 +73,7 @@ def _varied_runs(
             put(own, path, value)
         return load(own)
 
-    return VariedRuns(LaneRuns(Starts(), ()), paths, spec, _accepts)
+    return VariedRuns(LaneRuns(Starts(), ()), VariedNumbers(paths, spec), _accepts)
 
 
 def _accepts(variant: Variant, run: LaneMember) -> bool:

@@ -72,7 +72,7 @@ class Variant:
     - `formulas`: the formulas.
     - `compiled`, `table`: the compiled mechanism for these numbers, and the timetable without limits on states.
     - `findings`: what criteria of specs find, which is equal for all numbers.
-    - `watched`: whether criteria look at recorded states, or at the spec at the end of a run.
+    - `watched`: whether criteria look at the recorded states of each run, or at its spec at the end.
     """
 
     base: Mapping[str, np.ndarray]
@@ -103,7 +103,7 @@ class Variant:
             # `passive-laws` looks at the laws of forces only
             watched = any(isinstance(force, Law) for force in mechanism.forces.values())
             watched |= any(criterion.name != "passive-laws" for _, criterion in criteria("end", varied))
-            watched |= bool(StateWatchers(varied, recorded, 1.0)) or has_ranges(mechanism)
+            watched |= StateWatchers(varied, recorded, 1.0).of_many is None or has_ranges(mechanism)
             is_equal = timetable(varied, None) == table
             arrays = arrays_of(mechanism, recorded)
         is_equal &= all(array.tobytes() == base[name].tobytes() for name, array in arrays.items())
@@ -140,7 +140,7 @@ class VariedNumbers:
     """
 
     def __init__(self, paths: Sequence[Path], spec: Callable[[Sequence[float]], RunSpec], measures: Sequence[str] = ()):
-        self.paths, self._spec, self._measures = paths, spec, measures
+        self.paths, self.spec, self._measures = paths, spec, measures
         self.variants: list[Variant] = []
         self._recorded = 0
 
@@ -188,7 +188,7 @@ class VariedNumbers:
             return None
         self._recorded += 1
         try:
-            variant = Variant.of(self._spec(numbers), self.paths, self._measures)
+            variant = Variant.of(self.spec(numbers), self.paths, self._measures)
         except (Exception, SystemExit):  # the spec is not valid, or code computes in a way that cannot be recorded
             return None
         if self.variants and variant.key != self.variants[0].key:

@@ -27,7 +27,7 @@ from mbdkit_studies.compute import compute_block as compute_block_module
 from mbdkit_studies.compute.compute_block import compute_block
 from mbdkit_studies.compute.tasks import mark_of, run_at_work
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock, pieces_of
-from mbdkit_studies.compute.varied_runs import VariedRuns
+from mbdkit_studies.compute.varied_runs import EnsembleRuns
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints
@@ -580,14 +580,14 @@ def test_runs_computed_from_arrays_are_those_with_specs_of_their_own(
     # expected: each run, prepared from its own spec; among the values are defaults, zeros and refused ones
     model, variables = ENSEMBLES[name]
     spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.01}}
-    done, finished = [], VariedRuns.finished
+    done, finished = [], EnsembleRuns.finished
 
     def noted(*arguments: Any) -> Any:
         for places, runs in finished(*arguments):
             done.extend(places)
             yield places, runs
 
-    monkeypatch.setattr(VariedRuns, "finished", noted)
+    monkeypatch.setattr(EnsembleRuns, "finished", noted)
     mbdkit.ensemble(spec, variables, store="all", out=tmp_path / "s", notify=lambda _: None)
     folder = StudyFolder(tmp_path / "s")
     arrays = contents(folder.block(0))

@@ -33,6 +33,7 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.provenance import plugins_of, surroundings
 from mbdkit.runs.simulation import simulate_arrays
+from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
@@ -40,7 +41,7 @@ from mbdkit_studies.compute.batch import CHUNK, refusal, simulate_in_any_order
 from mbdkit_studies.compute.study_plan import StudyPlan
 from mbdkit_studies.compute.tasks import Outcome, mark_of, run_at_work
 from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
-from mbdkit_studies.compute.varied_runs import DifferenceError, VariedRuns, drawn, is_determined
+from mbdkit_studies.compute.varied_runs import DifferenceError, EnsembleRuns, drawn, is_determined
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints
 from mbdkit_studies.spec.measures import (
@@ -88,9 +89,9 @@ class BlockMeasures:
         return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
 
     @cached_property
-    def varied(self) -> VariedRuns:
+    def varied(self) -> EnsembleRuns:
         """The runs whose specs differ in numbers only."""
-        return VariedRuns(self.plan.points, self.plan.expressions)
+        return EnsembleRuns(self.plan.points, self.plan.expressions)
 
     @property
     def is_checked(self) -> bool:
@@ -217,6 +218,7 @@ def _compute_block(
         varied = {grid.base_json: VariedSpecs(grid.base_json) for grid in plan.points.grids}
         places, saved, lanes = plan.blocks.places(block), unfinished.saved(), LaneRuns(Starts(), plan.expressions)
         runs: list[BlockRuns] = []
+        runs_of_numbers: VariedRuns | None = None
         pending: list[BlockRuns] = []
 
         def add() -> None:
@@ -229,7 +231,8 @@ def _compute_block(
             left: Sequence[int] = places[first : first + CHUNK]
             if not (one_by_one or saved or measures.varied.reason):
                 mark.note(left[-1] + 1)
-                pending += _varied_runs(measures, left, lanes, notify, twice)
+                runs_of_numbers = runs_of_numbers or measures.varied.varied_in(lanes)
+                pending += _varied_runs(measures, left, runs_of_numbers, notify, twice)
                 computed = {number for part in pending for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
                 add()
@@ -329,7 +332,7 @@ def _results(
 def _varied_runs(
     measures: BlockMeasures,
     places: Sequence[int],
-    lanes: LaneRuns,
+    runs: VariedRuns,
     notify: Callable[[str], None],
     twice: Collection[int],
 ) -> Iterator[BlockRuns]:
@@ -338,7 +341,7 @@ def _varied_runs(
     Raises DifferenceError if their results differ.
     """
     varied = measures.varied
-    for done, results in varied.finished(lanes, places):
+    for done, results in varied.finished(runs, places):
         for warning in chain.from_iterable(results.warnings):
             notify(f"warning: {warning}")
         taken, failed = measures.of(results, varied.specs(done))

@@ -9,8 +9,10 @@ import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.base.errors import MbdkitError
+from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
-from mbdkit.runs.varied_numbers import VariedNumbers
+from mbdkit.runs.varied_numbers import Variant, VariedNumbers
+from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_texts import SpecTexts
@@ -25,7 +27,7 @@ class DifferenceError(MbdkitError):
     """A run that was computed from arrays differs from the same run, computed in the ordinary way."""
 
 
-class VariedRuns:
+class EnsembleRuns:
     """The runs of an ensemble.
 
     Parameters
@@ -74,16 +76,19 @@ class VariedRuns:
         """Return the spec of the run with this index in the study."""
         return self._with([column[place].item() for column in self._columns])
 
-    def finished(self, lanes: LaneRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
-        """Yield indices in the study and results of some of the runs at `places`."""
+    def varied_in(self, lanes: LaneRuns) -> VariedRuns:
+        """Return what computes the runs."""
+        return VariedRuns(lanes, self.numbers, _reads_no_files)
+
+    def finished(self, runs: VariedRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
+        """Yield indices in the study and results of some of the runs at `places`; `runs`: see `varied_in`."""
         columns = [column[places] for column in self._columns]
         known = np.asarray(places)[self.texts.are_known(columns)].tolist()
         if not known:
             return
         values = np.stack([column[known].astype(float) for column in self._columns], axis=1)
-        for members, runs in lanes.varied(self.numbers, values, lambda member: self.spec(known[member])):
-            if runs is not None:
-                yield [known[member] for member in members], runs
+        for members, results in runs.finished(values, lambda member: self.spec(known[member])):
+            yield [known[member] for member in members], results
 
     def hashes(self, places: Sequence[int]) -> tuple[list[str], list[str]]:
         """Return the hashes of the specs, and the identifiers, of the runs at some places."""
@@ -97,7 +102,7 @@ class VariedRuns:
 class VariedSpecsAt(Sequence[RunSpec]):
     """Specs of some runs of an ensemble, each of which is made when it is needed."""
 
-    def __init__(self, runs: VariedRuns, places: Sequence[int]):
+    def __init__(self, runs: EnsembleRuns, places: Sequence[int]):
         self.runs, self.places = runs, places
 
     def __len__(self) -> int:
@@ -105,6 +110,10 @@ class VariedSpecsAt(Sequence[RunSpec]):
 
     def __getitem__(self, number: int) -> RunSpec:  # type: ignore[override]
         return self.runs.spec(self.places[number])
+
+
+def _reads_no_files(_: Variant, run: LaneMember) -> bool:
+    return not run.settings.files_read
 
 
 def drawn(places: Sequence[int], runs: int) -> frozenset[int]:

@@ -19,8 +19,10 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.given_start import GivenStart
-from mbdkit.runs.short_runs import ShortRuns
+from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.simulation import simulate
+from mbdkit.runs.varied_numbers import VariedNumbers
+from mbdkit.runs.varied_runs import VariedRuns, run_in_lane
 from mbdkit.spec.loading import RunSource, Sections, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -32,6 +34,8 @@ from mbdkit_report import keys_ending_in
 #: With a single run in the vectorized loop, the steps take up to twice as long as those of the ordinary loop, but the
 #: preparation takes 1 to 2 ms less.
 LONG = 15_000
+
+MOST_NAMES = 32  #: Largest number of sets of names whose formulas are kept.
 
 
 Numbers = Mapping[str, float | str]
@@ -61,8 +65,8 @@ class PreparedRun:
         self._text = spec.canonical_json()
         self._varied = VariedSpecs(self._text)
         self._paths: dict[tuple[str, ...], tuple[Path, ...]] = {}  # by names
-        self._runs = ShortRuns()
-        self._starts = self._runs.lanes.starts
+        self._lanes = LaneRuns(Starts(), ())
+        self._varied_runs: dict[tuple[str, ...], VariedRuns | None] = {}  # None for names that were varied once
         self._is_long = False
         self._given: tuple[RunSpec, GivenStart] | None = None
         self.in_use = UseLock("another thread is using this prepared run; give each thread its own `mbdkit.prepare`")
@@ -71,7 +75,7 @@ class PreparedRun:
     def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
         """Return the spec with other numbers; see `run`."""
         spec = self._varied.spec([(self._path_of(name), value) for name, value in (parameters or {}).items()])
-        return spec_started_at(spec, initial, self._starts) if initial else spec
+        return spec_started_at(spec, initial, self._lanes.starts) if initial else spec
 
     @one_thread_at_a_time
     def start_with(
@@ -90,7 +94,7 @@ class PreparedRun:
         """
         spec = self.spec_with(parameters) if parameters else self.spec
         if self._given is None or self._given[0] is not spec:
-            self._given = spec, GivenStart(spec.mechanism(), spec, self._starts)
+            self._given = spec, GivenStart(spec.mechanism(), spec, self._lanes.starts)
         given = self._given[1]
         if not initial:
             return given.start.mechanism, given.start.q0, given.start.v0
@@ -129,13 +133,13 @@ class PreparedRun:
         """
         is_short = not (self._is_long or self.spec.gradients)
         if is_short and not initial and (run := self._by_formulas(parameters or {})) is not None:
-            self._is_long = self._runs.work > LONG
             return run
         spec = self.spec_with(parameters, initial)
-        if is_short and (run := self._runs.run(spec)) is not None:
-            self._is_long = self._runs.work > LONG
+        if is_short and (found := run_in_lane(self._lanes, spec)) is not None:
+            run, work = found
+            self._is_long = work > LONG
             return run
-        made = simulate(spec, starts=self._starts)
+        made = simulate(spec, starts=self._lanes.starts)
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made
@@ -147,7 +151,17 @@ class PreparedRun:
             paths = self._paths[names] = tuple([self._path_of(name) for name in names])
         if not all(type(value) is float or type(value) is int for value in parameters.values()):
             return None
-        return self._runs.varied(paths, [*map(float, parameters.values())], partial(_varied, self._text, paths))
+        if names not in self._varied_runs:
+            self._varied_runs[names] = None
+            return None
+        numbers = VariedNumbers(paths, partial(_varied, self._text, paths))
+        runs = self._varied_runs.pop(names) or VariedRuns(self._lanes, numbers)
+        self._varied_runs[names] = runs  # at the end; those used least recently are discarded first
+        if len(self._varied_runs) > MOST_NAMES:
+            self._varied_runs.pop(next(iter(self._varied_runs)))
+        run = runs.run([*map(float, parameters.values())])
+        self._is_long = runs.work > LONG
+        return run
 
     def _path_of(self, name: str) -> Path:
         path = variable_path(name)
