@@ -13,10 +13,9 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import counted, told_apart
+from mbdkit_gradients import Gradient, resolved
 from mbdkit_gradients.differentiated_expressions import definitions_of
-from mbdkit_gradients.gradient import Gradient
 from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries
-from mbdkit_gradients.gradient_parameters import resolved
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -129,7 +129,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         raise _unknown(list(spec.parameters), name)
     if path[0] != "model":
         raise _refused(
-            f"'{name}' cannot be a parameter of a gradient; give the name of one of the `parameters` or the key of "
+            f"'{name}' is no parameter of the mechanism; give the name of one of the `parameters` or the key of "
             f"a number of `model`"
         )
     holder: Any = data

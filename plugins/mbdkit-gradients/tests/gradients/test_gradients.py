@@ -215,7 +215,7 @@ def test_a_peak_at_two_times_is_said_to_have_no_derivative() -> None:
         ("model.bodies.rodd.mass", "no key 'model.bodies.rodd.mass': there is no 'rodd' in model.bodies"),
         ("model.forces.s.stiffness", "is the text or expression 'k'"),
         ("model.bodies.rod", "should be the key of a number"),
-        ("time.step", "cannot be a parameter of a gradient"),
+        ("time.step", "is no parameter of the mechanism"),
         (["k", "parameters.k"], "the parameter 'k' is named twice"),
         ([3], "needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not 3"),
         (None, "needs names of parameters"),

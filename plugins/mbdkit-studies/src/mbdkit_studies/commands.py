@@ -123,7 +123,8 @@ def study(
     the methods of the study.
 
     For a study with a sample, --report shows histograms, Sobol indices and quantiles
-    over time; `mbdkit guide studies` explains these.
+    over time; `mbdkit guide studies` explains these. A study with `tolerances` answers with
+    the smallest and the largest value of each measure within them.
 
     With --executor dask or submitit, workers on other machines compute the runs and
     write them into the folder, which must have the same path there.

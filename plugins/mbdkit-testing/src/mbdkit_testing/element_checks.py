@@ -24,7 +24,7 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_gradients.gradient import Gradient, gradient
+from mbdkit_gradients import Gradient, gradient
 from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped

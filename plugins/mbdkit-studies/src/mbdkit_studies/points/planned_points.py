@@ -102,7 +102,7 @@ class Grid:
                 }
         for key, unit in self.sample_units.items():
             value = float(self.table[key][0])
-            settings[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", ("sample", "variables", key))
+            settings[key, unit] = Setting(parse_key(key), f"{value!r} {unit}", (*self.table_place, key))
         return list(settings.values())
 
     @cached_property
@@ -197,6 +197,7 @@ def grids(spec: StudySpec) -> tuple[Grid, ...]:
     table = values_of(spec)
     variables = {} if spec.sample is None else spec.sample.variables
     units = {key: unit.si for key, given in variables.items() if (unit := unit_of(given)) is not None}
+    units |= {key: one.unit for key, one in zip(table, spec.tolerances.values(), strict=False) if one.unit}
     return tuple(replace(grid, table=table, table_place=table_place(spec), sample_units=units) for grid in made)
 
 
@@ -216,7 +217,7 @@ def _check_size(spec: StudySpec) -> None:
     families = _families(spec)
     runs = sum(count for count, _ in families)
     is_in_files = spec.store == "files" or bool(spec.needs_files)
-    key = "sample" if spec.sample is not None else "families" if spec.families else "axes"
+    key = next((one for one in ("sample", "tolerances", "families") if getattr(spec, one)), "axes")
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and is_in_files):
         number = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"

@@ -9,6 +9,7 @@ from mbdkit.base.plain_data import Path, path_text
 from mbdkit.spec.estimates import Estimated
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.study_folder import StudyFolder
+from mbdkit_studies.points.corner_values import corner_values
 from mbdkit_studies.spec.sample_section import Sample, frozen
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import Members, StudySpec
@@ -78,12 +79,12 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
 
 
 def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
-    """Return a study with the table of the values of its sample; other studies are returned unchanged.
+    """Return a study with the table of the values of its sample or of its corners; others are returned unchanged.
 
     The table in the folder is used if it belongs to the same study, so that a study continues with the same values even
     with another version of SciPy.
     """
-    if spec.sample is None or spec.members is not None:
+    if spec.members is not None or not spec.has_table:
         return spec
     columns = values_of(spec)
     _, digest = member_table.image(columns)
@@ -94,7 +95,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
             tabled = spec.with_members(there.members)
             tabled._folder = folder.path
             return tabled
-    tabled = spec.with_members(Members(runs=spec.sample.runs, sha256=digest))
+    tabled = spec.with_members(Members(runs=rows_of(spec), sha256=digest))
     tabled._columns = columns
     return tabled
 
@@ -119,12 +120,15 @@ def values_of(spec: StudySpec) -> dict[str, np.ndarray]:
     """
     if spec.members is not None:
         return member_table.read_members(spec)
-    if spec.sample is None:
+    if not spec.has_table:
         return {}
     if spec._columns is None:
-        estimated = spec.estimated()
-        with SpecError.place_by(lambda error: spec.placed(error.located(prefix="sample"))):
-            spec._columns = sampled_values(spec.sample, estimated)
+        if spec.sample is None:
+            spec._columns = corner_values(spec)
+        else:
+            estimated = spec.estimated()
+            with SpecError.place_by(lambda error: spec.placed(error.located(prefix="sample"))):
+                spec._columns = sampled_values(spec.sample, estimated)
     return spec._columns
 
 
@@ -132,9 +136,11 @@ def rows_of(spec: StudySpec) -> int:
     """Return the number of rows of `values_of`; 1 for a study with axes only."""
     if spec.members is not None:
         return spec.members.runs
-    return 1 if spec.sample is None else spec.sample.runs
+    if spec.sample is not None:
+        return spec.sample.runs
+    return len(next(iter(values_of(spec).values()), (0,)))
 
 
 def table_place(spec: StudySpec) -> Path:
     """Return the location in the study spec of the keys of `values_of`."""
-    return ("members",) if spec.sample is None else ("sample", "variables")
+    return ("tolerances",) if spec.tolerances else ("members",) if spec.sample is None else ("sample", "variables")

@@ -14,6 +14,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed, plus_minus, told_apart
 from mbdkit_report import key_words
 from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit_studies.report.worst_cases import worst_cases
 from mbdkit_studies.results.cost_at_error import error_headlines
 from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics_of_group
 from mbdkit_studies.statistics.sample_statistics import Estimate, squared_correlation
@@ -65,6 +66,8 @@ def headlines(study: Study, sign: str = "+-") -> list[tuple[str, str]]:
     sign
         Sign between a number and its error.
     """
+    if study.spec.tolerances:
+        return [(one.name, one.headline(sign)) for one in worst_cases(study)][:MOST]
     names = [] if study.spec.verdict else [measure.name for measure in study.spec.defined_measures()]
     of_errors = [] if study.spec.has_table else error_headlines(study)
     groups = sample_groups(study)[:MOST] if study.spec.has_table else [SampleGroup("", {}, range(len(study.points)))]

@@ -36,6 +36,7 @@ from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.report.study_headlines import headlines
+from mbdkit_studies.report.worst_cases import worst_case_tables
 from mbdkit_studies.results.added_results import ADDED, added_texts, with_emphasis
 from mbdkit_studies.results.cost_at_error import is_timed
 from mbdkit_studies.results.judge import find_verdict, judge
@@ -131,7 +132,9 @@ def _verdict(study: Study) -> Verdict:
     verdict = judge(study)
     figures: tuple[Figure, ...] = tuple(with_slope_guides(figure) for figure in verdict.figures)
     tables = verdict.tables
-    if study.spec.has_table:
+    if study.spec.tolerances:
+        tables = (*tables, *worst_case_tables(study))
+    elif study.spec.has_table:
         figures, tables = (*figures, *sample_figures(study)), (*tables, *sample_tables(study))
     else:
         figures = tuple(with_emphasis(figure, study.spec.added) for figure in figures or study_figures(study))

@@ -11,6 +11,7 @@ from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
 from mbdkit_studies.report.study_headlines import headlines
+from mbdkit_studies.report.worst_cases import worst_cases
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import central_range, unit_of
 from mbdkit_studies.store.study_index import STATUSES
@@ -71,7 +72,8 @@ def plan_summary(plan: StudyPlan) -> str:
     """
     spec = plan.spec
     lines = [("study", " ".join(spec.title.split())), *(_lines_of_blocks(plan) if spec.in_blocks else _lines_of(plan))]
-    lines += [*_grid_lines(plan.points.grids, is_drawn=spec.sample is not None), *_sample_lines(spec)]
+    is_ensemble = spec.sample is None and not spec.tolerances
+    lines += [*_grid_lines(plan.points.grids, has_members=is_ensemble), *_sample_lines(spec), *_tolerance_lines(plan)]
     lines += _measure_lines(plan.defined)
     return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
 
@@ -95,11 +97,11 @@ def _lines_of_blocks(plan: StudyPlan) -> Iterator[tuple[str, str]]:
     yield "store", str(plan.spec.store)
 
 
-def _grid_lines(grids: Iterable[Grid], *, is_drawn: bool = False) -> Iterator[tuple[str, str]]:
+def _grid_lines(grids: Iterable[Grid], *, has_members: bool) -> Iterator[tuple[str, str]]:
     for grid in grids:
         if grid.name:
             yield "family", grid.name
-        for key in grid.table if not is_drawn else ():
+        for key in grid.table if has_members else ():
             yield "values", f"{_with_unit(key, grid)}: {_few(grid.table[key].tolist())}"
         for axis in grid.axes:
             keys = " with ".join(_with_unit(key, grid) for key, _ in axis)
@@ -125,6 +127,12 @@ def _sample_lines(spec: StudySpec) -> Iterator[tuple[str, str]]:
                 yield "estimate", f"parameters.{name}: {value:.6g}, standard deviation {math.hypot(*row):.2g}"
 
 
+def _tolerance_lines(plan: StudyPlan) -> Iterator[tuple[str, str]]:
+    (grid, *_), tolerances = plan.points.grids, plan.spec.tolerances.values()
+    for (key, column), given in zip(grid.table.items() if tolerances else (), tolerances, strict=True):
+        yield "tolerance", f"{_with_unit(key, grid)}: {column[0]:.6g}, {given.limits[0]:g} to +{given.limits[1]:g}"
+
+
 def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:
     for name, column in defined.items():
         yield "measure", f"{name} [{column.units}]: {column.long_name}"
@@ -148,6 +156,7 @@ def outcome(study: Study) -> dict[str, object]:
         "computed": study.computed,
         **{status.replace("-", "_"): counts[status] for status in STATUSES},
         "answers": [{"name": name, "text": told} for name, told in headlines(study)],
+        **({"worst_cases": [one.to_dict() for one in worst_cases(study)]} if study.spec.tolerances else {}),
         "notes": [{"about": label, "text": note} for label, note in notes(study)],
         "unfinished": list(study.unfinished),
         "verdicts": {level: levels[level] for level in LEVELS if levels[level]},

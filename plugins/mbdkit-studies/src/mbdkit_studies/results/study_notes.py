@@ -52,7 +52,7 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
             "based on",
             f"{states['complete']} of {runs}, without {listed(left, 'and')}; these may differ systematically",
         )
-    if study.spec.has_table:
+    if study.spec.is_sampled:
         sample = study.spec.sample
         if sample is None:
             how = "they hold if the members were drawn at random and independently"

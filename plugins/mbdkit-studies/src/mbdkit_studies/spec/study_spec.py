@@ -23,6 +23,7 @@ from mbdkit.spec.sections import Section
 from mbdkit.spec.study_measures import DefinedMeasure, Measures, built_in_measures, defined
 from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN, built_in
 from mbdkit_studies.spec.sample_section import Sample, comparable
+from mbdkit_studies.spec.tolerance_section import Tolerance
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 
 
@@ -149,7 +150,15 @@ class StudySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sample", "added", "store", "block", "compress", "members")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        "sample",
+        "tolerances",
+        "added",
+        "store",
+        "block",
+        "compress",
+        "members",
+    )
     """Keys that the canonical form omits if they have their default values.
 
     Studies written before these keys existed therefore keep their hash.
@@ -172,6 +181,11 @@ class StudySpec(StrictSpec):
     sample: Sample | None = None
     """Keys whose values are drawn from distributions. A study may have axes or families as well: the sample is then
     repeated for each combination of these."""
+    tolerances: dict[str, Tolerance] = Field(default_factory=dict)
+    """How far numbers of the base may deviate: names of its `parameters`, or keys such as `model.bodies.rod.mass`, each
+    with `plus` and `minus`. The runs are the base, each number at both limits, and all corners of the box of the
+    limits; with more than six numbers, the two corners to which the gradient of each measure points. The answer is the
+    largest and the smallest value of each measure."""
     reference: Reference = "none"
     """Dotted keys to set in the spec of a run to obtain its reference run; `none` for no reference."""
     repeats: Repeats = 1
@@ -202,7 +216,7 @@ class StudySpec(StrictSpec):
     """Whether the arrays of blocks are compressed."""
     members: Members | None = None
     """A table of values, one row for each run, instead of `axes`; `mbdkit.ensemble` writes it, and each study with a
-    `sample` writes the table of its values into its folder."""
+    `sample` or `tolerances` writes the table of its values into its folder."""
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
@@ -214,13 +228,15 @@ class StudySpec(StrictSpec):
     def _consistent(self) -> StudySpec:
         if self.axes and self.families:
             raise SpecError("cannot be combined with `families`; give each family its own axes", key="axes")
+        if self.tolerances and (self.axes or self.families or self.sample is not None):
+            raise SpecError("cannot be combined with `axes`, `families` and `sample`", key="tolerances")
         if self.members is not None and self.sample is None and (self.axes or self.families):
             raise SpecError("cannot be combined with `axes` and `families`", key="members")
-        if not self.axes and not self.families and self.members is None and self.sample is None:
+        if not self.axes and not self.families and not self.has_table:
             raise PydanticCustomError(
                 "mbdkit",
-                "needs `axes` (parameters that vary), `families` (several grids of runs) or `sample` (values from "
-                "distributions)",
+                "needs `axes` (parameters that vary), `families` (several grids of runs), `sample` (values from "
+                "distributions) or `tolerances` (worst cases)",
             )
         self._check_sample()
         for name, family in self.families.items():
@@ -240,10 +256,12 @@ class StudySpec(StrictSpec):
                 if isinstance(measure, str) and built_in_measures().get(measure) == REFERENCE:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
         if self.has_table and self.store == "files":
-            which = "a table of members" if self.sample is None else "a sample"
+            which = "tolerances" if self.tolerances else "a table of members" if self.sample is None else "a sample"
             raise SpecError(f"a study with {which} is stored in blocks, not in files", key="store")
-        if self.sample is not None and self.needs_files:
-            raise SpecError(f"cannot be combined with {self.needs_files}", key="sample")
+        if (self.sample is not None or self.tolerances) and self.needs_files:
+            raise SpecError(
+                f"cannot be combined with {self.needs_files}", key="tolerances" if self.tolerances else "sample"
+            )
         if (self.in_blocks or self.members is not None) and self.needs_files:
             raise SpecError(
                 f"blocks cannot be combined with {self.needs_files}, which needs `store: files`", key="store"
@@ -265,8 +283,13 @@ class StudySpec(StrictSpec):
 
     @property
     def has_table(self) -> bool:
-        """Whether the values that distinguish the runs are in a table, because of `members` or `sample`."""
-        return self.members is not None or self.sample is not None
+        """Whether the values that distinguish the runs are in a table: of `members`, a `sample` or `tolerances`."""
+        return self.members is not None or self.sample is not None or bool(self.tolerances)
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the values that distinguish the runs are drawn, so that the runs have statistics."""
+        return self.has_table and not self.tolerances
 
     @property
     def in_blocks(self) -> bool:

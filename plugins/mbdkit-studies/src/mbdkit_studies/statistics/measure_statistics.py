@@ -60,7 +60,7 @@ def statistics(
     study: SampledStudy, measure: str, *, where: Mapping[str, Label] | None, confidence: float
 ) -> MeasureStatistics:
     """Return the statistics of a measure; see `Study.statistics`."""
-    if not study.spec.has_table:
+    if not study.spec.is_sampled:
         raise MbdkitError("statistics need a sample: the values on the axes of a study are not drawn at random")
     if not 0 < confidence < 1:
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
