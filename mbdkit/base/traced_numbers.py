@@ -15,6 +15,8 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,15 +25,50 @@ from mbdkit.base import elementary, higher_layers
 
 Numbers = Sequence[float]
 
-#: Function of the values of the inputs, which returns those of the results, or None if a condition does not hold.
-Formulas = Callable[..., tuple[float, ...] | None]
-
-
 _current: ContextVar[Trace | None] = ContextVar("current trace", default=None)
 
 
 class UntraceableError(Exception):
     """Code uses a traced number in a way that cannot be recorded."""
+
+
+@dataclass(frozen=True, eq=False)
+class Formulas:
+    """Results as a function of the values of the inputs, which returns None if a condition does not hold.
+
+    `inputs`, `results`: names of the inputs, and texts of the results. `lines`: recorded operations and conditions.
+    `kept`: conditions under which no result becomes, or ceases to be, zero or finite.
+    """
+
+    inputs: tuple[str, ...]
+    lines: tuple[str, ...]
+    kept: tuple[str, ...]
+    results: tuple[str, ...]
+
+    def compiled(self, lines: Sequence[str], functions: Mapping[str, Any]) -> Callable[..., tuple[Any, ...] | None]:
+        """Return some lines, and then the results, as a Python function that calls `functions` by their names."""
+        text = "\n".join([*lines, f" return ({', '.join([*self.results, ''])})"])
+        space: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **functions}
+        code = f"def formulas({', '.join(self.inputs)}):\n{text}"
+        exec(compile(code, "<formulas>", "exec"), space)  # the text consists of recorded operations only
+        function: Callable[..., tuple[Any, ...] | None] = space["formulas"]
+        return function
+
+    @cached_property
+    def _function(self) -> Callable[..., tuple[float, ...] | None]:
+        return self.compiled([*self.lines, *self.kept], recorded_functions())
+
+    def __call__(self, *inputs: float) -> tuple[float, ...] | None:
+        """Return the results; see the class."""
+        try:
+            return self._function(*inputs)
+        except (ArithmeticError, ValueError):
+            return None
+
+
+def recorded_functions() -> dict[str, Callable[..., Any]]:
+    """Return the functions that recorded operations call, by name."""
+    return {**higher_layers.elementary_functions(), **_FUNCTIONS}
 
 
 class Trace:
@@ -76,6 +113,14 @@ class Trace:
             self._known[text] = known = TracedNumber(self, name, float(value))
         return known
 
+    def parts(self, text: str, values: Sequence[float]) -> list[TracedNumber]:
+        """Return the values of an operation whose result is an array, given by its Python text."""
+        known = self._known.get(text)
+        if known is None:
+            self._known[text] = known = TracedNumber(self, f"v{len(self._known)}", math.nan)
+            self._lines.append(f" {known.name} = {text}")
+        return [self.result(f"{known.name}[{index}]", value) for index, value in enumerate(values)]
+
     def combine(self, symbol: str, compute: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         """Return the result of an operator."""
         if not (isinstance(a, int | float) and isinstance(b, int | float)):
@@ -116,26 +161,14 @@ class Trace:
         """
         if self.has_failed:
             raise UntraceableError("a traced number was lost")
-        names = []
+        results = tuple(results)
+        names, count = tuple(map(_text, results)), len(self._lines)
         for number in results:
-            names.append(_text(number))
             if isinstance(number, TracedNumber):
                 self.condition(f"({number.name} != 0.0)", number.value != 0.0)
         total = " + ".join(f"abs({name})" for name in dict.fromkeys(names)) or "0.0"
-        lines = [*self._lines, f" if not ({total} < inf): return None", f" return ({', '.join([*names, ''])})"]
-        source = f"def formulas({', '.join(self._inputs)}):\n" + "\n".join(lines)
-        space: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **higher_layers.elementary_functions(), **_FUNCTIONS}
-        exec(compile(source, "<formulas>", "exec"), space)  # the text consists of recorded operations only
-        function = space["formulas"]
-
-        def values(*inputs: float) -> tuple[float, ...] | None:
-            try:
-                result: tuple[float, ...] | None = function(*inputs)
-            except (ArithmeticError, ValueError):
-                return None
-            return result
-
-        return values
+        kept = (*self._lines[count:], f" if not ({total} < inf): return None")
+        return Formulas(tuple(self._inputs), tuple(self._lines[:count]), kept, names)
 
 
 def _text(operand: Any) -> str:
@@ -316,7 +349,8 @@ def _recordable(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         trace = _current.get()
         if trace is None or not is_traced(operands):
             return function(*operands, **options)
-        return trace.result(f"{name}({', '.join(map(_text, operands))})", function(*plain(operands)))
+        text, value = f"{name}({', '.join(map(_text, operands))})", function(*plain(operands))
+        return trace.parts(text, value) if isinstance(value, list) else trace.result(text, value)
 
     return call
 
@@ -326,9 +360,28 @@ def _second(values: Sequence[float]) -> float:
     return sorted(values)[-2]
 
 
+def _cubic_pieces(arguments: Sequence[float], values: Any) -> Any:
+    """Return five numbers for each piece of a cubic spline, which are linear in the values (N,), as a list.
+
+    They are the coefficients in ascending powers of the distance from the beginning of the piece, and the integral up
+    to there. The ends are not-a-knot; three points have a parabola, two points a straight line. For values (N, K) of
+    several splines, the result is an array (..., K).
+    """
+    from scipy.interpolate import CubicSpline
+
+    with np.errstate(all="raise"):
+        coefficients = np.moveaxis(CubicSpline(np.array(arguments), np.array(values)).c[::-1], 0, -1)
+        h = np.diff(np.array(arguments)).reshape(-1, *[1] * (coefficients.ndim - 1))
+        areas = np.sum(coefficients * elementary.pow(h, np.arange(1, 5)) / np.arange(1, 5), axis=-1)
+    stored = np.concatenate([0.0 * areas[:1], np.cumsum(areas, axis=0)[:-1]])
+    pieces = np.moveaxis(np.concatenate([coefficients, stored[..., None]], axis=-1), -1, 1)
+    flat = pieces.reshape(-1, *pieces.shape[2:])
+    return flat if flat.ndim > 1 else flat.tolist()
+
+
 _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
-    "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max, "_min": min,
+    "_cubic_pieces": _cubic_pieces, "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max, "_min": min,
     "_power": _power, "_second": _second,
 }  # fmt: skip
 _RECORDABLE = {function: _recordable(name, function) for name, function in _FUNCTIONS.items()}
-dist, hypot, sqrt, largest, smallest, _, second_largest = _RECORDABLE.values()
+cubic_pieces, dist, hypot, sqrt, largest, smallest, _, second_largest = _RECORDABLE.values()

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
+from mbdkit.base.traced_numbers import cubic_pieces
 from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit.mechanism.values import NotNegative, Number, columns_of
 
@@ -76,21 +76,14 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
 
 def parameters(options: TableOptions) -> list[float]:
     """Return the parameters of `law`, in the order in which it reads them."""
-    from scipy.interpolate import CubicSpline
-
-    lengths, forces = (np.array(column) for column in options.table)
+    lengths, forces = options.table
     try:
-        with np.errstate(all="raise"):
-            coefficients = CubicSpline(lengths, forces).c[::-1].T
-            h = np.diff(lengths)[:, None]
-            areas = np.sum(coefficients * elementary.pow(h, np.arange(1, 5)) / np.arange(1, 5), axis=1)
+        pieces = cubic_pieces(lengths, forces)
     except (FloatingPointError, ValueError, np.linalg.LinAlgError):
         raise SpecError(
             "the cubic spline through these points cannot be computed in double precision", key="table"
         ) from None
-    stored = np.concatenate([[0.0], np.cumsum(areas)[:-1]])
-    pieces = np.column_stack([coefficients, stored])
-    return [options.damping, float(len(pieces)), *lengths.tolist(), *pieces.ravel().tolist()]
+    return [options.damping, float(len(lengths) - 1), *lengths, *pieces]
 
 
 def valid_range(options: TableOptions) -> dict[str, tuple[float, float]]:

@@ -15,6 +15,7 @@ from pydantic import BeforeValidator, Field
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.traced_numbers import as_float
 from mbdkit.expressions.parser import Expression
 
 
@@ -122,7 +123,7 @@ def columns_of(
             if isinstance(x, bool) or not isinstance(x, int | float) or not abs(x) <= sys.float_info.max:
                 kind = TextForNumberError if isinstance(x, str) else SpecError
                 raise kind(f"should be a finite number, not {_shown(x)}", key=f"{key}[{number}][{row}]")
-    times, values = (tuple(float(x) for x in column) for column in columns)
+    times, values = (tuple(map(as_float, column)) for column in columns)
     if len(times) != len(values):
         raise SpecError(f"a table needs as many {of} as {at}; it has {len(values)} and {len(times)}", key=key)
     if len(times) < least:

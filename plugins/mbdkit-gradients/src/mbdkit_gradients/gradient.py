@@ -175,8 +175,8 @@ def gradient(
         Expressions such as ``"max(abs(joints.B.force))"``: one, several, or a mapping as in the section `measures` of a
         spec. Names of measures that the spec defines may stand for their expressions.
     names
-        Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``; at
-        most 50. A mapping of names in `parameters` to numbers also sets these numbers.
+        Names of `parameters` of the spec, or key paths of numbers of its model such as ``model.bodies.rod.mass``. A
+        mapping of names in `parameters` to numbers also sets these numbers.
     parameters
         With `names`, the section `parameters` of the spec, as in `mbdkit.run`. Without `names`, the names.
     check

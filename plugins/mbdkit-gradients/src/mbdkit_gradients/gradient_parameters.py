@@ -15,9 +15,6 @@ from mbdkit.spec.loading import read_source
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import parse_key, put
 
-MOST_PARAMETERS = 50
-
-
 #: One name, several names, or names with the values of their parameters.
 Names = str | Iterable[str] | Mapping[str, float | str]
 
@@ -98,12 +95,10 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
     Raises
     ------
     SpecError
-        If a parameter does not exist, is not a number of the model or is named twice, or if there are none or too many.
+        If a parameter does not exist, is not a number of the model or is named twice, or if there are none.
     """
     if not names:
         raise SpecError("a gradient needs at least one parameter", key="gradients")
-    if len(names) > MOST_PARAMETERS:
-        raise SpecError(f"a gradient takes at most {MOST_PARAMETERS} parameters, not {len(names)}", key="gradients")
     data = json.loads(spec.canonical_json())
     results = [_resolved(spec, data, name) for name in names]
     paths = [result.path for result in results]

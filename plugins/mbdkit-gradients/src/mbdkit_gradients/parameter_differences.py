@@ -45,6 +45,7 @@ LINEAR = 64.0  #: Largest deviation from a line that counts as rounding, in unit
 #:
 #: Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
 APART = 1e-3
+RANK = 1e-9  #: Smallest singular value, relative to the largest, of matrices that count as regular.
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 #: Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter.
 BACKWARD = tuple(-place for place in FORWARD)
@@ -79,6 +80,16 @@ class PreparedDerivatives:
     seeds: Seeds
     error: np.ndarray
     side: np.ndarray
+
+    def with_columns(self, where: np.ndarray, others: PreparedDerivatives) -> PreparedDerivatives:
+        """Return these derivatives with others in place of those with respect to some parameters, (K,) `where`."""
+        arrays, error, side = dict(self.seeds.arrays), self.error.copy(), self.side.copy()
+        for name, x in others.seeds.arrays.items():
+            own = arrays.get(name)
+            arrays[name] = np.zeros((*x.shape[:-1], len(where))) if own is None else own.copy()
+            arrays[name][..., where] = x
+        error[where], side[where] = others.error, others.side
+        return PreparedDerivatives(Seeds(arrays, self.seeds.scale), error, side)
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,9 @@
 """Derivatives of the preparation of a run: of the compiled mechanism and of its consistent start, with respect to
 parameters.
 
+They follow from the operations that were recorded while the mechanism was built, or from differences where code cannot
+be recorded, as that of some plugins.
+
 The preparation validates the model, builds and compiles the mechanism, and assembles its initial state. The numbers in
 expressions of measures and events may depend on named parameters, and are differentiated in the same way.
 """
@@ -22,6 +25,7 @@ from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import RunSetup
+from mbdkit.runs.varied_numbers import Variant
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
@@ -29,17 +33,19 @@ from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import (
     CENTRAL,
     Arrays,
+    RANK,
+    WIDEST,
     KnownDerivatives,
     Preparation,
     PreparedDerivatives,
     weights,
 )
+from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, inside
 
 #: Names of the residuals of the equations of a start with given values.
 POSITION, VELOCITY = "position equations", "velocity equations"
 #: Largest change of a coordinate [m, rad] by which derivatives of matrices are differences of order 8.
 NUDGE = 0.001
-RANK = 1e-9  #: Smallest singular value, relative to the largest, of matrices that count as regular.
 #: Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear.
 FURTHER = 0.01
 
@@ -233,6 +239,67 @@ class RunPreparation(Preparation):
 
     def derivatives(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """See `Preparation.derivatives`.
+
+        They are exact for parameters whose way to the arrays is recorded (`mbdkit.runs.varied_numbers`), and
+        differences for all others.
+        """
+        recorded = self._recorded(parameters)
+        if recorded is None or not np.any(recorded[1]):
+            return self._by_differences(parameters)
+        exact, done = recorded
+        if np.all(done):
+            return exact
+        others = self._by_differences([one for one, is_done in zip(parameters, done, strict=True) if not is_done])
+        return exact.with_columns(~done, others)
+
+    def _recorded(self, parameters: Sequence[Parameter]) -> tuple[PreparedDerivatives, np.ndarray] | None:
+        """Return exact derivatives, and (K,) which of them are known; None if there are none.
+
+        The operations that lead to the arrays are recorded while the mechanism is built once more. A start that
+        assembly has changed is left to differences, and so are motions, whose values at the start it may depend on.
+        """
+        own, paths = self._own, [one.path for one in parameters]
+        if own.given is not None or self.mechanism.extensions or any(path[0] == "initial" for path in paths):
+            return None
+        try:
+            variant = Variant.of(self.spec, paths)
+            values = np.array([one.value for one in parameters])
+            slopes = arrays_from(variant.places, variant.base, derivatives_of(variant.formulas, values))
+        except (Exception, SystemExit):  # code computes in a way that cannot be recorded
+            return None
+        changes = WIDEST * np.array([self._scale(one) for one in parameters])
+        known = inside(variant.formulas, values, changes)
+        known &= np.all([np.isfinite(x).reshape(-1, len(parameters)).all(axis=0) for x in slopes.values()], axis=0)
+        touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
+        never = np.zeros(len(parameters), dtype=bool)
+        moves = touched.get("motion_values", never)
+        starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
+        if own.start.assembled.changed:
+            moves = moves | starts | touched.get("mass", never)
+        known &= ~moves & ~(starts if len(self.mechanism.topology.functions) else never)
+        named = [one for one in parameters if one.path[0] == "parameters"]
+        if named and own.numbers:
+            changed = [(one.path, one.value + 0.01 * self._scale(one)) for one in named]
+            with suppress(SpecError):
+                numbers = self._numbers(self._specs.spec([*self.values.items(), *changed]))
+                if all(np.array_equal(x, own.numbers[name]) for name, x in numbers.items()):
+                    named = []
+            known &= np.array([one not in named for one in parameters])
+        given = {name: slopes.pop(name, np.zeros((*self.base[name].shape, len(parameters)))) for name in "qv"}
+        if np.any(starts & known):
+            bodies = self.spec.mechanism().bodies
+            fixed = np.repeat([name in self.spec.mechanism().assembly.fix for name in bodies], 3)
+            points = slopes.get(
+                "pair_parameters", np.zeros((*self.mechanism.topology.pair_parameters.shape, len(known)))
+            )
+            begin = StartDerivatives(own.start, self.spec.time.start, fixed)
+            slopes |= begin.of(given["q"] * known, given["v"] * known, points * known)
+        slopes = {name: x * known for name, x in slopes.items() if np.any(x[..., known])}
+        none = np.zeros(len(parameters))
+        return self._completed(slopes, parameters, none, none.astype(int)), known
+
+    def _by_differences(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        """Return derivatives by differences.
 
         One point for each parameter is enough if all arrays are linear in the parameters together, as another point
         shows in which all parameters differ, by unequal shares of their sizes. If equations determine the start, it is
