@@ -217,6 +217,12 @@ class Knees(View, of="knees"):
     """force in the medial compartment; nan if frontal moments are not known, (T,), N"""
     lateral_force: np.ndarray
     """force in the lateral compartment; nan if frontal moments are not known, (T,), N"""
+    compression: np.ndarray
+    """force along the shank; with error bars, the median of its distribution; nan if not computed, (T,), N"""
+    compression_lower: np.ndarray
+    """how far the true compression may lie below with a probability of 97.5 %, nan where unknown, (T,), N"""
+    compression_upper: np.ndarray
+    """how far the true compression may lie above with a probability of 97.5 %, nan where unknown, (T,), N"""
 
 class Loads(View, of="loads"):
     force: np.ndarray
@@ -280,7 +286,7 @@ class FurtherKinds:
         """Length, fibres, activation, tension [N] with its error, and power of one muscle."""
     @property
     def knees(self) -> Histories[KneeHistory]:
-        """Forces [N] in one knee beside that of the joint: of the patella on the thigh, and in both compartments."""
+        """Forces [N] in one knee beside that of the joint: of the patella on the thigh, in both compartments, and the"""
     @property
     def loads(self) -> Histories[LoadHistory]:
         """One measured load, in inverse dynamics; force and point of application are in the global frame."""

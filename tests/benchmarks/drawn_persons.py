@@ -4,9 +4,11 @@ Persons are drawn around one who walks with known joints (`person_markers`) from
 `persons` states: markers with artefacts of the skin, one by one, all of a segment together, and in step with joints,
 hips beside the place of the regression, landmarks of knees and ankles beside the centres, plates with an offset in
 time, wrong gains and wrong points, an unknown zero of the trunk, and masses, muscles, their timing and recruitment
-unlike those of the model. The force of the ground acts `MEDIAL` beside the knees, whose compartments cannot pull. The
-forces of the right leg of the drawn person, computed from its own motion, are the truth. The generic model, the markers
-and the plates are what mbdkit gets. The draws do not use its own ones.
+unlike those of the model. Extensors and flexors of the knee act together around the beginning of the stance and in its
+second half, and the lever arm of the quadriceps is that of another person. The force of the ground acts `MEDIAL` beside
+the knees, whose compartments cannot pull. The forces of the right leg of the drawn person, computed from its own
+motion, are the truth. The generic model, the markers and the plates are what mbdkit gets. The draws do not use its own
+ones.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from __future__ import annotations
 import io
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
@@ -24,6 +26,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from scipy.stats import spearmanr
 
 import mbdkit
 from mbdkit import Run
@@ -61,6 +64,9 @@ TRUNK_ZERO, FOOT_ZERO = 0.05, 0.06
 """Standard deviations of the zeros of the angles of trunk and foot [rad]; the second is found for the flat foot."""
 EXPONENT, MINIMUM = (2.0, 4.0), (0.01, 0.05)
 """Ranges of the exponent of recruitment and the least activation."""
+TOGETHER_ACTIVE = {0.15: ((-0.15, -0.05, 0.15, 0.35), (0, 1, 1, 0)), 0.08: ((0.25, 0.4, 0.8, 1.0), (0, 1, 1, 0))}
+"""Largest common activations of extensors and flexors of the knee, and when, as shares of the stance."""
+OF_KNEE = ("rectus_femoris", "vasti", "hamstrings", "biceps_femoris_short")
 RECRUITMENT = {"exponent": 3, "minimum": 0.02, "reserves": 1.0}
 JOINTS = ("hip", "knee", "ankle")
 LANDMARKS = {"thigh": ("RKNE", "RKNM"), "shank": ("RANK", "RANM")}
@@ -96,6 +102,8 @@ class Tally:
     bars: dict[str, list[Array]] = field(default_factory=dict)
     excess: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     """Excess of the largest force over the true one by joint, before and after the correction of its bias [N]."""
+    knee: list[Array] = field(default_factory=list)
+    """Errors of the compression of the knee, both sides of its bars, and shares of the stance (T, 4), by person."""
     seconds: float = 0.0
 
     def add(self, name: str, error: Array, bar: Array) -> None:
@@ -105,7 +113,7 @@ class Tally:
 
     def merge(self, other: Tally) -> None:
         """Add the persons of another tally."""
-        for name in ("count", "named", "failed", "seconds"):
+        for name in ("count", "named", "failed", "seconds", "knee"):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         for name in ("errors", "bars", "excess"):
             for key, rows in getattr(other, name).items():
@@ -127,7 +135,36 @@ class Tally:
         for joint, pairs in self.excess.items():
             before, after = np.nanmean(pairs, axis=0)
             console.print(f"largest force of the {joint}: mean excess {before:.0f} N, corrected {after:.0f} N")
+        self.show_knee(console)
         console.file.flush()
+
+    def show_knee(self, console: Console) -> None:
+        """Print how often bars of the compression of the knee contain the truth, by fifths of the stance, and whether
+        they tell more than constant ones.
+        """
+        error, lower, upper, share = np.moveaxis(np.array(self.knee), -1, 0)
+        side = np.where(error > 0, upper, lower)
+        bins = {f"{k / 5:.0%} to {(k + 1) / 5:.0%}": (share >= k / 5) & (share < (k + 1) / 5) for k in range(5)}
+        stance = (share >= 0) & (share < 1)
+        for name, own in {**bins, "stance": stance, "swing": ~stance}.items():
+            rms = float(np.sqrt(np.mean(error[own] ** 2)))
+            told = f"covered {np.mean((np.abs(error) <= side)[own]):.1%}, median error {np.median(error[own]):.0f} N"
+            console.print(f"compression, {name}: {told}, rms {rms:.0f} N, half width {np.median(side[own]):.0f} N")
+        half = 0.5 * (lower + upper)
+        ranks = spearmanr(half[stance], np.abs(error)[stance]).statistic
+        count, scores = len(error) // 2, np.zeros(2)
+        for own, other in ((slice(count), slice(count, None)), (slice(count, None), slice(count))):
+            size = np.zeros_like(error[own])
+            for where in (stance, ~stance):
+                size[where[own]] = np.sqrt(np.mean(error[other][where[other]] ** 2))
+            sides = ((side / 1.96, half / 1.96), (size, size))
+            scores += [
+                float(np.mean(-0.5 * (error[own] / one[: len(size)]) ** 2 - np.log(mean[: len(size)]))) / 2
+                for one, mean in ((sides[0][0][own], sides[0][1][own]), sides[1])
+            ]
+        console.print(
+            f"compression: rank correlation in stance {ranks:.2f}, log score {scores[0]:.3f}, constants {scores[1]:.3f}"
+        )
 
     def row(self, name: str) -> tuple[float, float, float]:
         """Return the share of covered values, its standard error over persons, and the ratio of the median bar to the
@@ -162,14 +199,32 @@ def _expanded() -> tuple[dict[str, Any], float]:
     return data, flat
 
 
-def forces_of(truth: InverseSpec) -> Run:
-    """Return the forces of a drawn person, whose knee has compartments that cannot pull."""
+def stance_share() -> Array:
+    """Return the shares (T,) of the nearest stance of the right foot that have passed."""
+    walker = _walker()
+    time, found = walker.time, np.full(len(walker.time), np.inf)
+    length = max(end - first for foot, first, end in walker.contacts() if foot == "foot")
+    for foot, first, end in walker.contacts():
+        if foot == "foot":
+            begin = end - length if first == 0 else first
+            share = (time - time[0]) / (time[1] - time[0]) / length - begin / length
+            found = np.where(np.abs(share - 0.5) < np.abs(found - 0.5), share, found)
+    return found
+
+
+def forces_of(truth: InverseSpec, together: Sequence[float] = (0.0, 0.0)) -> Run:
+    """Return the forces of a drawn person, whose knee has compartments that cannot pull, with activations of extensors
+    and flexors of the knee together.
+    """
     problem = InverseProblem.of(truth)
     names, recruiter, walker = problem.names, problem.recruiter, _walker()
     assert recruiter is not None
     load, joint = walker.loads["foot"][0][:, 1], list(names.mechanism.joints).index("knee")
     knee = Compartments("knee", joint, names.body("shank", "model"), COMPARTMENTS, HARD, MEDIAL * load, load)
     recruiter.targets = replace(recruiter.targets, knees=(knee,))
+    windows = (np.interp(stance_share(), *one) for one in TOGETHER_ACTIVE.values())
+    both = sum(size * own for size, own in zip(together, windows, strict=True))
+    recruiter.floor = np.outer(both, [any(word in name for word in OF_KNEE) for name in recruiter.muscles])
     return run_of(compute(problem))
 
 
@@ -212,8 +267,9 @@ def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: A
     measured = _spec(_measured(wider), **sections)
     for left in reversed(range(DRAWS)):
         truth = _truth(wider)
+        together = [max(0.0, wider.uniform(0.0, most)) for most in TOGETHER_ACTIVE]
         try:
-            return Drawn(measured, truth, forces_of(truth), DELAY * wider.standard_normal())
+            return Drawn(measured, truth, forces_of(truth, together), DELAY * wider.standard_normal())
         except MbdkitError:
             if not left:
                 raise
@@ -263,8 +319,10 @@ def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
     walker, (data, flat) = _walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
-    common = STRENGTH * random.standard_normal()
+    common, longer = STRENGTH * random.standard_normal(), float(random.standard_normal())
     for muscle in muscles.values():
+        if "patella" in muscle:
+            muscle["patella"] = muscle["patella"] | {"deviations": longer}
         muscle["max_force"] *= float(np.exp(common + STRENGTH * random.standard_normal()))
         muscle["optimal_length"] *= float(np.exp(FIBER * random.standard_normal()))
         muscle["tendon_length"] *= float(np.exp(TENDON * random.standard_normal()))
@@ -370,6 +428,12 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
         corrected = excess - parts["reaction_peak_bias"][place]
         tally.add(f"peak of the {joint}, corrected", corrected, bar)
         tally.excess.setdefault(joint, []).append((excess, corrected))
+    knee, alone = found.knees["knee"], truth.array("muscles/reaction_force_without")
+    angle, place = truth["shank"].angle, list(truth.joint_names).index("knee")
+    least = np.sin(angle) * alone[:, place, 0] - np.cos(angle) * alone[:, place, 1]
+    true = least + later(at_time, truth.knees["knee"].compression - least, -person.late)
+    bars = (knee.compression_lower, knee.compression_upper)
+    tally.knee.append(np.stack([true - knee.compression, *bars, stance_share()], axis=1))
     errors, peaks, wide, wide_at_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
         tension = later(at_time, truth.muscles[name].force, -person.late)

@@ -20,7 +20,6 @@ import numpy as np
 
 import mbdkit
 from mbdkit.plugin import MbdkitError, SpecError, show
-from mbdkit.plugin.equations import elementary
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
@@ -145,15 +144,26 @@ def phases_of(person: Person) -> list[Phase]:
 
 
 class Comparison(NamedTuple):
-    """Computed and measured values (T,), and half widths of the error bars of the computed ones (T,)."""
+    """Computed and measured values (T,), and how far the true ones may lie below and above the computed ones (T,)."""
 
     computed: np.ndarray
-    bar: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
     measured: np.ndarray
 
     def rows(self, own: slice) -> Comparison:
         """Return the values in some frames."""
-        return Comparison(self.computed[own], self.bar[own], self.measured[own])
+        return Comparison(*(values[own] for values in self))
+
+    @property
+    def bar(self) -> np.ndarray:
+        """Half widths of the bars (T,)."""
+        return np.asarray(0.5 * (self.lower + self.upper))
+
+    @property
+    def is_inside(self) -> np.ndarray:
+        """Whether the bars contain the measured values (T,)."""
+        return (-self.upper <= self.error) & (self.error <= self.lower)
 
     @property
     def error(self) -> np.ndarray:
@@ -163,7 +173,7 @@ class Comparison(NamedTuple):
     @property
     def covered(self) -> float:
         """Share of the frames in which the bar contains the measured value."""
-        return float(np.mean(np.abs(self.error) <= self.bar))
+        return float(np.mean(self.is_inside))
 
     @property
     def rms(self) -> float:
@@ -175,20 +185,18 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -
     """Return the compressive force of the right knee along the shank [N], and the angle of the knee [deg], in some rows
     of a run.
 
-    The cells measure the force along the axis of the tibia; the bar is that of the whole force. The bar of the angle
+    The cells measure the force along the axis of the tibia. The bar of the angle
     contains those of both segments as if they were independent, but not `GONIOMETER`.
     """
-    joint, bodies = list(run.joint_names).index("knee"), list(run.bodies)
-    accuracy = run.accuracy
+    bodies, knee, accuracy = list(run.bodies), run.knees["knee"], run.accuracy
     assert accuracy is not None
     thigh, shank = (run.bodies[name].angle[rows] for name in ("thigh", "shank"))
-    force = run.joints["knee"].reaction_force[rows]
-    along = elementary.sin(shank) * force[:, 0] - elementary.cos(shank) * force[:, 1]
+    force = (one[rows] for one in (knee.compression, knee.compression_lower, knee.compression_upper))
     errors = [accuracy.position_error[rows, bodies.index(name), 2] for name in ("thigh", "shank")]
     bar = np.degrees(np.sqrt(sum(one * one for one in errors)))
     return (
-        Comparison(along, accuracy.reaction_error[rows, joint], measured["force"]),
-        Comparison(np.degrees(thigh - shank), bar, measured.get("GON", np.full(len(bar), np.nan))),
+        Comparison(*force, measured["force"]),
+        Comparison(np.degrees(thigh - shank), bar, bar, measured.get("GON", np.full(len(bar), np.nan))),
     )
 
 
@@ -229,13 +237,14 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
             lines.append(
                 f"{label:<22}{force.measured[other]:>13.0f}{time[other]:>8.3f}{force.computed[at]:>13.0f}{time[at]:>8.3f}"
                 f"{force.measured[at]:>15.0f}{bar:>9.0f}{bar / WEIGHT:>10.2f}  "
-                f"{'yes' if abs(force.error[at]) <= bar else 'no'}"
+                f"{'yes' if force.is_inside[at] else 'no'}"
             )
             if has_contributions(run):
                 sources.append(f"{label:<22}{contributions(run, 'knee', float(run.time[rows][at])).sentence}")
     if np.isnan(angle.measured).all():
         return [*(*lines, "", *sources)]
-    both = angle._replace(bar=np.hypot(angle.bar, quantile(1.0) ** 0.5 * GONIOMETER))
+    wide = np.hypot(angle.bar, quantile(1.0) ** 0.5 * GONIOMETER)
+    both = angle._replace(lower=wide, upper=wide)
     return [
         *(*lines, "", *sources, ""),
         f"knee angle minus goniometer: {np.mean(angle.error):.1f} deg, standard deviation {np.std(angle.error):.1f}",

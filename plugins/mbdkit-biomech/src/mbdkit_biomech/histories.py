@@ -22,7 +22,9 @@ class MuscleHistory(columns.Muscles, of="muscles"):
 
 
 class KneeHistory(columns.Knees, of="knees"):
-    """Forces [N] in one knee beside that of the joint: of the patella on the thigh, and in both compartments."""
+    """Forces [N] in one knee beside that of the joint: of the patella on the thigh, in both compartments, and the
+    compression along the shank with its bar.
+    """
 
 
 class LoadHistory(columns.Loads, of="loads"):

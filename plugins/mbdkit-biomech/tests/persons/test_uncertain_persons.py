@@ -8,11 +8,12 @@ from tests.persons.walkers import loaded, person_spec
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
+from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compression, compute, knees_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 from mbdkit_biomech.uncertainty.sources import sources_of
+from mbdkit_biomech.uncertainty.uncertain_result import uncertain_result
 from tests.benchmarks.drawn_persons import JOINTS, Tally, add_person
 
 
@@ -111,6 +112,34 @@ def test_a_muscle_along_the_leg_that_pulls_the_shank_off_the_knee_is_doubtful(ab
     found = list(compression_doubts(result))
     assert [one.criterion for one in found] == doubts
     assert all("of knee in single stance by up to 300 N" in one.sentence for one in found)
+
+
+NOTHING = dict.fromkeys(
+    ("centers", "masses", "inertias", "angles", "pressure", "plate_gain", "max_force", "optimal_length"), 0.0
+) | dict.fromkeys(("tendon_length", "muscle_points", "muscle_delay", "extensor_arm"), 0.0)
+"""Deviations of a person who is known exactly, but for recruitment."""
+
+
+def test_muscles_that_act_together_only_add_to_the_compression_and_only_in_their_phases() -> None:
+    model = {"name": "leg", "legs": 2, "root": "trunk", "symmetric_muscles": True, "muscles": "walking-two-legs"}
+    sections = {"model": model, "recruitment": {"exponent": 2, "minimum": 0.01, "reserves": 1.0}}
+    sections |= {"frontal": "none"}
+    stated = NOTHING | {"exponent": [2, 2], "minimum": [0.01, 0.01], "cocontraction": [0.2, 0.0], "samples": 40}
+    motion = {"errors": {"samples": 20}, "centers": {"knee": {"midpoint": ["RKNE", "RKNM"]}}}
+    result = compute(InverseProblem.of(loaded(motion=motion, uncertainty=stated, **sections)))
+    bars = uncertain_result(result, np.random.default_rng(0)).knees
+    own = reactions_of(result)
+    time, (joint, shank) = result.motion.time, knees_of(result.problem)[0]
+    plain = compression(own[:, joint], result.motion.q, shank)
+    contact = next(one for one in result.problem.source.person.plates.contacts if one.body == "foot")
+    begin, end = result.problem.source.person.time[[contact.first, contact.end - 1]]
+    share = (time - begin) / (end - begin)
+    late, early = (share > 0.4) & (share < 0.8), (share > 0.0) & (share < 0.15)
+    assert early.sum() > 3
+    np.testing.assert_allclose(bars.median[late, 0], plain[late], rtol=0.02)  # the offset in time of plates is left
+    # of the four levels of a scalar that is uniform from 0 to 0.2, the largest one is 0.175 times 2600 N or more
+    assert np.all(bars.high[early, 0] - bars.median[early, 0] > 50.0)
+    assert np.all(bars.median[early, 0] > plain[early] + 50.0)
 
 
 @pytest.mark.slow

@@ -362,9 +362,11 @@ def axial_forces(
     return Axial(without, unit)
 
 
-def compressions(result: Inverse, knees: Sequence[Compartments]) -> np.ndarray:
-    """Return the compressions (T, K) of knees along the shank [N]."""
-    return _compressions(result.problem, result.motion, knees, result.lam)
+def knees_of(problem: InverseProblem) -> list[tuple[int, int]]:
+    """Return the indices of joint and shank of the knees of the result."""
+    joints = problem.prepared.workspace.mechanism.joints
+    shanks = {name: problem.names.mechanism.joints[name].bodies[1] for name in problem.source.result_names["knees"]}
+    return [(list(joints).index(name), problem.names.body(shank, "model")) for name, shank in shanks.items()]
 
 
 def _compressions(
@@ -391,8 +393,13 @@ def compression(reaction: np.ndarray, q: np.ndarray, shank: int) -> np.ndarray:
     return np.asarray(elementary.sin(angle) * reaction[..., 0] - elementary.cos(angle) * reaction[..., 1])
 
 
-def recorded_states(result: Inverse) -> States:
+def recorded_states(result: Inverse, knees: np.ndarray | None = None) -> States:
     """Return the states of the motion with accelerations, reactions, forces and energies.
+
+    Parameters
+    ----------
+    knees
+        (T, K, 3) compressions of knees with both sides of their bars; without bars if it is not given.
 
     Raises
     ------
@@ -422,15 +429,20 @@ def recorded_states(result: Inverse) -> States:
         work=work,
         dissipated=dissipated,
         start_energy=start,
-        handles={"actuators": result.actuators} | ({} if muscles is None else {"muscles": muscles} | _knees(result)),
+        handles={"actuators": result.actuators}
+        | ({} if muscles is None else {"muscles": muscles} | _knees(result, knees)),
         elapsed=np.zeros(count),
     )
 
 
-def _knees(result: Inverse) -> dict[str, np.ndarray]:
+def _knees(result: Inverse, bars: np.ndarray | None) -> dict[str, np.ndarray]:
     """Return the forces in knees; see `knee_forces`."""
-    assert result.problem.recruiter is not None
-    return {"knees": knee_forces(result, compressions(result, result.problem.recruiter.targets.knees))}
+    if bars is None:
+        own, q = reactions_of(result), result.motion.q
+        bars = np.full((len(q), len(knees := knees_of(result.problem)), 3), np.nan)
+        for k, (joint, shank) in enumerate(knees):
+            bars[:, k, 0] = compression(own[:, joint], q, shank)
+    return {"knees": knee_forces(result, bars)}
 
 
 def _muscles(result: Inverse) -> Muscles | None:

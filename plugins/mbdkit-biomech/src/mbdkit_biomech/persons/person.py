@@ -41,9 +41,18 @@ STATED, THICKNESS = 10.0, 0.04
 #: chance.
 MISFIT = 2.5
 
-#: Largest standard deviation of the place of a knee across the plane of motion with which frontal moments are known
-#: [m]: half the width of the compartments, less a third.
-ACROSS = 0.015
+#: Standard deviation of the place of a knee across the plane of motion from which it is better found without landmarks,
+#: and the largest one with which frontal moments are known [m]. The first is half the width of the compartments, less a
+#: third; the second, half the width.
+ACROSS, FARTHEST_ACROSS = 0.015, 0.025
+
+#: Without landmarks, a knee is outward of the middle of hip and ankle [m], since legs have 1.3 degrees of varus, with a
+#: standard deviation of 2.3 (J. Bellemans et al., Clin. Orthop. Relat. Res. 470 (2012) 45-53). The standard deviation
+#: [m] contains that of 9 mm, and 10 mm as the hip of a flexed leg rotates by some degrees (an assumption).
+OUTWARD, ALIGNMENT = 0.005, 0.0135
+
+#: Standard deviation of the ankle from the middle of the markers of the foot, across the plane (an assumption) [m].
+FOOT = 0.015
 
 #: Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m].
 APART = 0.02
@@ -216,10 +225,17 @@ class Skeleton:
 
     def _knees(self, plates: PlateResult) -> tuple[dict[str, KneeLoad], list[Finding]]:
         """Return the knees above plates, and what was found about places of forces and knees across the plane."""
-        found, unknown, findings = {}, [], []
+        found, unknown, lines, findings = {}, [], [], []
         for leg in self.segments.legs:
             knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
-            deviation = float(np.sqrt(self.centers[knee].covariance[2, 2]))
+            side = 1.0 if self.segments.side(leg) == "r" else -1.0
+            at, deviation = self.points[knee], float(np.sqrt(self.centers[knee].covariance[2, 2]))
+            if deviation > ACROSS:
+                hip, variance = self.points[f"hip{leg}"][:, 2], float(self.centers[f"hip{leg}"].covariance[2, 2])
+                foot = self.plane.coordinates(self.segments.motion.poses[f"foot{leg}"].position)[:, 2]
+                at = np.column_stack([at[:, :2], 0.5 * (hip + foot) + side * OUTWARD])
+                deviation = float(np.sqrt(ALIGNMENT**2 + 0.25 * (variance + FOOT**2)))
+                lines += [f"{knee} {1000 * deviation:.0f} mm"] * (deviation <= FARTHEST_ACROSS) * bool(loads)
             if loads and np.sqrt(self.centers[f"ankle{leg}"].covariance[2, 2]) <= ACROSS:
                 moments = sum(one.frontal_moment(self.points[f"ankle{leg}"]) for one in loads)
                 vertical = sum(one.force[:, 1] for one in loads)
@@ -231,19 +247,23 @@ class Skeleton:
                         "the place of its plates across the plane of motion, on which the forces in the knee depend"
                     )
                     findings.append(_doubt("plates", sentence))
-            if loads and deviation > ACROSS:
+            if loads and deviation > FARTHEST_ACROSS:
                 unknown.append(f"{knee} {1000 * deviation:.0f} mm")
             elif loads:
-                side = 1.0 if self.segments.side(leg) == "r" else -1.0
-                moment = side * sum(one.frontal_moment(self.points[knee]) for one in loads)
+                moment = side * sum(one.frontal_moment(at) for one in loads)
                 force = np.maximum(sum(one.force[:, 1] for one in loads), 0.0)
                 found[knee] = KneeLoad(np.asarray(moment), np.asarray(force), deviation)
         sentence = (
             f"where knees are across the plane of motion is not known ({listed(unknown, 'and')}; at most "
-            f"{1000 * ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of muscles: use "
-            "markers on the medial and lateral sides of the knees, in the motion or in a static trial"
+            f"{1000 * FARTHEST_ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of "
+            "muscles: use markers on the medial and lateral sides of the knees, in the motion or in a static trial"
         )
-        return found, findings + [Finding("centers", None, sentence)] * bool(unknown)
+        by_line = (
+            f"where knees are across the plane of motion follows from hips and feet ({listed(lines, 'and')}), so that "
+            "the bound by their compartments is soft: markers on both sides of the knees make it firmer"
+        )
+        findings += [Finding("centers", None, sentence)] * bool(unknown)
+        return found, findings + [Finding("centers", None, by_line)] * bool(lines)
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""

@@ -35,12 +35,13 @@ from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
+from mbdkit_biomech.uncertainty.cocontraction import shared_activations
 from mbdkit_biomech.uncertainty.sources import Place, segment_of
 
 MOVING = ("centers", "lengths", "angles")  #: Keys of places that change the motion.
 
 #: Keys of places that change the mechanism.
-MODEL = ("centers", "lengths", "masses", "inertias", "muscle_points")
+MODEL = ("centers", "lengths", "masses", "inertias", "muscle_points", "extensor_arm")
 
 #: Keys of places that leave the paths of muscles as they are.
 OF_DYNAMICS = frozenset(("masses", "inertias", "pressure", "plate_gain", "offset", "followers"))
@@ -231,6 +232,9 @@ class Changer:
             [factor(change, "emg", own[one.muscle]) for one in targets.emg],
         )
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators, targets)
+        shared = {(knee, phase): own for knee, phase, own in shared_activations(self.problem)}
+        own = [change[place] * shared[place[1:]] for place in change if place[0] == "cocontraction"]
+        recruiter.floor = sum(own, start=0.0)
         recruiter.late = change.get(("muscle_delay",), 0.0)
         muscles = {}
         for name, muscle in recruiter.muscles.items():
@@ -257,12 +261,17 @@ def _scaled(point: Sequence[float], size: float) -> tuple[float, ...]:
 
 
 def with_moved_points(name: str, muscle: Muscle, sizes: Mapping[str, float], change: Change) -> Muscle:
-    """Return a muscle with points that are stretched from the centres of mass of their bodies, and moved."""
+    """Return a muscle whose points are stretched from the centres of mass of their bodies, and moved, and with another
+    lever arm of the patella; the muscle itself if nothing changes.
+    """
     bodies = dict.fromkeys(item.on for item in muscle.path)
     points = {}
     for body in bodies:
         x, y = (change.get(("muscle_points", name, body, axis), 0.0) for axis in "xy")
         points[body] = (sizes.get(body, 1.0), x, y)
+    if muscle.patella is not None and (longer := change.get(("extensor_arm", muscle.patella.joint), 0.0)):
+        own = muscle.patella.model_copy(update={"deviations": muscle.patella.deviations + longer})
+        muscle = muscle.model_copy(update={"patella": own})
     if all(point == (1.0, 0.0, 0.0) for point in points.values()):
         return muscle
     return Muscle.model_validate(moved_muscle(muscle.model_dump(mode="json", exclude_none=True), points))

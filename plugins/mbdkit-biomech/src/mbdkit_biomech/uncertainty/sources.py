@@ -17,6 +17,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean
 from mbdkit_biomech.persons.calibration import require_known
+from mbdkit_biomech.uncertainty.cocontraction import PHASES, shared_activations
 from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
 
 #: `mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one.
@@ -32,7 +33,7 @@ DEFAULTS: Mapping[str, Any] = {
     "masses": {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3},
     "inertias": {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}, "pressure": 0.005, "plate_gain": 0.01,
     "max_force": 0.2, "optimal_length": 0.05, "tendon_length": 0.02, "muscle_points": 0.005, "muscle_delay": 0.02,
-    "exponent": (2.0, 4.0), "minimum": (0.01, 0.05),
+    "exponent": (2.0, 4.0), "minimum": (0.01, 0.05), "extensor_arm": 1.0, "cocontraction": (0.15, 0.08),
 }  # fmt: skip
 
 TRUNK_ZERO = 0.05  #: Standard deviation of the zero of the angle of a trunk without static trial [rad].
@@ -60,6 +61,8 @@ ADVICE = {
     "strength": "measure the strength of the joint or the volume of the muscle",
     "fibre": "measure the fibres, for example by ultrasound",
     "tendon": "measure the tendon, for example by ultrasound",
+    "extensor": "measure the lever arm, for example in images",
+    "co-contraction": "compare activations with EMG",
     "points": "take the attachments from images",
     "timing": "compare activations with EMG",
     "pressure": "calibrate the positions of the plates",
@@ -212,6 +215,7 @@ class _Sources:
     def _of_muscles(self) -> Iterator[UncertainScalar]:
         recruiter = self.problem.recruiter
         keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "muscle_delay", "exponent", "minimum")
+        keys += ("extensor_arm", "cocontraction")
         if recruiter is None:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
@@ -234,6 +238,15 @@ class _Sources:
                 group = f"points of {name.replace('_', ' ')}"
                 for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
                     yield UncertainScalar(group, "muscles", {place: size})
+        for joint in dict.fromkeys(one.joint for one in recruiter.patellas.values()):
+            if size := self._size("extensor_arm"):
+                name = f"extensor arm of the {joint.replace('_', ' ')}"
+                yield UncertainScalar(name, "muscles", {("extensor_arm", joint): size})
+        largest = dict(zip(PHASES, self._size("cocontraction") or (0.0, 0.0), strict=True))
+        for knee, phase, _ in shared_activations(self.problem):
+            if size := largest[phase]:
+                name = f"co-contraction at the {knee.replace('_', ' ')}, {phase}"
+                yield UncertainScalar(name, "muscles", {("cocontraction", knee, phase): 1.0}, (0.0, size))
         if size := self._size("muscle_delay"):
             yield UncertainScalar("timing of muscles", "muscles", {("muscle_delay",): size})
         for key, name, value in (

@@ -37,6 +37,7 @@ from mbdkit_biomech.uncertainty.changed_problem import (
     Changer,
     with_moved_points,
 )
+from mbdkit_biomech.uncertainty.cocontraction import shared_activations
 from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
 
 #: Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
@@ -52,7 +53,7 @@ SHORTEST = 1e-3
 SMOOTH = "length", "rate", "optimal_length", "tendon_length"
 
 #: Keys of places that are not taken to first order.
-EXACT = (*PROPERTIES, "muscle_delay", "exponent", "minimum", "across", "emg")
+EXACT = (*PROPERTIES, "muscle_delay", "exponent", "minimum", "cocontraction", "across", "emg")
 
 
 #: Why frames of samples have no result.
@@ -62,12 +63,13 @@ LOST = ("muscles are too weak", "tendons are longer than their paths", "no optim
 class Outcomes(NamedTuple):
     """Outcomes for S values of the scalars in T frames; nan in frames without result.
 
-    Actuators and reserves (S, T, U), reactions (S, T, J, 3), tensions (S, T, M), and the number (S, T) of the reason in
-    `LOST`, counted from 1; 0 in frames that have a result.
+    Actuators and reserves (S, T, U), reactions (S, T, J, 3), those without muscles, tensions (S, T, M), and the number
+    (S, T) of the reason in `LOST`, counted from 1; 0 in frames that have a result.
     """
 
     actuators: np.ndarray
     reactions: np.ndarray
+    without: np.ndarray
     muscles: np.ndarray
     lost: np.ndarray
 
@@ -112,6 +114,7 @@ class StackedOutcomes:
         self.result, self.sources = result, sources
         self.recruiter = result.problem.recruiter
         self._names = [] if self.recruiter is None else list(self.recruiter.muscles)
+        self._shared_activations = [] if self.recruiter is None else [*shared_activations(result.problem)]
         problem = ChangedProblem(result.problem, result.fitted, result.independent, result.motion)
         self._mechanics = _Mechanics(problem)
         self._base = self._smooth(problem)
@@ -120,8 +123,8 @@ class StackedOutcomes:
         slopes, changer = {}, Changer(result)
         for index, source in enumerate(sources):
             smooth = {place: size for place, size in source.moves.items() if place[0] not in EXACT}
-            if smooth and all(place[0] == "muscle_points" for place in smooth):
-                slopes[index] = self._slope_of_points(next(iter(smooth))[1], smooth)
+            if smooth and all(place[0] in ("muscle_points", "extensor_arm") for place in smooth):
+                slopes[index] = self._slope_of_paths(smooth)
             elif smooth:
                 slopes[index] = self._slope(changer, source, smooth, index)
         self._smooth_places = list(slopes)
@@ -168,23 +171,23 @@ class StackedOutcomes:
                 out[key][:, index] = getattr(recruiter.muscles[name], key)
         return rows
 
-    def _slope_of_points(self, name: str, places: Mapping[Place, float]) -> np.ndarray:
-        """Return the derivatives (T, W) with respect to a scalar that moves points of one muscle."""
+    def _slope_of_paths(self, places: Mapping[Place, float]) -> np.ndarray:
+        """Return the derivatives (T, W) with respect to a scalar that changes paths of muscles, but no motion."""
         assert self.recruiter is not None
         problem, motion, sides = self._mechanics.own.problem, self.result.motion, []
         for sign in (1.0, -1.0):
-            change = {place: sign * size for place, size in places.items()}
-            muscle = with_moved_points(name, self.recruiter.muscles[name], {}, change)
-            rows = self._base.copy()
-            path = MusclePath(name, muscle, problem.names).at(motion.time, motion.q)
-            self._mechanics.put_muscle(rows.view(self._layout)[:, 0], self._names.index(name), path)
+            change, rows = {place: sign * size for place, size in places.items()}, self._base.copy()
+            for index, (name, muscle) in enumerate(self.recruiter.muscles.items()):
+                if (changed := with_moved_points(name, muscle, {}, change)) is not muscle:
+                    path = MusclePath(name, changed, problem.names).at(motion.time, motion.q)
+                    self._mechanics.put_muscle(rows.view(self._layout)[:, 0], index, path)
             sides.append(rows)
         return np.asarray((sides[0] - sides[1]) / 2)
 
     def at(self, values: np.ndarray) -> Outcomes:
         """Return the outcomes for values (S, K) of the scalars."""
         frames, joints = len(self._base), self._layout["reactions"].shape
-        shapes = (len(self.result.problem.recorded_actuators),), joints, (len(self._names),), ()
+        shapes = (len(self.result.problem.recorded_actuators),), joints, joints, (len(self._names),), ()
         out = Outcomes(*(np.empty((len(values), frames, *shape)) for shape in shapes))
         exponents, most = self._total(values, ("exponent",)), max(1, ROWS // frames)
         equal = (np.flatnonzero(exponents == exponent) for exponent in np.unique(exponents))  # they are solved together
@@ -203,7 +206,7 @@ class StackedOutcomes:
         recruiter, recruited = self.recruiter, self.result.recruited
         if recruiter is None or recruited is None:
             out.actuators[rows], out.reactions[rows] = own["value"].swapaxes(0, 1), own["reactions"].swapaxes(0, 1)
-            out.lost[rows] = 0
+            out.without[rows], out.lost[rows] = out.reactions[rows], 0
             return
         frames, count = smooth.shape[:2]
         flat = own.reshape(-1)
@@ -225,14 +228,14 @@ class StackedOutcomes:
         if np.any(late):
             time, each = self.result.motion.time, enumerate(np.moveaxis(force.reshape(frames, count, -1), 1, 0))
             force = np.stack([later(time, own, -late[k]) for k, own in each], axis=1).reshape(force.shape)
-        joint = flat["reactions"].reshape(frames * count, -1)
-        joint = joint + products(flat["unit"].reshape(frames * count, joint.shape[1], -1), force)
+        without = flat["reactions"].reshape(frames * count, -1)
+        joint = without + products(flat["unit"].reshape(*without.shape, -1), force)
         actuators = np.hstack([np.where(driven, flat["value"], beside), reserve])
         lost = np.where(solved[:, 0], 0, 3)
         if (unsolved := np.flatnonzero(lost)).size:
             lost[unsolved[impossible(programme.only(unsolved))]] = 1
         lost[np.isnan(capacity + passive).any(axis=1)] = 2
-        for target, found in zip(out, (actuators, joint, force, lost), strict=True):
+        for target, found in zip(out, (actuators, joint, without, force, lost), strict=True):
             target[rows] = found.reshape(frames, count, *target.shape[2:]).swapaxes(0, 1)
 
     def _shared(
@@ -270,7 +273,10 @@ class StackedOutcomes:
         nan where a tendon is too long.
         """
         capacity, passive = self._capacities(recruiter, values, smooth)
-        minimum = np.tile(recruiter.asked.minimum + self._total(values, ("minimum",)), len(self._base))
+        minimum = np.tile(recruiter.asked.minimum + self._total(values, ("minimum",)), len(self._base))[:, None]
+        for knee, phase, share in self._shared_activations:
+            floor = self._total(values, ("cocontraction", knee, phase))
+            minimum = minimum + (floor[:, None] * share[:, None]).reshape(len(capacity), -1)
         arms, value = (smooth[name].reshape(len(minimum), *smooth[name].shape[2:]) for name in ("arms", "value"))
         programme = recruiter.programme(arms, driven, value, np.nan_to_num(capacity), np.nan_to_num(passive), minimum)
         return programme, capacity, passive

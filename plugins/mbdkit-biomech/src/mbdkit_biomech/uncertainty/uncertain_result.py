@@ -30,9 +30,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.archive.result_table import TableColumn
+from mbdkit.base import elementary
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.linear_systems import product
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, without_followers
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, knees_of, without_followers
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import LOST, Outcomes, StackedOutcomes
@@ -63,6 +64,46 @@ class AddedBars(NamedTuple):
 
 
 @dataclass(frozen=True)
+class KneeBars:
+    """Quantiles over samples of the compressions of K knees along the shank in T frames [N].
+
+    Muscles pull, so that a compression is not smaller than that without them.
+    """
+
+    joints: Sequence[int]  #: Indices of the knees among the joints.
+    low: np.ndarray
+    median: np.ndarray
+    high: np.ndarray  #: (T, K) quantiles of 2.5, 50 and 97.5 %.
+    least: np.ndarray  #: (T, K) quantiles of 2.5 % of the compressions without muscles.
+
+    @classmethod
+    def of(cls, stacked: StackedOutcomes, sampled: Outcomes, values: np.ndarray) -> KneeBars:
+        """Return the quantiles of samples of values (S, K) of the scalars."""
+        result = stacked.result
+        knees, angles = knees_of(result.problem), result.motion.q.reshape(len(result.motion.time), -1, 3)[..., 2]
+        found = np.empty((4, len(angles), len(knees)))
+        for k, (joint, shank) in enumerate(knees):
+            angle = angles[:, shank] + product(values, stacked.moves[:, :, shank, 2])  # (S, T)
+            x, y = elementary.sin(angle), -elementary.cos(angle)
+            own, without = (
+                x * one[:, :, joint, 0] + y * one[:, :, joint, 1] for one in (sampled.reactions, sampled.without)
+            )
+            found[:3, :, k] = [_bound(own, level) for level in (0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2)]
+            found[3, :, k] = _bound(np.where(np.isnan(own), np.nan, without), 0.5 - LEVEL / 2)
+        return cls([joint for joint, _ in knees], *found)
+
+    def with_data(self, of_data: np.ndarray, is_unknown: np.ndarray) -> np.ndarray:
+        """Return medians and both sides of the bars (T, K, 3), given squared bars of forces of joints (T, J) by the
+        data, and where forces are not known.
+        """
+        noise, unknown = of_data[:, self.joints], is_unknown[:, self.joints]
+        lower = np.minimum(np.sqrt((self.median - self.low) ** 2 + noise), self.median - self.least)
+        upper = np.sqrt((self.high - self.median) ** 2 + noise)
+        sides = (np.where(unknown, np.nan, one) for one in (np.maximum(lower, 0.0), upper))
+        return np.stack([self.median, *sides], axis=-1)
+
+
+@dataclass(frozen=True)
 class UncertainResult:
     """Effects of uncertain scalars on a result in T frames."""
 
@@ -82,6 +123,7 @@ class UncertainResult:
     added: AddedBars | None  #: Bars of what bodies that follow the motion add; None without such bodies.
     failed_rows: float  #: Share of the frames of all samples that have no result.
     reasons: str  #: Why, with the numbers of samples.
+    knees: KneeBars | None  #: Compressions of knees; None without muscles.
 
     @property
     def failures(self) -> str:
@@ -186,7 +228,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     nominal = stacked.at(np.zeros((1, len(sources))))
     values = drawn(sources, asked.samples, random)
     sampled = stacked.at(values)
-    actuators, reactions, muscles = (one - own for one, own in zip(sampled[:-1], nominal[:-1], strict=True))
+    actuators, reactions, _, muscles = (one - own for one, own in zip(sampled[:-1], nominal[:-1], strict=True))
     force = reactions[..., :2]
     sizes, changes = (np.linalg.norm(one[..., :2], axis=-1) for one in (sampled.reactions, reactions))
     moves = np.sum(stacked.moves * stacked.moves, axis=0) * quantile(1.0)
@@ -207,7 +249,8 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     reasons = listed([f"{one} in {count}" for one, count in zip(LOST, counts, strict=True) if count], "and")
     failures = int(np.sum(failed.any(axis=1))), added, float(np.mean(failed)), reasons
     scatter = _scatter(changes[:, at, np.arange(len(at))])
-    return UncertainResult(squares, peaks, bias, scatter, kinds, shares, len(sources), len(values), *failures)
+    knees = None if result.recruited is None else KneeBars.of(stacked, sampled, values)
+    return UncertainResult(squares, peaks, bias, scatter, kinds, shares, len(sources), len(values), *failures, knees)
 
 
 def _added(

@@ -28,6 +28,7 @@ class Uncertainty(Section):
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         *("centers", "lengths", "masses", "inertias", "max_force", "optimal_length", "tendon_length"),
         *("muscle_points", "muscle_delay", "pressure", "plate_gain", "angles", "exponent", "minimum", "devices"),
+        *("extensor_arm", "cocontraction"),
     )
 
     centers: Distance | dict[str, Distance] | None = None
@@ -48,6 +49,12 @@ class Uncertainty(Section):
     """Length of the tendon of each muscle; default 0.02."""
     muscle_points: Distance | None = None
     """Points of each muscle on each body, which move together, along both axes of the body [m]; default 0.005."""
+    extensor_arm: Annotated[float, Field(ge=0, le=3)] | None = None
+    """Factor of the standard deviation, by angle, of the lever arm of each `patella` between persons and sources;
+    default 1."""
+    cocontraction: tuple[Activation, Activation] | None = None
+    """Largest least activations, uniform from 0, of extensors and flexors of a knee together: around the beginning of
+    the stance, and in its second half; default [0.15, 0.08]."""
     muscle_delay: Duration | None = None
     """Time by which the forces of all muscles are early or late [s]; default 0.02."""
     pressure: Distance | None = None

@@ -75,6 +75,8 @@ class ResultBars:
     likely
         Magnitudes of actuators (T, U) and of reaction forces (T, J) with the accelerations at both ends that the data
         before smoothing show.
+    knees
+        (T, K, 3) compressions of knees with both sides of their bars; None without uncertain muscles.
     uncertain
         Effects of the person and its muscles, which the bounds contain; None if they count as exact.
     """
@@ -86,6 +88,7 @@ class ResultBars:
     of_ends: tuple[np.ndarray, np.ndarray]
     of_gaps: tuple[np.ndarray, np.ndarray]
     likely: tuple[np.ndarray, np.ndarray]
+    knees: np.ndarray | None = None
     uncertain: UncertainResult | None = None
 
 
@@ -209,6 +212,9 @@ def error_bars(result: Inverse) -> ResultBars | None:
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
         (np.abs(likely.actuators), np.linalg.norm(likely.reactions[:, :, :2], axis=2)),
+        None
+        if uncertain is None or uncertain.knees is None
+        else uncertain.knees.with_data(of_data, np.isnan(squares[1])),
         uncertain,
     )
 

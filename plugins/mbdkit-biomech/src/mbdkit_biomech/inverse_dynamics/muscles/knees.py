@@ -1,4 +1,4 @@
-"""Forces in knees beside those of the joint: of the patella on the thigh, and of both compartments."""
+"""Forces in knees beside those of the joint: of the patella on the thigh, of both compartments, and the compression."""
 
 from __future__ import annotations
 
@@ -43,29 +43,31 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
     ]
 
 
-def knee_forces(result: Inverse, axial: np.ndarray) -> np.ndarray:
-    """Return the force of the patella on the thigh, and those of the medial and the lateral compartment [N].
+def knee_forces(result: Inverse, compression: np.ndarray) -> np.ndarray:
+    """Return the forces in knees [N]: of the patella on the thigh, in the medial and the lateral compartment, and the
+    compression with its bar, as in `KNEES`.
 
     Parameters
     ----------
-    axial
-        (T, C) compressions of the C knees with compartments.
+    compression
+        (T, K, 3) compression along the shank, and how far the true one may lie below and above.
 
     Returns
     -------
     ndarray
-        (T, K, 3); nan for knees without patella or without compartments. A negative force of a compartment means that
+        (T, K, 6); nan for knees without patella or without compartments. A negative force of a compartment means that
         muscles which can close it are lacking.
     """
     recruiter, recruited = result.problem.recruiter, result.recruited
     names, q = result.problem.source.result_names["knees"], result.motion.q
-    found = np.full((len(q), len(names), 3), np.nan)
+    found = np.full((len(q), len(names), 6), np.nan)
+    found[..., 3:] = compression
     if recruiter is None or recruited is None:
         return found
     for index, patella in recruiter.patellas.items():
         own = found[:, names.index(patella.joint), 0]
         own[:] = np.nan_to_num(own) + contact_share(patella.flexion(q)) * recruited.force[:, index]
-    for column, knee in enumerate(recruiter.targets.knees):
-        pair = knee.moment / knee.width
-        found[:, names.index(knee.joint), 1:] = 0.5 * axial[:, [column]] + np.stack([pair, -pair], axis=1)
+    for knee in recruiter.targets.knees:
+        pair, own = knee.moment / knee.width, found[:, names.index(knee.joint)]
+        own[:, 1:3] = 0.5 * own[:, [3]] + np.stack([pair, -pair], axis=1)
     return found

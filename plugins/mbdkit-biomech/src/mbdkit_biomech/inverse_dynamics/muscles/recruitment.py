@@ -103,6 +103,7 @@ class Recruiter:
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
             )
+        self.floor: np.ndarray | float = 0.0  # (T, M) what least activations exceed the minimum by
         self.late = 0.0  # time by which muscles act later than recruitment says [s]
         self._joined = np.array([not actuator.is_residual for actuator in actuators], dtype=bool)
         self._reserves = reserves_of(asked, actuators)
@@ -331,7 +332,7 @@ class Recruiter:
         Parameters
         ----------
         minimum
-            (T,) smallest activations; by default, that of the spec.
+            (T, M) smallest activations; by default, those of the spec and of `floor`.
         """
         rows = np.flatnonzero(driven)
         spare = [reserve for reserve in self._reserves if driven[reserve.of]]
@@ -339,9 +340,9 @@ class Recruiter:
         reserves = np.zeros((frames, len(rows), len(spare)))
         for column, reserve in enumerate(spare):
             reserves[:, np.flatnonzero(rows == reserve.of), column] = reserve.optimal
-        low, high = np.full((frames, count), self.asked.minimum), np.ones((frames, count))
+        low, high = np.full((frames, count), self.asked.minimum) + self.floor, np.ones((frames, count))
         if minimum is not None:
-            low[:] = minimum[:, None]
+            low[:] = minimum
         without = np.full((frames, len(spare)), np.inf)
         return Programme(
             np.concatenate([arms[:, driven] * capacity[:, None], reserves], axis=2),

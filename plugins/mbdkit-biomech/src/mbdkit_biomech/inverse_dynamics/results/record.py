@@ -67,7 +67,8 @@ def run_of(
     ResourceError
         If the archive cannot be written.
     """
-    states, names, is_sample = recorded_states(result), _names(result), doubts is None
+    states = recorded_states(result, None if bars is None else bars.knees)
+    names, is_sample = _names(result), doubts is None
     doubts = doubts or Doubts()
     groups = [group for group in INVERSE_GROUPS if names.names_of(group)]
     # The verdict is unknown at best: error bars do not cover wrong data, masses and lengths.
