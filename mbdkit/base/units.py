@@ -87,6 +87,8 @@ _SYMBOLS: dict[str, tuple[Exponents, float]] = {
     "g": (_exponents(kg=1), 1e-3),
     "s": (_exponents(s=1), 1.0),
     "ms": (_exponents(s=1), 1e-3),
+    "us": (_exponents(s=1), 1e-6),
+    "ns": (_exponents(s=1), 1e-9),
     "min": (_exponents(s=1), 60.0),
     "Hz": (_exponents(s=-1), 1.0),
     "rad": (_NONE, 1.0),

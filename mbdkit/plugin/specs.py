@@ -17,8 +17,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     )
     from mbdkit.spec.schema import schema_with_bases as schema_with_bases
     from mbdkit.spec.sections import Count as Count, Section as Section
-    from mbdkit.spec.input_tables import read_columns as read_columns
     from mbdkit.spec.yaml_reader import write_yaml as write_yaml
+    from mbdkit_biomech.inverse_dynamics.files.table_files import read_table as read_table
     # fmt: on
 else:
     __getattr__, __dir__ = door(globals())

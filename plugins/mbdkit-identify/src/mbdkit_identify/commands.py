@@ -72,6 +72,8 @@ def validate_identify(source: Document | str, name: str, assignments: list[str])
         signals = listed([signal.quantity for signal in one.signals], "and")
         held_out = ", held out" if one.experiment.role == "hold-out" else ""
         show(f"experiment   {one.name}{held_out}: {signals}, {samples}")
+        for note in one.notes:
+            show(f"note: {note}")
     show(f"parameters   {', '.join(spec.parameters)}")
     if spec.intervals.of:
         show(f"expressions  {', '.join(f'{key} = {text}' for key, text in spec.intervals.of.items())}")

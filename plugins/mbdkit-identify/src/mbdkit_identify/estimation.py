@@ -95,10 +95,11 @@ def best_fit(
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
         raw = problem.predicted(x) - problem.measured
-        problem.noises = estimated_noise(
+        noises = estimated_noise(
             raw, problem.slopes(x), problem.information, problem.pieces, before, problem.known,
             problem.may_correlate, problem.scales,
         )  # fmt: skip
+        problem.noises = problem.pooled(noises)
         if loss != "linear":
             problem.noises = _without_outliers(problem, raw)
         if is_settled := _is_settled(before, problem.noises):

@@ -87,7 +87,7 @@ class _Identification:
         if (count := len(self.problem.measured)) + priors <= len(unknowns):
             message = f"{count} measured values cannot determine {len(unknowns)} unknowns and the noise"
             raise SpecError(message, key="experiments")
-        self.notes: list[str] = []
+        self.notes = [note for one in data for note in one.notes]
         self.doubts: list[Doubt] = []
 
     def result(self) -> Identification:
@@ -160,6 +160,8 @@ class _Identification:
     def _integration_bias(self) -> np.ndarray:
         """Return the errors (n,) of the estimates that follow from the integration error of the runs."""
         problem, x, jacobian = self.problem, self.fit.x, self.fit.jacobian
+        if self.spec.kinematic:
+            return np.zeros(len(x))
         finer = [replace(one, spec=_finer(one.spec)) for one in problem.segments]
         other = Problem(problem.unknowns, problem.names, finer)
         other.noises = problem.noises
@@ -412,14 +414,16 @@ class _Identification:
         parts = []
         for segment, some in zip(problem.segments, problem.valid, strict=True):
             plain, start = segment.given(x)
-            if id(segment.prepared) not in evaluators:
+            if self.spec.kinematic:
+                evaluators[id(segment.prepared)] = []
+            elif id(segment.prepared) not in evaluators:
                 spec = prepare(segment.spec).spec_with(plain)
                 mechanical = mechanical or probes_of(spec)
                 quantities = [signal.quantity for signal in segment.signals]
                 some_probes = probe_sensitivities(spec, mechanical, quantities, segment.time, start)
                 evaluators[id(segment.prepared)] = some_probes
             found = [one.at({}, start).derivatives for one in evaluators[id(segment.prepared)]]
-            slopes = np.concatenate(found, axis=-1)
+            slopes = np.concatenate([np.zeros((len(segment.signals), len(segment.time), 0)), *found], axis=-1)
             shown, _ = segment.shown(segment.prepared.values(plain, start), None, x, problem.names)
             for row, signal in enumerate(segment.signals):
                 gain = signal.sensor.gain

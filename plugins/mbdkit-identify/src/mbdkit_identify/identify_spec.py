@@ -61,34 +61,50 @@ class Estimated(Section):
         return self
 
 
-class Signal(Section):
-    """The column of a file with a measured quantity."""
+class TimeColumn(Section):
+    """The column of a file with times."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit", "deviation", "correlation")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit",)
 
     column: str
-    """Heading of the column."""
+    """Heading of the column, with or without a unit at its end."""
     unit: str | None = None
-    """Unit of the values, such as ``deg``; by default, the SI unit of the quantity."""
+    """Unit of the times, such as ``ms``; by default, that in the heading, or s."""
+
+
+def _column(given: object) -> object:
+    return {"column": given} if isinstance(given, str) else given
+
+
+class Measured(Section):
+    """The column of a file with measured values."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit", "deviation", "file", "time")
+
+    column: str
+    """Heading of the column, with or without a unit at its end."""
+    unit: str | None = None
+    """Unit of the values, such as ``deg``; by default, that in the heading, or the SI unit."""
     deviation: Positive | None = None
-    """Standard deviation of the noise, in this unit; by default, it is estimated from the residuals."""
+    """Standard deviation of the noise, in this unit. By default, that of an observed quantity is estimated from the
+    residuals. With that of an input, the bias that its noise causes in the estimates is stated."""
+    file: str | None = None
+    """File with the column, if it is not that of the experiment."""
+    time: Annotated[TimeColumn, BeforeValidator(_column)] | None = None
+    """The column with the times in this file, if it is not that of the experiment."""
+
+
+class Signal(Measured):
+    """The column of a file with an observed quantity."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*Measured.ABSENT_BY_DEFAULT, "correlation", "unwrap")
+
     correlation: Literal["none", "ar"] = "ar"
     """Whether the noise may be correlated in time: `ar` estimates an autoregressive model of order 1 from the
     residuals, `none` assumes independent noise."""
-
-
-class MeasuredInput(Section):
-    """The column of a file with a measured input."""
-
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit", "deviation")
-
-    column: str
-    """Heading of the column."""
-    unit: str | None = None
-    """Unit of the values; by default, the unit of the input."""
-    deviation: Positive | None = None
-    """Standard deviation of the noise, in this unit. The bias that this noise causes in the estimates is then stated.
-    """
+    unwrap: bool | Positive = True
+    """Whether a column that wraps is continued over full turns: an angle whose values stay within one turn and jump by
+    more than half a turn. A number is the range in which the column wraps, such as 65536 counts."""
 
 
 class Sensor(Section):
@@ -104,10 +120,6 @@ class Sensor(Section):
     """Time by which the sensor is late [s]."""
 
 
-def _column(given: object) -> object:
-    return {"column": given} if isinstance(given, str) else given
-
-
 def _initial(given: object) -> object:
     if isinstance(given, str) and given not in ("estimated", "rest"):
         raise SpecError(f"should be `estimated`, `rest` or a mapping of quantities, not {value_text(given)}")
@@ -117,16 +129,24 @@ def _initial(given: object) -> object:
 class Experiment(Section):
     """One record of measured data."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("inputs", "initial", "window", "sensors", "role")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *("separator", "decimal", "inputs", "initial", "window", "sensors", "role"),
+    )
 
     file: str
-    """CSV file with a line of headings, relative to the folder of the spec; empty cells are gaps."""
-    time: str = "time"
-    """Heading of the column with the times [s]."""
+    """File with a table, relative to the folder of the spec: .csv, .tsv, .txt, .dat, .mot, .sto, .trc or .c3d; empty
+    cells are gaps."""
+    separator: Literal[",", ";", "tab", "blank"] | None = None
+    """What separates the cells of a text file; by default, it follows from the file."""
+    decimal: Literal[".", ","] | None = None
+    """Decimal point or comma of a text file; by default, it follows from the file."""
+    time: Annotated[TimeColumn, BeforeValidator(_column)] = TimeColumn(column="time")
+    """The column with the times: the heading alone, or a mapping. Clock times, and times since 1970, are counted from
+    the first time in the file of the experiment."""
     observed: dict[str, Annotated[Signal, BeforeValidator(_column)]]
     """The measured quantities: expressions such as ``knee.angle`` or ``markers.tip.x``, each with its column: the
     heading alone, or a mapping."""
-    inputs: dict[str, Annotated[MeasuredInput, BeforeValidator(_column)]] = Field(default_factory=dict)
+    inputs: dict[str, Annotated[Measured, BeforeValidator(_column)]] = Field(default_factory=dict)
     """Measured inputs of the mechanism, each with its column: the heading alone, or a mapping."""
     initial: (
         Annotated[Literal["estimated", "rest"] | dict[str, SINumber | SIInterval], BeforeValidator(_initial)] | None
@@ -221,6 +241,9 @@ class IdentifySpec(StrictSpec):
     """The spec of a run: the name of a packaged example, a file, or a mapping."""
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base, such as `time.step: 0.002`."""
+    kinematic: bool = False
+    """Whether only positions are used: each sample has independent coordinates of its own, and lengths and offsets
+    follow from the joints. The base then needs neither `integrator` nor `time`."""
     experiments: Annotated[dict[str, Experiment], AfterValidator(_check_experiments)]
     """Measured data, by name."""
     parameters: Annotated[dict[str, Estimated], AfterValidator(_check_parameters)]
@@ -246,6 +269,12 @@ class IdentifySpec(StrictSpec):
 
     @model_validator(mode="after")
     def _consistent(self) -> IdentifySpec:
+        if self.kinematic:
+            unused = [(key,) for key in ("shooting", "candidates") if getattr(self, key)]
+            for name, one in self.experiments.items():
+                unused += [("experiments", name, key) for key in ("inputs", "initial") if getattr(one, key)]
+            if unused:
+                raise SpecError("has no effect with `kinematic: true`; leave it out", key=path_text(unused[0]))
         for name, one in self.candidates.items():
             if one.like is not None and one.like not in self.experiments:
                 raise SpecError(f"there is no experiment '{one.like}'", key=path_text(("candidates", name, "like")))

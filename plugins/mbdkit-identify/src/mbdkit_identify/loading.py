@@ -92,6 +92,8 @@ def _base(spec: IdentifySpec, folder: Path) -> RunSpec:
             put(data, path, value)
     for key in ("measures", "gradients", "check", "accept"):
         data.pop(key, None)
+    if spec.kinematic:  # of these, only the start is used
+        data = {"integrator": {"name": "rk4"}, "time": {"end": 1.0, "step": 1.0}} | data
     try:
         base = RunSpec(**data)
         mechanism = base.mechanism()
@@ -176,7 +178,10 @@ def identify_schema(installed: Registry | None = None) -> dict[str, object]:
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     schema = schema_with_bases(IdentifySpec, {"RunBase": "run"}, installed, units=set())
-    for key in ("observed", "inputs"):  # the heading of a column stands for a signal
-        columns = schema["$defs"]["Experiment"]["properties"][key]
-        columns["additionalProperties"] = {"anyOf": [{"type": "string"}, columns["additionalProperties"]]}
+    definitions = schema["$defs"]
+    columns = {"Experiment": ("observed", "inputs", "time"), "Signal": ("time",), "Measured": ("time",)}
+    for section, key in ((section, key) for section, keys in columns.items() for key in keys):
+        properties = definitions[section]["properties"]  # the heading of a column stands for its section
+        holder, name = (properties[key], "additionalProperties") if key in ("observed", "inputs") else (properties, key)
+        holder[name] = {"anyOf": [{"type": "string"}, holder[name]]}
     return schema

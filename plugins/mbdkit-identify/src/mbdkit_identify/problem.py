@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbdkit.plugin import MbdkitError
 from mbdkit_identify.measured_data import SignalData
 from mbdkit_identify.noise import LEAST_DEVIATION, Noise, Pieces
-from mbdkit_identify.segments import Segment, Unknown
+from mbdkit_identify.segments import KinematicSegment, Segment, Unknown
 
 FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
 #: Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again.
@@ -91,10 +91,24 @@ class Problem:
         """Take (R,) measured values in place of those of the windows, and a first guess of their noise."""
         self.measured = values
         self.scales = [float(np.max(np.abs(values[piece.places]), initial=0.0)) or 1.0 for piece in self.pieces]
-        self.noises = [
+        noises = [
             Noise(known or max(_roughness(values[piece.places]), LEAST_DEVIATION * scale))
             for known, piece, scale in zip(self.known, self.pieces, self.scales, strict=True)
         ]
+        self.noises = self.pooled(noises)
+
+    def pooled(self, noises: Sequence[Noise]) -> list[Noise]:
+        """Return the noise of the signals, with equal estimated deviations if the positions of all samples are unknown.
+
+        The ratio of the deviations is then not determined: any of them might be zero.
+        """
+        some = [row for row, known in enumerate(self.known) if known is None]
+        if not some or not any(isinstance(segment, KinematicSegment) for segment in self.segments):
+            return list(noises)
+        weights = [noises[row].freedom if np.isfinite(noises[row].freedom) else 1.0 for row in some]
+        deviation = float(np.sqrt(np.average([noises[row].deviation ** 2 for row in some], weights=weights)))
+        own = [replace(one, deviation=deviation) for one in noises]
+        return [own[row] if known is None else noises[row] for row, known in enumerate(self.known)]
 
     @property
     def first(self) -> np.ndarray:

@@ -13,9 +13,10 @@ from scipy.interpolate import make_interp_spline
 from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.runs import GivenStart
 from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
-from mbdkit_identify.identify_spec import IdentifySpec
+from mbdkit_identify.identify_spec import IdentifySpec, Sensor
+from mbdkit_identify.kinematic import Positions
 from mbdkit_identify.loading import sensor_names
-from mbdkit_identify.measured_data import LEAST_SAMPLES, ExperimentData, SignalData
+from mbdkit_identify.measured_data import LEAST_SAMPLES, RATES, ExperimentData, SignalData, plain_name
 
 INITIAL = "initial"  #: First part of the names of initial values among the parameters of a run.
 UNIFORM = 1e-6  #: Largest deviation of times from a grid, in sampling intervals, for each sample.
@@ -125,10 +126,7 @@ class Segment:
         every = None if slopes is None else np.zeros((*values.shape, len(x)))
         for row, signal in enumerate(self.signals):
             sensor = signal.sensor
-            gain, offset, delay = (
-                float(x[names[value]]) if isinstance(value, str) else value
-                for value in (sensor.gain, sensor.offset, sensor.delay)
-            )
+            gain, offset, delay = sensor_numbers(sensor, {name: float(x[place]) for name, place in names.items()})
             y, own = values[row], None if slopes is None else slopes[row]
             rate = np.zeros_like(y)
             if sensor.delay != 0.0:
@@ -142,6 +140,39 @@ class Segment:
                     if isinstance(value, str):
                         every[row, :, names[value]] += slope
         return shown, every
+
+
+class KinematicSegment(Segment):
+    """All samples of an experiment."""
+
+    @cached_property
+    def prepared(self) -> Positions:  # type: ignore[override]  # it has the methods that are used
+        """Evaluates the quantities."""
+        return Positions(self.spec, [one.quantity for one in self.signals], len(self.time), [*self.parameters])
+
+    def start_with(self, unknowns: list[Unknown]) -> None:
+        """Add the coordinates of all samples to the unknowns."""
+        numbers = {one.name: one.start for one in unknowns}
+        targets = []
+        for signal in self.signals:
+            gain, offset, _ = sensor_numbers(signal.sensor, numbers)
+            targets.append((signal.values - offset) / gain)
+        plain = {name: unknowns[place].start for name, place in self.parameters.items()}
+        for row, coordinates in enumerate(self.prepared.tracked(plain, np.array(targets))):
+            for name, value in zip(self.prepared.independent, coordinates.tolist(), strict=True):
+                self.initial[f"{row}: {name}"] = len(unknowns)
+                size = 1.0 if name.endswith("angle") else max(abs(value), 1e-3)
+                unknowns.append(
+                    Unknown(f"{self.experiment}, sample {row + 1}: {name}", value, size=size, is_initial=True)
+                )
+
+
+def sensor_numbers(sensor: Sensor, numbers: Mapping[str, float]) -> tuple[float, float, float]:
+    """Return gain, offset and delay of a sensor with values of parameters by name."""
+    gain, offset, delay = (
+        numbers[one] if isinstance(one, str) else one for one in (sensor.gain, sensor.offset, sensor.delay)
+    )
+    return gain, offset, delay
 
 
 def segments_of(
@@ -161,6 +192,13 @@ def segments_of(
     segments: list[Segment] = []
     shared: dict[object, PreparedSensitivities] = {}
     for one in data:
+        if spec.kinematic:
+            places, is_held_out = {name: names[name] for name in of_run}, one.experiment.role == "hold-out"
+            with SpecError.locate(path_text(("experiments", one.name))):
+                whole = KinematicSegment(one.name, is_held_out, one.time, one.signals, spec.run_spec, places, {})
+                whole.start_with(unknowns)
+            segments.append(whole)
+            continue
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
             segment = _segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run})
             segments.append(replace(segment, shared=shared))
@@ -305,7 +343,7 @@ def _initial_values(
             else:
                 found.append((name, float(value), None))
         return found
-    observed = [_plain(signal.quantity) for signal in signals]
+    observed = [plain_name(signal.quantity) for signal in signals]
     bodies = [f"{body}.{axis}" for axis in ("angle", "x", "y") for body in run.mechanism().bodies]
     names = given.independent(dict.fromkeys([*observed, *bodies]))
     free = (-np.inf, np.inf)
@@ -319,15 +357,6 @@ def _initial_values(
     return found
 
 
-RATES = {"angle": "angular_velocity", "x": "vx", "y": "vy"}
-
-
-def _plain(quantity: str) -> str:
-    """Return the name of a measured coordinate without its kind, such as ``crank.angle`` for ``bodies.crank.angle``."""
-    kind, _, rest = quantity.partition(".")
-    return rest if kind in ("bodies", "joints", "markers") and rest else quantity
-
-
 def _guess(
     name: str, given: GivenStart, numbers: Mapping[str, float], signals: Sequence[SignalData], time: np.ndarray
 ) -> float:
@@ -338,8 +367,8 @@ def _guess(
     coordinate = f"{element}.{of_rate[axis]}" if is_rate else name
     for signal in signals:
         known = np.flatnonzero(np.isfinite(signal.values))[:FEW]
-        gain, offset = (numbers[x] if isinstance(x, str) else x for x in (signal.sensor.gain, signal.sensor.offset))
-        if _plain(signal.quantity) == coordinate and gain and len(known) >= 4:
+        gain, offset, _ = sensor_numbers(signal.sensor, numbers)
+        if plain_name(signal.quantity) == coordinate and gain and len(known) >= 4:
             y = (signal.values[known] - offset) / gain
             slope, value = np.polyfit(time[known] - time[0], y, 1 if len(known) < 6 else 2)[-2:]
             return float(slope if is_rate else value)

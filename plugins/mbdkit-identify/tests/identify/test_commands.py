@@ -133,7 +133,10 @@ def test_packaged_identifications_are_valid_in_every_folder(name: str, in_tmp_pa
     ("assignment", "sentence"),
     [
         ("experiments.high.file=missing.csv", "missing.csv"),
-        ("experiments.high.observed={arm.angle: {column: encodr}}", "there should be one column 'encodr'"),
+        (
+            "experiments.high.observed={arm.angle: {column: encodr}}",
+            "column: high.csv has no column 'encodr' (did you mean 'encoder'?)",
+        ),
         ("experiments.high.observed={arm.angle: {column: encoder, unit: N}}", 'experiments.high.observed."arm.angle"'),
         ("experiments.high.observed={arm.angl: encoder}", "body 'arm' has no 'angl' (did you mean 'angle'?)"),
         ("parameters.dampin={}", "parameters.dampin: neither the base nor a sensor has the parameter 'dampin'"),

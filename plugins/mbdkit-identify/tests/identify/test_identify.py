@@ -304,12 +304,12 @@ def test_noise_of_measured_inputs_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
-        (("experiments", "swing", "file"), "no.csv", r"experiments\.swing\.file: .*no\.csv: this file cannot be read"),
-        (("experiments", "swing", "time"), "t", r"experiments\.swing\.time: .*there should be one column 't'"),
+        (("experiments", "swing", "file"), "no.csv", r"experiments\.swing\.file: there is no such file: .*no\.csv"),
+        (("experiments", "swing", "time"), "t", r"experiments\.swing\.time: .*has no column 't'"),
         (("experiments", "swing", "observed"), {"cart.x": "y"},
-         r"experiments\.swing\.observed\.\W*cart\.x\W*\.column: .*there should be one column 'y'"),
+         r"experiments\.swing\.observed\.\W*cart\.x\W*\.column: .*has no column 'y'"),
         (("experiments", "swing", "observed"), {"car.x": "x"}, r"experiments\.swing\.observed\.\W*car\.x.*'car'"),
-        (("experiments", "swing", "observed"), {"cart.x": {"column": "x", "unit": "deg"}}, r"unit: the unit deg does"),
+        (("experiments", "swing", "observed"), {"cart.x": {"column": "x", "unit": "deg"}}, r"unit: the unit deg of"),
         (("experiments", "swing", "observed"), {}, r"observed: needs at least one quantity"),
         (("experiments", "swing", "initial"), "guessed", r"initial: should be `estimated`, `rest`"),
         (("experiments", "swing", "initial"), {"cart.z": 1.0}, r"^experiments\.swing\.initial.*cart\.z"),

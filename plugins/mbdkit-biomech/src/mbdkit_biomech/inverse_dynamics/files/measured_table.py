@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import TypeAlias
 
@@ -206,7 +207,10 @@ class MeasuredTable:
         SpecError
             If there is no such column, a time is missing, or times do not increase.
         """
-        values = factor * self.column(heading, key)
+        place = self._place.get(heading)
+        texts = [str(cells[place]).strip() for cells in self.cells if place is not None and place < len(cells)]
+        is_clock = len(texts) == len(self.cells) and any(map(CLOCK.fullmatch, texts))
+        values = self._clock_times(heading, texts) if is_clock else factor * self.column(heading, key)
         if not len(values):
             raise self.error("this table has no rows")
         missing = np.flatnonzero(np.isnan(values))
@@ -221,6 +225,27 @@ class MeasuredTable:
                 row=row,
             )
         return values
+
+    def _clock_times(self, heading: str, texts: Sequence[str]) -> np.ndarray:
+        """Return the seconds (T,) of clock times since midnight, or since 1970 (UTC, if no other zone is given)."""
+        values = np.empty(len(texts))
+        for row, text in enumerate(texts):
+            match = CLOCK.fullmatch(text)
+            try:
+                assert match is not None
+                date, hour, minute, second, zone = match.groups()
+                day = datetime.fromisoformat(f"{(date or '1970-01-01').strip(' T')}T00:00:00{zone or '+00:00'}")
+                values[row] = day.timestamp() + 3600 * int(hour) + 60 * int(minute) + float(second.replace(",", "."))
+            except (AssertionError, ValueError):
+                message = f"column '{cited(heading)}': {cited(text)!r} is not a time such as 12:30:05.25 or "
+                raise self.error(f"{message}2025-01-31T12:30:05.25", row=row) from None
+        return values
+
+    def continued(self, time: np.ndarray, values: np.ndarray, period: float, heading: str) -> np.ndarray:
+        """Return a column (T,) of an angle, continued over full turns; see `continued_angles`."""
+        from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
+
+        return continued(time, values, period, (self, heading, np.arange(len(values))))
 
     def function(self, x: str, y: str, unit: Unit | None) -> tuple[list[float], list[float]]:
         """Return times [s] and values in two columns, in SI units; `unit` is that of the values, by default as in the
@@ -246,6 +271,9 @@ class MeasuredTable:
             raise SpecError(f"{unit} contradicts the unit in {self.name}, {stated}; leave it out", key="unit")
         return times.tolist(), ((unit or stated).factor * values).tolist()
 
+
+#: Pattern of a clock time: date, hour, minute, second and zone.
+CLOCK = re.compile(r"(\d{4}-\d\d-\d\d[ T])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(Z|[+-]\d\d:\d\d)?")
 
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+([eE][-+]?\d+)?\s*")  #: Pattern of a number with a decimal comma.
 

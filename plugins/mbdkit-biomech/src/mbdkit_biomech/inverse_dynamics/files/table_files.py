@@ -9,6 +9,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,12 @@ from mbdkit.base.files_read import check_readable, read_data
 from mbdkit.base.units import NUMBER, read_unit
 from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
-from mbdkit_biomech.inverse_dynamics.files.measured_table import DECIMAL_COMMA, MeasuredTable, begins_like_number
+from mbdkit_biomech.inverse_dynamics.files.measured_table import (
+    CLOCK,
+    DECIMAL_COMMA,
+    MeasuredTable,
+    begins_like_number,
+)
 from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
     is_qualisys,
     is_vicon,
@@ -30,6 +36,8 @@ from mbdkit_biomech.inverse_dynamics.signals.rounded_times import at_rate
 
 LONGEST_PREAMBLE = 100  #: Number of lines in which the first row of numbers is searched.
 
+COMMENTS = ("#", "%")  #: Beginnings of lines that are comments.
+
 HEAD = 10  #: Number of lines in which the delimiter of a Vicon file is searched.
 
 LARGEST_FILE = 128 * 2**20  #: Largest size of a file that is read [bytes].
@@ -37,10 +45,17 @@ LARGEST_FILE = 128 * 2**20  #: Largest size of a file that is read [bytes].
 MOST_CELLS = 10_000_000  #: Largest number of cells of a table; a cell takes about 70 bytes of memory.
 
 
-def read_table(path: Path, key: str) -> MeasuredTable:
-    """Read a table from a file in the format given by its suffix: .csv, .tsv, .txt, .mot, .sto, .trc or .c3d.
+def read_table(path: Path, key: str, separator: str | None = None, decimal: str | None = None) -> MeasuredTable:
+    """Read a table from a file in the format given by its suffix: .csv, .tsv, .txt, .dat, .mot, .sto, .trc or .c3d.
 
     Text files of Vicon Nexus and of Qualisys Track Manager are recognized by their first line.
+
+    Parameters
+    ----------
+    key
+        Key of the spec that names the file, for messages.
+    separator, decimal
+        Separator of the cells, and decimal point or comma, of other text files; by default, both follow from the file.
 
     Raises
     ------
@@ -60,15 +75,16 @@ def read_table(path: Path, key: str) -> MeasuredTable:
         if c3d is None:
             raise _too_many_cells(str(path))
         return c3d
-    readers = dict.fromkeys((".csv", ".tsv", ".txt"), _read_csv) | {
+    readers: dict[str, Callable[[str, list[str]], MeasuredTable]] = {
+        **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), partial(_read_csv, separator=separator, decimal=decimal)),
         ".mot": _read_storage,
         ".sto": _read_storage,
         ".trc": _read_trc,
     }
     if suffix not in readers:
         raise SpecError(
-            f"'{cited(path.name)}' does not have the suffix of a table; known suffixes: .csv, .tsv, .mot, "
-            f".sto, .trc, .c3d, and .h5 of a run",
+            f"'{cited(path.name)}' does not have the suffix of a table; known suffixes: .csv, .tsv, .txt, "
+            ".dat, .mot, .sto, .trc, .c3d, and .h5 of a run where a run may be given",
             key=key,
         )
     if content.startswith(b"PK\3\4"):
@@ -81,9 +97,9 @@ def read_table(path: Path, key: str) -> MeasuredTable:
     return readers[suffix](str(path), text.replace("\r\n", "\n").replace("\r", "\n").split("\n"))
 
 
-def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
+def _read_csv(file: str, lines: list[str], separator: str | None = None, decimal: str | None = None) -> MeasuredTable:
     """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
-    that begin with # are comments.
+    that begin with # or % are comments, of which the last one has the headings if the table has no others.
     """
     first = next((line for line in lines if _is_row(line)), None)
     if first is None:
@@ -93,19 +109,19 @@ def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
     if is_vicon(first):
         delimiter = max(",;\t", key="\n".join(lines[:HEAD]).count)
         return read_vicon(file, _rows_of(file, lines, delimiter))
-    delimiter, begin = _data_in(lines) or (max(",;\t", key=first.count), 0)
+    delimiter, begin = _data_in(lines, separator or ";\t, ") or (separator or max(",;\t", key=first.count), 0)
     rows = [(number, cells) for number, cells in _rows_of(file, lines, delimiter) if stripped(cells)]
     if not rows:
         raise _empty(file)
     begin = next((index for index, (number, _) in enumerate(rows) if number > begin), 0)
     if begin == 0 and _is_data(rows[0][1], delimiter):
-        raise SpecError("this table has no headings: its first line has numbers", file=file, line=rows[0][0])
+        rows.insert(0, _commented_headings(file, lines, rows[0], delimiter))
     rows = rows[_headings_above(rows, begin) :]
     headings = [cell.replace("\u00a0", " ").strip() for cell in rows[0][1]]
     units = _units_in(headings, rows[1][1]) if len(rows) > 1 else {}
     data = rows[2 if units else 1 :]
     names, in_headings = _without_units(headings)
-    cells = _with_points([cells for _, cells in data], delimiter)
+    cells = _with_points([cells for _, cells in data], delimiter, decimal)
     if delimiter == " " and len(cells[0]) != len(headings):
         raise SpecError(
             f"the cells of this table are separated by blanks, but there are {len(headings)} headings and "
@@ -121,12 +137,25 @@ def _read_csv(file: str, lines: list[str]) -> MeasuredTable:
     )  # fmt: skip
 
 
-def _data_in(lines: list[str]) -> tuple[str, int] | None:
+def _commented_headings(
+    file: str, lines: list[str], data: tuple[int, list[str]], delimiter: str
+) -> tuple[int, list[str]]:
+    """Return the headings in the last comment above the first row of data, with as many cells as this has."""
+    number, cells = data
+    for index in range(number - 2, -1, -1):
+        line = lines[index].lstrip("#% ")
+        headings = line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
+        if lines[index].startswith(COMMENTS) and len(headings) == len(cells) and not _is_data(headings, delimiter):
+            return index + 1, headings
+    raise SpecError("this table has no headings: its first line has numbers", file=file, line=number)
+
+
+def _data_in(lines: list[str], delimiters: str) -> tuple[str, int] | None:
     """Return the delimiter of a table, and the index of the line with its first row of numbers; None if the first lines
     have no row of numbers.
     """
     for index, line in enumerate(lines[:LONGEST_PREAMBLE]):
-        for delimiter in ";\t, ":
+        for delimiter in delimiters:
             cells = line.split() if delimiter == " " else line.split(delimiter)
             if _is_row(line) and _is_data(cells, delimiter):
                 return delimiter, index
@@ -138,7 +167,7 @@ def _is_data(cells: Sequence[str], delimiter: str) -> bool:
     given = [text for cell in cells if (text := cell.strip().strip('"'))][:2]
     if delimiter not in ", ":
         given = [text.replace(",", ".") if DECIMAL_COMMA.fullmatch(text) else text for text in given]
-    return len(given) == 2 and all(re.fullmatch(NUMBER, text) for text in given)
+    return len(given) == 2 and all(re.fullmatch(NUMBER, text) or CLOCK.fullmatch(text) for text in given)
 
 
 def _headings_above(rows: list[tuple[int, list[str]]], begin: int) -> int:
@@ -177,11 +206,16 @@ def _usual(unit: str) -> str:
     return re.sub(r"\bN[.*\u00b7]?(m?m)\b", r"N \1", unit.strip().replace("\u00b0", "deg"))
 
 
-def _with_points(rows: list[list[str]], delimiter: str) -> list[list[str]]:
+def _with_points(rows: list[list[str]], delimiter: str, decimal: str | None) -> list[list[str]]:
     """Return the rows of a table with decimal points, if it has decimal commas throughout."""
-    if delimiter in ", " or not any(map(DECIMAL_COMMA.fullmatch, itertools.chain.from_iterable(rows))):
+    if decimal == ".":
         return rows
-    if any("." in cell and begins_like_number(cell) for cell in itertools.chain.from_iterable(rows)):
+    if decimal is None and (
+        delimiter in ", " or not any(map(DECIMAL_COMMA.fullmatch, itertools.chain.from_iterable(rows)))
+    ):
+        return rows
+    cells_of = itertools.chain.from_iterable(rows)
+    if decimal is None and any("." in one and begins_like_number(one) and ":" not in one for one in cells_of):
         return rows
     return [[cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells] for cells in rows]
 
@@ -214,7 +248,7 @@ def _is_unit(text: str) -> bool:
 
 
 def _is_row(line: str) -> bool:
-    return bool(line.strip()) and not line.startswith("#")
+    return bool(line.strip()) and not line.startswith(COMMENTS)
 
 
 def _csv_rows(file: str, lines: list[str], delimiter: str) -> Iterator[tuple[int, list[str]]]:
