@@ -6,7 +6,7 @@ A conclusion depends on nothing else, so that it is the same for simulated runs,
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -61,7 +61,7 @@ class EndedRun:
     - `counters`, `pivotings`: work of the steps, and how often pivots were chosen, which takes one factorization each.
     - `timings`: wall and processor times, as in `Ending.stats` [s].
     - `errors`: estimated errors; None if they were not estimated.
-    - `finer`: see `mbdkit.spec.run_spec.RunSpec.finer`.
+    - `finer`: see `mbdkit.spec.run_spec.RunSpec.finer`. `coarse`: see `Evidence`.
     """
 
     mechanism: CompiledMechanism
@@ -75,6 +75,7 @@ class EndedRun:
     timings: Mapping[str, float] = field(default_factory=dict)
     errors: EstimatedErrors | None = None
     finer: str = "smaller steps"
+    coarse: Callable[[], str] = str
 
 
 def conclude(run: EndedRun, extremes: Extremes) -> Ending:
@@ -102,6 +103,7 @@ def conclude(run: EndedRun, extremes: Extremes) -> Ending:
         accepted=run.doubts.accepted,
         faults=run.doubts.faults,
         finer=run.finer,
+        coarse=run.coarse,
     )
     stats = {**vars(run.counters), **run.timings}
     stats["factorizations"] += run.pivotings

@@ -24,6 +24,7 @@ from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, 
 from mbdkit.quantities.array import TEXT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
+from mbdkit.runs.coarse_steps import coarse_step
 from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end, logs_ends
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges
@@ -467,7 +468,10 @@ class _Extremes:
         ]
 
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
-        ended = EndedRun(mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer)
+        ended = EndedRun(
+            mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer,
+            coarse=lambda: coarse_step(member.spec),
+        )  # fmt: skip
         extremes = Extremes(
             float(self.results.time[run, -1]),
             self.misalignment[run],

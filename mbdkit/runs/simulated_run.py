@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
+from mbdkit.runs.coarse_steps import coarse_step
 from mbdkit.runs.conclusion import NO_STEPS, EndedRun, conclude, log_end
 from mbdkit.runs.finish import finish
 from mbdkit.runs.preparation import plugin_failure
@@ -345,6 +347,7 @@ class SimulatedRun:
             timings=self.timings,
             errors=errors,
             finer=spec.finer,
+            coarse=partial(coarse_step, spec),
         )
         worst = np.zeros(len(self.workspace.mechanism.topology.pairs)) if stepper is None else stepper.worst_pairs
         ending = conclude(ended, record.recorder.extremes(worst, steps))

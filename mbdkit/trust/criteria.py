@@ -8,7 +8,7 @@ chaotic double pendulum after a few seconds.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
@@ -161,6 +161,7 @@ class Evidence:
     - `accepted`: findings that the spec accepts, as sentences. They are among the reasons, but do not lower the level.
     - `finer`: what makes the error of the integration smaller: ``smaller steps`` or, with controlled steps, ``smaller
       tolerances``.
+    - `coarse`: returns a sentence if the step is too long, the first cause of an inaccurate or failed run, or "".
     """
 
     status: str = "complete"
@@ -181,6 +182,7 @@ class Evidence:
     faults: Sequence[str] = ()
     accepted: Sequence[str] = ()
     finer: str = "smaller steps"
+    coarse: Callable[[], str] = str
 
 
 @dataclass(frozen=True)
@@ -208,7 +210,9 @@ def judge(evidence: Evidence, accuracy: EstimatedErrors | None = None) -> Judgem
         *_branches(evidence),
         *(() if accuracy is None else _errors(evidence, accuracy)),
     ]
-    findings = [*causes, *sorted(effects, key=lambda item: -LEVELS.index(item[0]))]
+    is_coarse = evidence.coarse() if effects or evidence.status == "failed" else ""
+    steps: list[tuple[Level, str]] = [("doubtful", is_coarse)] if is_coarse else []
+    findings = [*steps, *causes, *sorted(effects, key=lambda item: -LEVELS.index(item[0]))]
     best: Level = "unknown" if accuracy is None else "good"
     level = max((best, *(level for level, _ in findings)), key=LEVELS.index)
     accepted = (f"Accepted by the spec: {doubt}" for doubt in evidence.accepted)

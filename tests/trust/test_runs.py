@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,24 @@ def test_advice_for_controlled_steps_speaks_of_tolerances() -> None:
         with mbdkit.run(spec(DOUBLE, integrator, 10.0, step, limits={"misalignment": 1e6})) as run:
             (energy,) = (reason for reason in run.verdict_reasons if "energy balance is violated" in reason)
             assert f"use {advice} or a method of higher order" in energy
+
+
+@pytest.mark.parametrize(("step", "is_named"), [(0.1, True), (0.04, True), (0.005, False)])
+def test_a_step_too_long_for_an_oscillation_is_the_first_reason(step: float, is_named: bool) -> None:
+    """A mass on a spring of stiffness (2 pi / T)^2 m oscillates with the period T = 0.2 s."""
+    guide = {"type": "prismatic", "bodies": ["ground", "block"], "at": [0, 0], "axis": [1, 0]}
+    spring = {"type": "spring-damper", "bodies": ["ground", "block"], "points": [[-1, 0], [0, 0]], "free_length": 1.0}
+    model = {
+        "name": "mechanism",
+        "gravity": [0, 0],
+        "bodies": {"block": {"mass": 2.0, "inertia": 1.0, "position": [0.1, 0]}},
+        "joints": {"guide": guide},
+        "forces": {"spring": spring | {"stiffness": 2.0 * (2.0 * math.pi / 0.2) ** 2}},
+    }
+    with mbdkit.run(spec(model, RK4, 1.0, step)) as run:
+        first = "".join(run.verdict_reasons[:1])
+    assert (f"The step of {step:g} s is" in first) == is_named
+    assert ("of the period of 0.2 s of the fastest motion" in first) == is_named
 
 
 class Exploding(StepMethod):
@@ -168,7 +187,7 @@ def test_a_warning_is_kept_and_makes_the_run_doubtful_at_least(capfd: pytest.Cap
 def test_the_verdict_leads_every_account_of_a_run(tmp_path: Path) -> None:
     path = tmp_path / "apart.h5"
     with mbdkit.run(spec(DOUBLE, RK4, 10.0, 0.1, title="two rods"), archive=path) as run:
-        first = run.verdict_reasons[0]
+        first = "".join(run.verdict_reasons[:1])
         assert run.summary().splitlines()[0] == f"verdict       bad: {first}"
         assert "verdict bad" in repr(run)
         assert f"Verdict bad: {first}" in html.unescape(run._repr_html_())

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.base.terminal import say
+from mbdkit.base.text import listed
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_design.compared_settings import compared_with
@@ -24,6 +25,7 @@ from mbdkit_design.design_charts import (
     load_charts,
     sensitivity_section,
 )
+from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.known_points import DesignPoint
@@ -35,6 +37,7 @@ from mbdkit_design.store import WHICH, DesignFolder, runs_of
 from mbdkit_design.trust import QUESTIONED
 from mbdkit_report import (
     TONES,
+    Illustration,
     NamedPose,
     ReportPage,
     Section,
@@ -42,6 +45,7 @@ from mbdkit_report import (
     drawing,
     environment,
     film_of,
+    glance,
     key_words,
     mechanism_of,
     methods,
@@ -121,6 +125,7 @@ def _page(
         spec=write_yaml(data),
         spec_file="design.yaml",
         alarm=_alarm(design),
+        glance=_glance(design, pairs),
         sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
         beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
     )
@@ -134,24 +139,44 @@ def _alarm(design: Design) -> str:
 
 
 def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
-    """Yield sections with drawings: the mechanism at the start and at the best point, both in the first scenario, and
-    the forces at the best point in each scenario.
+    """Yield sections with drawings: the mechanism at the start, in the first scenario, and the forces at the best point
+    in each scenario.
     """
-    name, pair = next(iter(pairs.items()))
-    for which, run in pair.items():
-        pose = np.asarray(run.array("trajectory/position")[0])
-        shown = drawing(NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)))
-        where = f" Scenario: {name}." if name else ""
-        point: DesignPoint = getattr(design, which)
-        values = ", ".join(f"{key_words(key)} {_value(design, point, key)}" for key in point.variables)
-        sentence = f"With {values}."
-        title = f"The device {POINT_WORDS[which]}"
-        yield Section(f"device-{which}", title, (sentence,), replace(shown, caption=shown.caption + where))
+    values = ", ".join(f"{key_words(key)} {_value(design, design.start, key)}" for key in design.start.variables)
+    yield Section("device-start", f"The device {POINT_WORDS['start']}", (f"With {values}.",), _drawn(pairs, "start"))
     for index, (scenario, runs) in enumerate(pairs.items()):
         frames = load_drawing(runs["best"], mechanism_of(runs["best"]))
         if frames is not None:
             where = f" in the scenario {scenario}" if scenario else ""
             yield Section(f"work-{index + 1}", f"The device at work{where}", (), frames)
+
+
+def _drawn(pairs: Mapping[str, Pair], which: str) -> Illustration:
+    """Return the drawing of the mechanism at one of the points, in the first scenario."""
+    name, pair = next(iter(pairs.items()))
+    run = pair[which]
+    pose = np.asarray(run.array("trajectory/position")[0])
+    shown = drawing(NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)))
+    return replace(
+        shown, caption=f"{shown.caption} The device {POINT_WORDS[which]}{f', scenario {name}' if name else ''}."
+    )
+
+
+def _glance(design: Design, pairs: Mapping[str, Pair]) -> Section:
+    spec = design.spec
+    goals = listed(
+        [expression if name == GOAL else f"{name} = {expression}" for name, expression in spec.goals.items()], "and"
+    )
+    bounds = [f"{key_words(name)} from {_bounds(spec, name)}" for name in spec.variables]
+    limits = f", within the limits of {listed(list(spec.subject_to), 'and')}" if spec.subject_to else ""
+    asked = f"the least {goals}, by {listed(bounds, 'and')}{limits}"
+    reasons = [design.trust.judgement.partition(": ")[2] or design.trust.judgement]
+    return glance(asked, design.trust.level, [*filter(None, [design.doubt]), *reasons], _drawn(pairs, "best"))
+
+
+def _bounds(spec: DesignSpec, name: str) -> str:
+    low, high = spec.variables[name].bounds
+    return f"{low:.4g} to {with_unit(high, variable_unit(spec, name))}"
 
 
 def _value(design: Design, point: DesignPoint, name: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 from scipy.special import ndtri
 
-from mbdkit.plugin import counted, plus_minus
+from mbdkit.plugin import counted, listed, plus_minus
 from mbdkit.plugin.reports import (
     TONES,
     Axis,
@@ -93,6 +93,7 @@ def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
         alarm=f"VERDICT: {result.verdict.upper()}" if result.verdict in ("doubtful", "bad") else "",
         verdict=_verdict(result),
         begins_with_verdict=True,
+        glance=_glance(result),
         beside_verdict=("doubts", "estimates", "signals"),
         sections=_sections(result),
         methods=replace(own, paragraphs=(_METHOD, *[_PROFILES] * bool(result.profiles), *own.paragraphs)),
@@ -111,6 +112,14 @@ def identification_view(result: Identification) -> View:
     tables = (_estimates(result), _signals(result))
     title = f"Identification: {result.title}" if result.title else "Identification"
     return View(title, sentences, TONES.get(result.verdict, ""), tables=tables)
+
+
+def _glance(result: Identification) -> Section:
+    """Return what was asked, and the verdict with its first reason."""
+    signals = dict.fromkeys(one.quantity for one in result.residuals)
+    asked = f"Asked: {listed(list(result.estimates), 'and')}, from measured {listed(list(signals), 'and')}."
+    first = f" {result.doubts[0].text}" if result.doubts else ""
+    return Section("glance", "At a glance", (asked, f"Verdict: {result.verdict}.{first}"))
 
 
 def _verdict(result: Identification) -> Verdict:

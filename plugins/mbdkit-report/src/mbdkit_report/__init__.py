@@ -37,7 +37,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.group_table import data_frame as data_frame, TableColumn as TableColumn
     from mbdkit_report.notebook.result_views import Picture as Picture, View as View
     from mbdkit_report.pages.methods_used import methods as methods
-    from mbdkit_report.pages.model_section import drawing as drawing
+    from mbdkit_report.pages.model_section import drawing as drawing, glance as glance
     from mbdkit_report.pages.report import report as report, write_report as write_report
     from mbdkit_report.pages.report_page import chart_data as chart_data, ReportPage as ReportPage
     from mbdkit_report.pages.run_report import (

@@ -4,7 +4,7 @@ parameters.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,7 +52,9 @@ def model_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, Sect
         tables += [table for table in [_parameters(run.spec)] if table.rows]
     lacks = f"{run.not_drawn[:1].upper()}{run.not_drawn[1:]}." if run.not_drawn else ""
     sentences = tuple(filter(None, (sentence, lacks)))
-    first = Section("glance", "At a glance", (_asked(run), _doubt(run)), drawing(shown))
+    reasons = run.verdict_reasons or [run.errors.without_suspicion]
+    more = "" if run.accuracy is not None else "How large the errors are in newtons is unknown; `--check` estimates it."
+    first = glance(_asked(run), run.verdict, reasons, drawing(shown), more)
     return first, Section("model", "What was modelled", sentences, None, tuple(tables), is_input=True)
 
 
@@ -62,17 +64,17 @@ def _asked(run: Run) -> str:
     few = measures[:_MEASURES] + [f"{len(measures) - _MEASURES} more"] * (len(measures) > _MEASURES)
     what = listed(few, "and") if few else "the largest forces and torques in joints and drivers"
     start, end = float(run.time[0]), float(run.time[-1])
-    return f"Asked: {what}, from t = {start:.4g} s to {end:.4g} s."
+    return f"{what}, from t = {start:.4g} s to {end:.4g} s"
 
 
-def _doubt(run: Run) -> str:
-    """Return the verdict with the first of its reasons, which is that with the largest effect if effects are known."""
-    reason = run.verdict_reasons[0].rstrip(".") if run.verdict_reasons else run.errors.without_suspicion
-    text = f"Verdict: {run.verdict}. {reason[:1].upper()}{reason[1:]}."
-    if others := len(run.verdict_reasons[1:]):
+def glance(asked: str, verdict: str, reasons: Sequence[str], shown: Illustration | None, more: str = "") -> Section:
+    """Return the first section of a report: what was asked, the verdict with its first reason, and a drawing."""
+    text = f"Verdict: {verdict}."
+    if reasons:
+        text += f" {reasons[0][:1].upper()}{reasons[0][1:].rstrip('.')}."
+    if others := len(reasons[1:]):
         text += f" {counted(others, 'more reason')}: section Verdict."
-    unknown = " How large the errors are in newtons is unknown; `--check` estimates it."
-    return text if run.accuracy is not None else text + unknown
+    return Section("glance", "At a glance", (f"Asked: {asked}.", f"{text} {more}".rstrip()), shown)
 
 
 def element_tables(shown: NamedPose) -> list[Table]:

@@ -90,12 +90,12 @@ class ReportPage:
         """Anchor and title of each section, in order."""
         parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
         results = [
-            ("glance", "At a glance", self.glance is not None),
             ("motion", "Motion", bool(self.films)),
             *((anchor, title, not given) for anchor, title, given in parts),
         ]
         verdict = [("verdict", "Verdict", True)]
         sections = [
+            ("glance", "At a glance", self.glance is not None),
             *([*verdict, *results] if self.begins_with_verdict else [*results, *verdict]),
             ("failed", "Runs that failed", bool(self.failures.rows)),
             ("figures", "Figures", bool(self.figures(beside=False))),

@@ -11,21 +11,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.trust.criteria import MISALIGNMENT
+from mbdkit.trust.criteria import LEVELS, MISALIGNMENT
 from mbdkit_report import (
     Answer,
     Cell,
     Column,
     Figure,
+    NamedPose,
     ReportPage,
+    Section,
     Table,
     Verdict,
     View,
     columns_of,
+    drawing,
     environment,
     film_of,
+    glance,
+    key_words,
     methods,
 )
 from mbdkit_report.figures.quantity_text import count
@@ -42,13 +49,14 @@ from mbdkit_studies.results.cost_at_error import is_timed
 from mbdkit_studies.results.judge import find_verdict, judge
 from mbdkit_studies.results.point_selection import OPERATIONS, value
 from mbdkit_studies.results.study_notes import notes
-from mbdkit_studies.store.study_point import axis_unit, point_words
+from mbdkit_studies.store.study_point import axis_unit, point_words, valid_specs
 
 if TYPE_CHECKING:
     from mbdkit_studies.store.study_point import StudyPoint
     from mbdkit_studies.study import Study
 
 _FILMS = 6
+_MEASURES = 4  #: Largest number of measures that the first section names.
 _LISTED = 500  #: Largest number of runs of a study with a sample that the page lists.
 #: Number of runs, evenly spaced over a study with a sample, whose specs and provenance the page shows. The first run of
 #: each sample is added.
@@ -93,6 +101,7 @@ def study_report(study: Study) -> ReportPage:
         verdict=verdict,
         beside_verdict=(ADDED,),
         begins_with_verdict=True,
+        glance=_glance(study),
         films=tuple(_films(study)),
         failures=_failures(study),
         methods=methods(_specs(study), find_verdict(study.spec)[0].plugin.references if study.spec.verdict else ()),
@@ -123,6 +132,27 @@ def settings(study: Study) -> str:
     levels = Counter(level for level, state in pairs if state == "complete")  # failed runs are rated bad, too
     verdicts = [f"{levels[level]:,} {level}" for level in ("doubtful", "bad") if levels[level]]
     return " \u00b7 ".join([*parts, *(f"{states[name]:,} {name.replace('-', ' ')}" for name in names), *verdicts])
+
+
+def _glance(study: Study) -> Section:
+    """Return what was asked, the verdicts on the runs with the first doubt, and the mechanism."""
+    spec, levels = study.spec, Counter(study.verdicts())
+    names = [measure.name for measure in spec.defined_measures()]
+    few = [*names[:_MEASURES], *[f"{len(names) - _MEASURES} more"] * (len(names) > _MEASURES)]
+    keys = dict.fromkeys(
+        key_words(key) for name in study.families for key in (*study.axes(name), *study.grid(name).table)
+    )
+    over = "tolerances of" if spec.tolerances else "samples of" if spec.sample is not None else "different"
+    asked = f"{listed(few, 'and') if few else 'errors and costs of runs'}, for {over} {listed(list(keys), 'and')}"
+    doubts = [text for label, text in notes(study) if label in LEVELS[2:] or label in ("failed", "errors")]
+    verdict = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level]) or "no runs"
+    first = next(valid_specs(study.points), None)
+    if first is None:
+        return glance(asked, verdict, doubts, None)
+    mechanism = first.mechanism()
+    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    times = np.array([first.time.start, first.time.final])
+    return glance(asked, verdict, doubts, drawing(NamedPose.of(mechanism, list(mechanism.bodies), pose, times)))
 
 
 def _verdict(study: Study) -> Verdict:

@@ -1,0 +1,52 @@
+"""Steps that are too long for the fastest motion of a mechanism: the first cause of a failed or inaccurate run."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.runs.preparation import RunSetup
+from mbdkit.spec import RunSpec
+
+LONGEST_SHARE = 1 / 8  #: Longest step that is not the cause of errors, as a share of the period of the fastest motion.
+FINE = 20  #: Number of steps per period that is advised.
+RANK = 1e-10  #: Singular values of the constraints below this share of the largest count as zero.
+MOST_COORDINATES = 600  #: Frequencies of larger mechanisms are not computed: the time grows with the cube.
+
+
+def coarse_step(spec: RunSpec) -> str:
+    """Return a sentence if the fixed step of a run is too long for the fastest motion at its start, otherwise ""."""
+    step = None if spec.claims.adaptive else spec.time.step
+    if step is None:
+        return ""
+    try:
+        with np.errstate(all="ignore"):
+            fastest = _fastest(RunSetup.of(spec))
+    except (MbdkitError, ValueError, np.linalg.LinAlgError):  # the state or its derivatives are not finite
+        return ""
+    period = 2.0 * math.pi / fastest if fastest > 0.0 else math.inf
+    if not step > LONGEST_SHARE * period:
+        return ""
+    return (
+        f"The step of {step:g} s is {step / period:.2g} of the period of {period:.3g} s of the fastest motion at "
+        f"the start; use steps of at most {period / FINE:.1g} s."
+    )
+
+
+def _fastest(setup: RunSetup) -> float:
+    """Return the largest of the rates at the start [1/s]: turning, oscillation, acceleration through its size."""
+    equations, t = EquationsOfMotion(setup.workspace), setup.spec.time.start
+    q, v = equations.q0, equations.v0
+    acc, lam = equations.accelerations(t, q, v)
+    linear = np.hypot(*acc.reshape(-1, 3)[:, :2].T)
+    rates = [np.max(np.abs(v[2::3])), math.sqrt(np.max(linear) / setup.size) if setup.size else 0.0]
+    if equations.n <= MOST_COORDINATES and not setup.spec.mechanism().beams:
+        stiffness = equations.tangents(t, q, v, acc, lam).stiffness.toarray()
+        _, sizes, rows = np.linalg.svd(equations.constraint_jacobian(t, q).toarray())
+        free = rows[np.sum(sizes > RANK * np.max(sizes, initial=0.0)) :]  # velocities that the joints allow
+        reduced = np.linalg.pinv(free * equations.mass @ free.T) @ (free @ stiffness @ free.T)
+        rates.append(math.sqrt(np.max(np.abs(np.linalg.eigvals(reduced)), initial=0.0)))
+    return float(max(rates))
