@@ -241,8 +241,9 @@ class Pair:
     def enlarged(self, factor: float) -> Pair | None:
         """Return the joint with all lengths times a factor; None if its keys do not tell which numbers are lengths."""
         data = deepcopy(self.data)
-        for key, value in self.data.items():
-            if key in ("type", "bodies") or isinstance(value, bool):
+        for key in type(self.joint).model_fields:
+            value = self.data.get(key, getattr(self.joint, key))
+            if key in ("type", "bodies") or value is None or isinstance(value, bool):
                 continue
             units = ("m",) if key == "points" else described_units(description(type(self.joint), key))
             if isinstance(value, dict) or (isinstance(value, str) and not _is_choice(type(self.joint), key)):

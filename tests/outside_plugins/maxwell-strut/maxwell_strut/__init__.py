@@ -41,7 +41,7 @@ COLUMNS = plugin.quantity_group(
     plugin.Array("time", ("time",), "s", "time of the recorded row"),
     plugin.name_array("strut", ROWS[1], "name of the strut", lambda names: names.names_of("maxwell_struts")),
     plugin.Recorded("extension", ROWS, "m", "extension of the damper", take=take),
-    optional=True, is_optional=True, axis=ROWS[1], one="strut", word="struts", example="extension",
+    optional=True, is_optional=True, axis=ROWS[1], one="strut", word="maxwell_struts", example="extension",
 )  # fmt: skip
 
 
@@ -61,6 +61,6 @@ def mbdkit_items():
         name="maxwell_struts",
         summary="Extensions of struts.",
         target=plugin.Target("maxwell_strut:COLUMNS"),
-        word="struts",
+        word="maxwell_struts",
     )
     return [element, columns, *plugin.Example.folder(Path(__file__).parent)]
