@@ -27,7 +27,7 @@ _EXAMPLES = {
 _PAGES = {
     "Start": "first-steps mini spec glossary",
     "Model": "mechanism beams events control",
-    "Analyse": "methods capabilities measures environments coupling",
+    "Analyse": "methods measures environments coupling",
     "Trust and extend": "trust reliability performance files plugins joints elements kernels changes",
 }
 

@@ -29,7 +29,8 @@ class ResultFile:
     Parameters
     ----------
     format, version
-        Root attributes ``format`` and ``format_version``.
+        Root attribute ``format``, and the number before the point in ``format_version``: versions 1.1, 1.2, ... may
+        have additional data, which readers of 1.0 leave out.
     what
         What such a file is, for messages, such as ``result of an identification``.
     hint
@@ -49,10 +50,12 @@ class ResultFile:
         """
         target = check_target(path, overwrite=overwrite)
         with h5py.File(target.name, "w", driver="core", backing_store=False, libver=LIBVER) as file:
-            texts = {"format": self.format, "mbdkit_version": own_version(), "created_utc": utc_now()}
-            self.set_texts(file, texts)
-            file.attrs["format_version"] = self.version
+            version = f"{self.version}.0"
+            texts = {"format": self.format, "format_version": version, "Conventions": f"{self.format}-{version}"}
+            self.set_texts(file, texts | {"mbdkit_version": own_version(), "created_utc": utc_now()})
             fill(file)
+            what = f"{self.what[0].upper()}{self.what[1:]}"
+            self.set_texts(file, {name: what for name in ("title", "description") if name not in file.attrs})
             seal(file)
             file.flush()
             with replacing(target, overwrite=overwrite) as part:
@@ -85,7 +88,7 @@ class ResultFile:
                 kind, version = (str(file.attrs.get(name)) for name in ("format", "format_version"))
             if kind != self.format:
                 raise SpecError(f"this is an HDF5 file, but not the {self.what}", file=path)
-            if version != str(self.version):
+            if version.partition(".")[0] != str(self.version):
                 message = f"this {self.what} has the format version {shown(version)}; this mbdkit reads {self.version}"
                 raise SpecError(message, file=path)
             yield file

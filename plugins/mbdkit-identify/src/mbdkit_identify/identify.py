@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, path_text
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed, path_text
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, prepare
@@ -135,7 +135,7 @@ class _Identification:
             log_likelihood=problem.log_likelihood(raw),
             evaluations=(problem.runs, problem.derived),
             way=problem.differences or "exact",
-            title=spec.title,
+            title=spec.title or f"Estimates of {listed(self.names, 'and')}",
             unknowns=len(self.fit.x) + sum(known is None for known in problem.known) + sum(problem.may_correlate),
         )
 

@@ -62,6 +62,9 @@ def test_xarray_sees_axes_and_units(tmp_path: Path) -> None:
     path = write_identification(result(), tmp_path / "fit.h5")
     with xr.open_datatree(path, engine="h5netcdf") as tree:
         assert tree.attrs["format"] == "mbdkit-identification"
+        assert [tree.attrs[name] for name in ("title", "description", "Conventions")] == [
+            "A leg", "Result of an identification", "mbdkit-identification-1.0",
+        ]  # fmt: skip
         matrix = tree["parameters"].ds["covariance"]
         assert matrix.sel(parameter="stiffness", other="damping") == -0.001
         assert tree["parameters"].ds["unit"].values.tolist() == ["N m/rad", "N m s/rad", "kg"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from mbdkit.base.errors import PluginError, StepError
 from mbdkit.base.strict_model import description
-from mbdkit.base.units import described_units
+from mbdkit.base.units import described_units, read_unit
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.expressions.recorded import Recorder
 from mbdkit.mechanism.bodies import GROUND
@@ -241,14 +241,16 @@ class Pair:
     def enlarged(self, factor: float) -> Pair | None:
         """Return the joint with all lengths times a factor; None if its keys do not tell which numbers are lengths."""
         data = deepcopy(self.data)
-        for key, value in self.data.items():
-            if key in ("type", "bodies") or isinstance(value, bool):
+        for key in type(self.joint).model_fields:
+            value = self.data.get(key, getattr(self.joint, key))
+            if key in ("type", "bodies") or value is None or isinstance(value, bool):
                 continue
-            units = ["m"] if key == "points" else described_units(description(type(self.joint), key))
+            units = ("m",) if key == "points" else described_units(description(type(self.joint), key))
             if isinstance(value, dict) or (isinstance(value, str) and not _is_choice(type(self.joint), key)):
                 return None
-            if units and all(unit == "m" for unit in units):
-                data[key] = _times(value, factor)
+            powers = {read_unit(unit).exponents for unit in units}  # one of lengths alone: 1 of m, -1 of 1/m
+            if len(powers) == 1 and not any((power := powers.pop())[1:]):
+                data[key] = _times(value, factor ** int(power[0]))
         places = {body: (factor * x, factor * y, angle) for body, (x, y, angle) in self.places.items()}
         again = self.changed(data=data, places=places, size=factor * self.size)
         joint = again.mechanism.joints[self.name]

@@ -37,6 +37,8 @@ FIGURES: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     ("change of momentum", "geometry.conserved-angular-momentum", ("change",)),
     ("there and back", "geometry.reversibility-pendulum", ("defect",)),
 )  # fmt: skip
+#: Claims of integrators that say what they support; their columns are empty where nothing is claimed.
+CLAIMS = ("formulations", "stabilizations", "states", "mechanisms", "dense_order")
 _TONES = {"fail": "no", "warn": "partly"}
 _FILES = ("matrix.html", "matrix.csv", "matrix.json")
 
@@ -68,13 +70,18 @@ class Row:
 
     def cells(self) -> dict[str, tuple[str, str]]:
         """Return text and name of the check of each cell, empty if there is none, by the heading of its column."""
-        claimed, check = str(self.record.get("claims", {}).get("order", "")), "order.forced-pendulum"
-        cells = {"order claimed": (claimed, check if check in self.checks else "")}
+        claims, check = self.record.get("claims", {}), "order.forced-pendulum"
+        cells = {"order claimed": (str(claims.get("order", "")), check if check in self.checks else "")}
+        for name in CLAIMS if self.kind == "integrator" and claims else ():
+            value = claims.get(name, "")
+            text = listed(value, "and") if isinstance(value, list) else "yes" if value is True else str(value)
+            cells[name.replace("_", " ")] = text, ""
         for heading, check, names in FIGURES if self.kind == "integrator" else ():
             figures = self.checks.get(check, {}).get("figures", {})
             known = [str(figures[name]) for name in names if name in figures]
             text = known[0] if known else "; ".join(f"{name} {value}" for name, value in figures.items() if not names)
-            cells[heading] = text, check
+            is_failed = self.checks.get(check, {}).get("outcome") == "fail"  # errors may follow no power of the step
+            cells[heading] = text or "fails" * is_failed, check
         for group in dict.fromkeys(name.partition(".")[0] for name in self.checks):
             own = {name: entry["outcome"] for name, entry in self.checks.items() if name.startswith(f"{group}.")}
             worst = [name for name, outcome in own.items() if outcome == "fail"]
