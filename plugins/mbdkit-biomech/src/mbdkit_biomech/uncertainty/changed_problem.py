@@ -226,7 +226,9 @@ class Changer:
     def _recruiter(self, problem: InverseProblem, change: Change) -> Recruiter:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
-        targets, own = self.problem.recruiter.targets, list(problem.names.mechanism.muscles)  # type: ignore[union-attr]
+        own, recruited = list(problem.names.mechanism.muscles), self.result.recruited
+        assert recruited is not None
+        targets = recruited.targets
         targets = targets.changed(
             [change.get(("across", one.joint), 0.0) for one in targets.knees],
             [factor(change, "emg", own[one.muscle]) for one in targets.emg],
