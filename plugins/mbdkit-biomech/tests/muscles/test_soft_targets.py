@@ -8,6 +8,7 @@ from tests.muscles.shared_loads import problems
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.errors import error_bars
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import (
     Axial,
@@ -191,19 +192,25 @@ def test_noise_is_named_and_changes_little():
 
 @pytest.mark.parametrize("factor", [1e-4, 1.0, 50.0])
 def test_the_scale_of_emg_is_found_whatever_its_unit(factor):
+    # an extensor acts against a flexor, which recruitment leaves out; the moment is known
     random, time = np.random.default_rng(3), np.linspace(0.0, 6.0, 80)
-    activation = np.column_stack([0.3 + 0.2 * np.sin(time), np.full(80, 0.02), 0.1 + 0.05 * np.cos(time)])
-    envelope = activation[:, 0] * np.exp(0.1 * random.standard_normal(80))
-    channels = (EmgTarget(0, factor * envelope, 0.4, has_scale=False), EmgTarget(0, envelope, 0.4),
-                EmgTarget(2, factor * envelope, 0.4, "wrong", has_scale=False))  # fmt: skip
-    found = Targets(emg=channels).calibrated(activation)
-    # the prior, with a peak of 0.2 instead of 0.5, has a weight of 8 %
-    np.testing.assert_allclose(found.emg[0].activation, envelope, rtol=0.12)
+    true = np.column_stack([0.3 + 0.2 * np.sin(time), 0.1 + 0.05 * np.cos(2 * time), 0.1 + 0.05 * np.cos(time)])
+    arms, envelope = np.array([100.0, -60.0, 40.0]), true[:, 0] * np.exp(0.1 * random.standard_normal(80))
+    right = np.sum(arms * true, axis=1, keepdims=True)
+    alone = np.column_stack([true[:, 0] - 0.6 * true[:, 1], np.full(80, 0.01), true[:, 2]])
+    high = np.ones((80, 3))
+    programme = Programme(np.tile(arms, (80, 1, 1)), right, 0.0 * high, high, np.ones(3))
+    wrong = 1.0 + random.standard_normal(80) ** 2
+    channels = (EmgTarget(0, factor * envelope, 0.4, has_scale=False), EmgTarget(1, true[:, 1], 0.4),
+                EmgTarget(2, factor * wrong, 0.4, "wrong", has_scale=False))  # fmt: skip
+    found = Targets(emg=channels).calibrated(alone, programme)
+    # without the flexor, the least squares of activations alone give 0.8 of the scale
+    np.testing.assert_allclose(found.emg[0].activation, envelope, rtol=0.15)
     assert found.emg[0].spread < 0.1
     assert found.emg[1] is channels[1]
-    assert found.emg[2].spread > 1.0
+    assert found.emg[2].spread > 2.0 * found.emg[0].spread
     assert [one.column for one, _ in found.remarks] == ["wrong"]
-    assert found.calibrated(0.5 * activation).emg == found.emg
+    assert found.calibrated(0.5 * alone, programme) is found
 
 
 @pytest.mark.parametrize(

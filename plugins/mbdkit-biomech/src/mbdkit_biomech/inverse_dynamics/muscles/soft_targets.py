@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base import elementary
-from mbdkit.engine.linear_systems import products
+from mbdkit.engine.linear_systems import least_norms, product, products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 
@@ -37,6 +37,10 @@ USUAL_PEAK, PEAKS = 0.2, 1.0
 STRENGTH = (
     0.28  #: Standard deviation of the logarithm of a scale by the strength of a muscle, which scales activations.
 )
+
+#: Standard deviations of scales about those of `EmgTarget.scaled_to`, as a share, and of moments by EMG, as a share of
+#: their root mean square.
+SCALES, MOMENTS = 0.7, 0.3
 
 INDEPENDENT = 10.0  #: Number of independent samples in the EMG of a trial.
 
@@ -68,14 +72,12 @@ class EmgTarget:
     has_scale: bool = True  #: Whether the scale of the activations is known.
     spread: float = LEAST_DEVIATION
 
-    def calibrated(self, activation: np.ndarray) -> EmgTarget:
-        """Return the target with the scale and the deviation that activations (T,) of recruitment without EMG show.
+    def scaled_to(self, activation: np.ndarray) -> EmgTarget:
+        """Return the target with the scale that activations (T,) of recruitment without EMG show.
 
         The scale is the mean of that of least squares and of that with the largest activation `USUAL_PEAK`, both as
         logarithms, weighted by their variances.
         """
-        if self.has_scale:
-            return self
         own, known = self.activation, np.isfinite(activation)
         square, both = float(np.sum(own[known] ** 2)), float(np.sum((own * activation)[known]))
         usual = USUAL_PEAK / float(np.max(own))
@@ -83,11 +85,7 @@ class EmgTarget:
         left = float(np.sum((fitted * own - activation)[known] ** 2)) / (fitted**2 * square)
         weight = 1.0 / (left / INDEPENDENT + STRENGTH**2), 1.0 / PEAKS**2
         share = weight[0] / sum(weight)
-        scale = float(elementary.pow(fitted, share) * elementary.pow(usual, 1.0 - share))
-        follows = max(correlation(own, activation), 1e-9)
-        spread = min(DISAGREES * (1.0 - follows) / follows, MOST_DISAGREES)
-        spread = float(np.hypot(spread, LEAST_DEVIATION))
-        return replace(self, activation=np.minimum(scale * own, 1.0), has_scale=True, spread=spread)
+        return replace(self, activation=float(elementary.pow(fitted, share) * elementary.pow(usual, 1.0 - share)) * own)
 
 
 class Axial(NamedTuple):
@@ -165,18 +163,49 @@ class Targets:
         emg = [replace(one, activation=np.tile(one.activation, count)) for one in self.emg]
         return Targets(tuple(knees), tuple(emg))
 
-    def calibrated(self, activation: np.ndarray) -> Targets:
-        """Return the targets with EMG calibrated by the activations (T, M) of recruitment without it, and remarks."""
-        emg = tuple(one.calibrated(activation[:, one.muscle]) for one in self.emg)
+    def calibrated(self, activation: np.ndarray, programme: Programme) -> Targets:
+        """Return the targets with EMG whose scales and deviations follow from the moments, and remarks.
+
+        Muscles without EMG have the activations (T, M) of recruitment without EMG. The scales s of the channels are
+        those with which all muscles together produce the moments of `programme` best, as least squares with the prior
+        of `EmgTarget.scaled_to`. The deviation is larger the less a channel is like its activation without EMG, and its
+        moments are like those that the other muscles leave.
+        """
+        free = [k for k, one in enumerate(self.emg) if not one.has_scale]
+        if not free:
+            return self
+        emg = [one if one.has_scale else one.scaled_to(activation[:, one.muscle]) for one in self.emg]
+        known = np.all(np.isfinite(activation), axis=1)
+        matrix, right = programme.matrix[known][..., : activation.shape[1]], programme.right[known]
+        own, counts = activation[known], np.bincount([one.muscle for one in emg], minlength=activation.shape[1])
+        shares = [matrix[..., one.muscle] * (one.activation[known, None] / counts[one.muscle]) for one in emg]
+        rest = right - products(matrix, np.where(counts > 0, 0.0, own))
+        rest = rest - sum((share for one, share in zip(self.emg, shares, strict=True) if one.has_scale), start=0.0)
+        size = np.maximum(MOMENTS * np.sqrt(np.mean(rest * rest, axis=0)), 1e-9 * np.max(programme.size))
+        weigh = np.sqrt(INDEPENDENT / len(rest)) / size
+        columns, wanted = np.stack([(shares[k] * weigh).ravel() for k in free], axis=1), (rest * weigh).ravel()
+        normal = product(columns.T, columns) + np.eye(len(free)) / SCALES**2
+        factors = least_norms(normal[None], (product(columns.T, wanted) + 1.0 / SCALES**2)[None], 0.0)[0]
+        factors = np.clip(factors, 0.2, 5.0)
+        left = wanted - product(columns, factors)
         remarks = list(self.remarks)
-        for one in () if remarks else emg:
-            if (follows := correlation(one.activation, activation[:, one.muscle])) < FOLLOWS:
+        for k, column, factor in zip(free, columns.T, factors.tolist(), strict=True):
+            one = emg[k]
+            acts, alike = column != 0, correlation(one.activation, activation[:, one.muscle])
+            changes = (np.where(acts, x, 0.0).reshape(right.shape) for x in (factor * column, left))
+            mine, lacks = (x - np.mean(x, axis=0) for x in changes)
+            follows = max(alike, correlation(mine.ravel(), (mine + lacks).ravel()), 1e-9)
+            spread = min(DISAGREES * (1.0 - follows) / follows, MOST_DISAGREES)
+            spread = float(np.hypot(spread, LEAST_DEVIATION) * np.sqrt(counts[one.muscle]))
+            values = np.minimum(factor * one.activation, 1.0)
+            emg[k] = replace(one, activation=values, has_scale=True, spread=spread)
+            if alike < FOLLOWS:
                 why = (
-                    f"does not follow the activation that the moments of the joints need (correlation {follows:.2f}), "
-                    f"so that its activations count with a standard deviation of {one.spread:.2g}"
+                    f"does not follow the activation that the moments of the joints need (correlation {alike:.2f}), "
+                    f"so that its activations count with a standard deviation of {spread:.2g}"
                 )
-                remarks.append((one, why))
-        return replace(self, emg=emg, remarks=tuple(remarks))
+                remarks.append((emg[k], why))
+        return replace(self, emg=tuple(emg), remarks=tuple(remarks))
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:
