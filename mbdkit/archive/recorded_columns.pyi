@@ -220,9 +220,9 @@ class Knees(View, of="knees"):
     compression: np.ndarray
     """force along the shank; with error bars, the median of its distribution; nan if not computed, (T,), N"""
     compression_lower: np.ndarray
-    """how far the true compression may lie below with a probability of 97.5 %, nan where unknown, (T,), N"""
+    """how far the true compression may lie below, with a probability of 97.5 %; nan where unknown, (T,), N"""
     compression_upper: np.ndarray
-    """how far the true compression may lie above with a probability of 97.5 %, nan where unknown, (T,), N"""
+    """how far the true compression may lie above, with a probability of 97.5 %; nan where unknown, (T,), N"""
 
 class Loads(View, of="loads"):
     force: np.ndarray

@@ -2,8 +2,8 @@
 
 Persons are those of `drawn_persons`, but their activations are not those of recruitment: they follow targets that
 differ from it by a factor, the exponential of a Gaussian process in time with the standard deviation 0.3, and by
-co-contraction, the magnitude of another one with 0.08. Their EMG is 70 ms early and has a coefficient of variation of
-0.3; a third result has noise in its place.
+co-contraction, the magnitude of another one with 0.08. Their EMG is 70 ms early, has a coefficient of variation of 0.3
+and an unknown scale; a third result has noise in its place.
 """
 
 from __future__ import annotations
@@ -29,10 +29,16 @@ FACTOR, TOGETHER, NOISE, DEVIATION, EARLY = 0.3, 0.08, 0.3, 0.4, 0.07
 time from EMG to force [s]."""
 
 
-def _with_emg(data: dict[str, Any], emg: dict[str, Array], deviation: float, delay: float = EARLY) -> dict[str, Any]:
+def _with_emg(
+    data: dict[str, Any],
+    emg: dict[str, Array],
+    deviation: float,
+    delay: float = EARLY,
+    scale: float | str = "estimated",
+) -> dict[str, Any]:
     """Return a spec with columns (T,) of EMG by muscle."""
     motion = {**data["motion"], "data": {**data["motion"]["data"], **{f"emg_{name}": x for name, x in emg.items()}}}
-    channels = {name: {"column": f"emg_{name}", "deviation": deviation, "delay": delay} for name in emg}
+    channels = {name: {"column": f"emg_{name}", "deviation": deviation, "delay": delay, "scale": scale} for name in emg}
     return {**data, "motion": motion, "emg": channels}
 
 
@@ -47,7 +53,7 @@ def _truth(person: Drawn, random: np.random.Generator) -> Run:
     }
     data, recruitment = json.loads(person.truth.canonical_json()), person.truth.recruitment
     assert recruitment is not None
-    spec = load_inverse_spec(_with_emg({**data, "recruitment": {"reserves": 1.0}}, targets, 0.05, 0.0))
+    spec = load_inverse_spec(_with_emg({**data, "recruitment": {"reserves": 1.0}}, targets, 0.05, 0.0, 1.0))
     return forces_of(spec.model_copy(update={"recruitment": recruitment}))
 
 
@@ -66,7 +72,7 @@ def emg(console: Console, count: int = 20, seed: int = 76) -> None:
                     scatter, noise = (_walker().skin(random)[:, 0] for _ in range(2))
                     at = np.asarray(truth.time)
                     own = np.interp(at + EARLY, at, muscle.activation)
-                    channels["EMG"][name] = np.clip(own * np.exp(NOISE * scatter), 0.0, 1.0)
+                    channels["EMG"][name] = own * np.exp(NOISE * scatter + random.standard_normal())
                     channels["noise"][name] = np.clip(0.02 + 0.15 * np.abs(noise), 0.0, 1.0)
                 found = {key: mbdkit.inverse(_with_emg(measured, own, DEVIATION)) for key, own in channels.items()}
         except MbdkitError as error:

@@ -32,6 +32,11 @@ def _of_knees(column: int, name: str, text: str, unknown: str) -> Recorded:
     return Recorded(name, _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column], charts=(chart,))
 
 
+def _bar_of_knees(column: int, side: str, way: str) -> Recorded:
+    what = f"how far the true compression may lie {way}, with a probability of 97.5 %; nan where unknown"
+    return Recorded(f"compression_{side}", _TN, "N", what, take=lambda s: s.handles["knees"][:, :, column])
+
+
 # fmt: off
 MOTION = quantity_group(
     "motion",
@@ -103,10 +108,8 @@ KNEES = quantity_group(
     _of_knees(1, "medial_force", "in the medial compartment", "if frontal moments are not known"),
     _of_knees(2, "lateral_force", "in the lateral compartment", "if frontal moments are not known"),
     _of_knees(3, "compression", "along the shank; with error bars, the median of its distribution", "if not computed"),
-    *(Recorded(f"compression_{side}", _TN, "N",
-        f"how far the true compression may lie {way} with a probability of 97.5 %, nan where unknown",
-        take=lambda s, column=column: s.handles["knees"][:, :, column])
-        for column, side, way in ((4, "lower", "below"), (5, "upper", "above"))),
+    _bar_of_knees(4, "lower", "below"),
+    _bar_of_knees(5, "upper", "above"),
     optional=True, word="knees", one="knee", example="medial_force", axis="knee", is_optional=True,
     may_be_unknown=True,
 )

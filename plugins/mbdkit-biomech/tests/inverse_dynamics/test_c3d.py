@@ -14,6 +14,7 @@ from tests.inverse_dynamics.measured_pendulum import pendulum
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 
 ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed: pip install mbdkit[c3d]")
@@ -266,3 +267,18 @@ def test_a_header_that_announces_too_many_samples_takes_no_memory(tmp_path: Path
     (tmp_path / "walk.c3d").write_bytes(content)
     with pytest.raises(SpecError):
         read_table(tmp_path / "walk.c3d", "motion.file")
+
+
+def test_analog_channels_are_read_at_their_own_rate(tmp_path: Path) -> None:
+    random, samples, frames = np.random.default_rng(4), 10, 20
+    zero = np.zeros((frames * samples, 3))
+    one = plate(2, zero, zero, zero, np.zeros(3))
+    one.channels[:] = random.standard_normal(one.channels.shape)
+    markers = {"TOE": 1000.0 * np.stack([np.cos(ANGLE), np.sin(ANGLE), 0 * ANGLE], axis=1)}
+    (path := tmp_path / "emg.c3d").write_bytes(c3d_bytes(markers, 100.0, Convention(first_frame=5), [one], samples))
+    table = read_c3d(path, 10**6, channels=True)
+    assert table is not None
+    assert table.headings == ["time", *(f"ch{k}" for k in range(6))]
+    np.testing.assert_allclose(table.column("time", "emg"), 0.04 + np.arange(frames * samples) / 1000.0, rtol=1e-6)
+    np.testing.assert_allclose(table.column("ch4", "emg"), one.channels[:, 4], rtol=0, atol=1e-4)
+    assert read_c3d(path, 100, channels=True) is None

@@ -79,7 +79,7 @@ def path_length(flexion: np.ndarray) -> np.ndarray:
 
 def scatter(flexion: np.ndarray) -> np.ndarray:
     """Return the standard deviation (T,) of the lever arm between persons and sources [m]."""
-    return lever_arm(flexion) * np.interp(flexion, FLEXION, SCATTER)
+    return np.asarray(lever_arm(flexion) * np.interp(flexion, FLEXION, SCATTER))
 
 
 def scatter_of_length(flexion: np.ndarray) -> np.ndarray:

@@ -226,15 +226,16 @@ class Changer:
     def _recruiter(self, problem: InverseProblem, change: Change) -> Recruiter:
         asked = self.problem.recruiter.asked  # type: ignore[union-attr]
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
-        targets, own = self.problem.recruiter.targets, list(problem.names.mechanism.muscles)  # type: ignore[union-attr]
+        own, recruited = list(problem.names.mechanism.muscles), self.result.recruited
+        assert recruited is not None
+        targets = recruited.targets
         targets = targets.changed(
             [change.get(("across", one.joint), 0.0) for one in targets.knees],
             [factor(change, "emg", own[one.muscle]) for one in targets.emg],
         )
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators, targets)
-        shared = {(knee, phase): own for knee, phase, own in shared_activations(self.problem)}
-        own = [change[place] * shared[place[1:]] for place in change if place[0] == "cocontraction"]
-        recruiter.floor = sum(own, start=0.0)
+        for knee, phase, share in shared_activations(self.problem):
+            recruiter.floor = recruiter.floor + change.get(("cocontraction", knee, phase), 0.0) * share
         recruiter.late = change.get(("muscle_delay",), 0.0)
         muscles = {}
         for name, muscle in recruiter.muscles.items():

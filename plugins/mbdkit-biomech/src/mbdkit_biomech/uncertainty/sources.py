@@ -214,8 +214,10 @@ class _Sources:
 
     def _of_muscles(self) -> Iterator[UncertainScalar]:
         recruiter = self.problem.recruiter
-        keys = ("max_force", "optimal_length", "tendon_length", "muscle_points", "muscle_delay", "exponent", "minimum")
-        keys += ("extensor_arm", "cocontraction")
+        keys = (
+            *("max_force", "optimal_length", "tendon_length", "muscle_points", "muscle_delay", "exponent", "minimum"),
+            *("extensor_arm", "cocontraction"),
+        )
         if recruiter is None:
             for key in keys:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")

@@ -76,13 +76,14 @@ class _Columns(NamedTuple):
     remark: str = ""
 
 
-def read_c3d(path: Path, most_cells: int) -> MeasuredTable | None:
+def read_c3d(path: Path, most_cells: int, *, channels: bool = False) -> MeasuredTable | None:
     """Read the points and force plates of a C3D file; None if they have more cells than `most_cells`.
 
     Forces and torques of plates are those in the file, in the frame of the laboratory. They are given at the times of
     the camera frames or, in files without markers, at all samples. If the file names frames in which plates are
     unloaded (FORCE_PLATFORM:ZERO), the mean force and moment in these frames are subtracted. Forces and torques are set
-    to zero where the plate is unloaded (`UNLOADED`).
+    to zero where the plate is unloaded (`UNLOADED`). With `channels`, the table has the analog channels by their labels
+    instead, at their own rate.
 
     Raises
     ------
@@ -100,7 +101,15 @@ def read_c3d(path: Path, most_cells: int) -> MeasuredTable | None:
         columns = Path(folder) / "columns.npz"
         places = [*map(str, sys.path)]
         program = f"import sys; sys.path[:] = {places!r}; from {__name__} import write_columns; write_columns()"
-        command = [sys.executable, "-c", program, str(path.absolute()), str(columns), str(most_cells)]
+        command = [
+            sys.executable,
+            "-c",
+            program,
+            str(path.absolute()),
+            str(columns),
+            str(most_cells),
+            str(int(channels)),
+        ]
         alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # whose threads take address space
         none = subprocess.DEVNULL
         try:
@@ -121,14 +130,14 @@ def write_columns() -> None:
     """Write the columns of a C3D file, or the reason why there are none, to an archive of NumPy; this is the program of
     the process that reads the file, with the arguments of the command line.
     """
-    path, target, most_cells = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    path, target, most_cells, channels = Path(sys.argv[1]), sys.argv[2], *map(int, sys.argv[3:])
     with suppress(ImportError, OSError, ValueError):  # Windows and macOS have no such limit
         import resource
 
         most = MEMORY[0] + MEMORY[1] * path.stat().st_size
         resource.setrlimit(resource.RLIMIT_AS, (most, most))
     try:
-        columns = _columns_of(path, most_cells)
+        columns = _columns_of(path, most_cells, channels=bool(channels))
         about = {} if columns is None else columns._asdict()
     except SpecError as error:
         about = {"error": error.message}
@@ -142,16 +151,16 @@ def _unreadable(path: Path, why: str) -> SpecError:
     return SpecError(f"this is not a C3D file that can be read: {why}", file=path)
 
 
-def _columns_of(path: Path, most_cells: int) -> _Columns | None:
+def _columns_of(path: Path, most_cells: int, *, channels: bool) -> _Columns | None:
     try:
-        return _decoded(path, most_cells)
+        return _decoded(path, most_cells, channels=channels)
     except KeyError as error:
         raise _unreadable(path, f"it has no {shown(str(error))}") from None
     except (OSError, RuntimeError, ValueError, IndexError, TypeError, MemoryError, struct.error) as error:
         raise _unreadable(path, shown(str(error) or type(error).__name__)) from None
 
 
-def _decoded(path: Path, most_cells: int) -> _Columns | None:
+def _decoded(path: Path, most_cells: int, *, channels: bool) -> _Columns | None:
     import ezc3d
 
     remark = ""
@@ -162,6 +171,8 @@ def _decoded(path: Path, most_cells: int) -> _Columns | None:
         except RuntimeError as error:
             file = ezc3d.c3d(str(readable))  # the file is valid, but the description of its plates is not
             remark = f"its force plates cannot be read: {shown(' '.join(str(error).split()))}"
+    if channels:
+        return _channels(file, most_cells)
     points = file["data"]["points"]  # (4, markers, frames)
     if points.size > most_cells:
         return None
@@ -203,6 +214,19 @@ def _decoded(path: Path, most_cells: int) -> _Columns | None:
             values += list(columns)
     places = [heading for heading in headings[1:] if heading and ".force." not in heading and ".torque." not in heading]
     return _Columns(headings, np.column_stack(values), dict.fromkeys(places, unit) if unit else {}, remark)
+
+
+def _channels(file: Any, most_cells: int) -> _Columns | None:
+    """Return the analog channels at their times; their constant offsets may be wrong, see `_has_negative_offsets`."""
+    samples, about, header = file["data"]["analogs"][0], file["parameters"]["ANALOG"], file["header"]["points"]
+    if samples.size > most_cells:
+        return None
+    rate, first = float(about["RATE"]["value"][0]), int(header["first_frame"]) / float(header["frame_rate"])
+    if not rate > 0:
+        raise ValueError(f"its analog channels have a rate of {rate:g} Hz")
+    labels = [str(label).strip() for name, one in about.items() if name.startswith("LABELS") for label in one["value"]]
+    labels = [*labels, *[""] * len(samples)][: len(samples)]
+    return _Columns(["time", *labels], np.column_stack([first + np.arange(samples.shape[1]) / rate, *samples]), {})
 
 
 def _has_negative_offsets(about: Any) -> bool:

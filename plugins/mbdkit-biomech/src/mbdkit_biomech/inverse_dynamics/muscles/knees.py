@@ -16,7 +16,7 @@ Inverse: TypeAlias = Any  #: Class of `mbdkit_biomech.inverse_dynamics.compute`,
 
 def left_out_of_recruitment(result: Inverse) -> list[str]:
     """Return sentences on actuators without muscles, on knees that bend farther than the data of patellas, and on
-    channels of EMG that count as noise and are not used.
+    channels of EMG that disagree with recruitment.
     """
     recruiter, recruited, found = result.problem.recruiter, result.recruited, []
     if recruiter is None or recruited is None:
@@ -38,8 +38,7 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
     ]
     names = list(recruiter.muscles)
     return found + [
-        f"the EMG of {names[one.muscle]} (column '{cited(one.column)}') {why}"
-        for one, why in recruited.targets.left_out
+        f"the EMG of {names[one.muscle]} (column '{cited(one.column)}') {why}" for one, why in recruited.targets.remarks
     ]
 
 

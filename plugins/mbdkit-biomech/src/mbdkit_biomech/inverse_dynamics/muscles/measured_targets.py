@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from mbdkit.base.errors import SpecError
@@ -11,8 +9,9 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.cited_text import cited
+from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
-from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
+from mbdkit_biomech.inverse_dynamics.files.table_files import MOST_CELLS, read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of, with_gaps_bridged
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments, EmgTarget, Targets
@@ -21,13 +20,10 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 
 ENVELOPE = Butterworth(name="butterworth", cutoff=6.0)  #: Filter of a rectified raw signal.
 
-#: A signal is raw if its most negative value exceeds this share of its largest one; filters make envelopes slightly
-#: negative.
-RAW = 0.1
+#: A signal is raw if this filter removes more than this share of its variance.
+RAW = 0.5
 
-VOLTS = re.compile(r"[\[(]\s*[mun\u00b5\u03bc]?V\s*[\])]")  #: A voltage as the unit of a column.
-
-#: Largest activation of a channel without `maximum` from which its unit is wrong, and largest possible activation.
+#: Largest activation of a channel with a stated scale from which its unit is wrong, and largest possible activation.
 AT_REST, MOST = 0.01, 1.5
 
 
@@ -43,12 +39,24 @@ def measured_targets(spec: InverseSpec, names: QuantityNames, time: np.ndarray) 
     asked = {name: one if isinstance(one, Emg) else Emg(column=one) for name, one in spec.emg.items()}
     with spec.recording_files():
         tables = {file: _emg_table(spec, file) for file in dict.fromkeys(one.file for one in asked.values())}
-    emg = [_channel(name, own, names, tables[own.file], spec, time) for name, own in asked.items()]
+    emg = [
+        _channel(name, own, column, names, tables[own.file], spec, time)
+        for name, own in asked.items()
+        for column in own.columns
+    ]
     return Targets(_knees(spec, names, time), tuple(emg))
 
 
 def _emg_table(spec: InverseSpec, file: str | None) -> tuple[MeasuredTable, np.ndarray]:
-    """Return the table of a file with EMG, or that of the motion, and its times."""
+    """Return the table of a file with EMG, or that of the motion, and its times; the channels of a C3D file."""
+    own = file or spec.motion.file
+    if own is not None and own.lower().endswith(".c3d"):
+        table = read_c3d(spec.folder / own, MOST_CELLS, channels=True)
+        if table is None:
+            raise SpecError(
+                "its analog channels have too many samples: export those of the muscles to a table", key="emg"
+            )
+        return table, times_of(table, TimeColumn(), "emg")
     if file is not None:
         table = read_table(spec.folder / file, "emg")
         return table, times_of(table, TimeColumn(), "emg")
@@ -84,6 +92,7 @@ def _knees(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> tuple[C
 def _channel(
     name: str,
     asked: Emg,
+    column: str,
     names: QuantityNames,
     source: tuple[MeasuredTable, np.ndarray],
     spec: InverseSpec,
@@ -92,32 +101,30 @@ def _channel(
     muscles, key, (table, at) = list(names.mechanism.muscles), f"emg.{quoted(name)}", source
     if name not in muscles:
         raise SpecError(f"is no muscle of the model{did_you_mean(name, muscles)}", key=key)
-    values = table.column(asked.column, f"{key}.column")
+    values = table.column(column, f"{key}.column")
     if not at[0] <= time[0] <= time[-1] <= at[-1]:
         raise SpecError(
             f"lasts from {at[0]:.6g} to {at[-1]:.6g} s, but the motion from {time[0]:.6g} to {time[-1]:.6g} s",
             key=f"{key}.file",
         )
     rows = np.flatnonzero((at >= time[0] - asked.delay) & (at <= time[-1]))
-    at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, asked.column, rows))
-    is_raw = -np.min(values) > RAW * np.max(values)
-    volts = VOLTS.search(f"{asked.column} ({table.unit(asked.column)})")
-    if asked.maximum is None and (is_raw or volts):
-        what = "is a raw signal, which has negative values" if is_raw else "is a voltage"
-        raise SpecError(
-            f"is missing: column '{cited(asked.column)}' {what}, and is no activation between 0 and 1; give the "
-            "envelope in a maximal contraction, in the unit of the column",
-            key=f"{key}.maximum",
-        )
-    if is_raw:
-        values = low_passed(at, np.abs(values - np.mean(values))[:, None], ENVELOPE)[:, 0]
-    values = np.interp(time - asked.delay, at, np.maximum(values, 0.0)) / (asked.maximum or 1.0)
+    at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, column, rows))
+    centred, is_fast = values - np.mean(values), np.median(np.diff(at)) < 0.25 / ENVELOPE.cutoff
+    if is_fast and np.var(centred - low_passed(at, centred[:, None], ENVELOPE)[:, 0]) > RAW * np.var(values):
+        values = low_passed(at, np.abs(centred)[:, None], ENVELOPE)[:, 0]
+    has_scale = asked.scale != "estimated"
+    values = np.interp(time - asked.delay, at, np.maximum(values, 0.0)) * (asked.scale if has_scale else 1.0)
     largest = float(np.max(values))
-    if largest > MOST or (asked.maximum is None and largest < AT_REST):
-        stated = "its" if asked.maximum else "1, which is its default"
+    if not largest > 0:
+        raise SpecError(f"column '{cited(column)}' has no signal during the motion", key=f"{key}.column")
+    if has_scale and not AT_REST <= largest <= MOST:
         raise SpecError(
-            f"is up to {largest:.3g} times {stated} `maximum`, the envelope in a maximal contraction: give "
-            "`maximum` in the unit of the column",
-            key=f"{key}.maximum",
+            f"gives activations of up to {largest:.3g} (from {AT_REST:g} to {MOST:g} are possible): it should be 1 "
+            "divided by the envelope in a maximal contraction, in the unit of the column; leave it out if this is not "
+            "known",
+            key=f"{key}.scale",
         )
-    return EmgTarget(muscles.index(name), np.minimum(values, 1.0), asked.deviation, asked.column)
+    deviation = asked.deviation * len(asked.columns) ** 0.5  # channels of a muscle count as one together
+    return EmgTarget(
+        muscles.index(name), np.minimum(values, 1.0) if has_scale else values, deviation, column, has_scale
+    )

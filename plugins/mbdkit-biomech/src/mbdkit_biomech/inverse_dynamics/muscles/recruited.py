@@ -65,7 +65,7 @@ class Recruited:
     contraction, sharing, shared
         The muscles, the programmes that determine their shares, and the solution.
     targets
-        Soft targets, without channels of EMG that count as noise.
+        Soft targets, with EMG that recruitment has calibrated.
     activation, force, power
         (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
     beside

@@ -210,7 +210,7 @@ class Recruiter:
         failed = ~np.isfinite(shared.certificate)
         if strict and failed.any():
             raise self._impossible(sharing, motion.time, failed)
-        targets = self.targets.without_noise(shared.value)
+        targets = self.targets.calibrated(shared.value[:, : len(self.muscles)], sharing.programme)
         if targets:
             soft = targets.soft(axial(own.pull), own.capacity, own.passive)
             programme, shared = share_softly(sharing.programme, self.exponent, soft)

@@ -17,15 +17,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.linear_systems import products
+from mbdkit.base import elementary
+from mbdkit.engine.linear_systems import least_norms, product, products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import Shared, share_loads
 
 LEAST_DEVIATION = 0.03  #: Smallest standard deviation of an activation by EMG: that of a muscle at rest.
 
-#: A channel of EMG counts as noise if its correlation with the activation that recruitment finds without EMG is
-#: smaller, and as one in another unit if its largest value is a smaller share of the largest one of that activation.
-FOLLOWS, LEAST_SHARE = 0.5, 0.1
+#: Deviation [1] that a channel has in addition for a correlation of 0.5 with the activation that recruitment finds
+#: without EMG: it is this times (1 - correlation) / correlation, up to the second number.
+DISAGREES, MOST_DISAGREES = 0.3, 10.0
+
+FOLLOWS = 0.5  #: Correlation below which a channel is named.
+
+#: Prior of the largest activation in a trial, and the standard deviation of its logarithm; mean peaks in walking are
+#: 0.05 to 0.42 (M. O. Ericson et al., Scand. J. Rehabil. Med. 18 (1986) 159-163).
+USUAL_PEAK, PEAKS = 0.2, 1.0
+
+STRENGTH = (
+    0.28  #: Standard deviation of the logarithm of a scale by the strength of a muscle, which scales activations.
+)
+
+#: Standard deviations of scales about those of `EmgTarget.scaled_to`, as a share, and of moments by EMG, as a share of
+#: their root mean square.
+SCALES, MOMENTS = 0.7, 0.3
+
+INDEPENDENT = 10.0  #: Number of independent samples in the EMG of a trial.
 
 
 @dataclass(frozen=True)
@@ -44,12 +61,31 @@ class Compartments:
 
 @dataclass(frozen=True)
 class EmgTarget:
-    """Activations (T,) of a muscle by its EMG, with their relative standard deviation."""
+    """Activations (T,) of a muscle by its EMG, with their relative standard deviation, and one that does not depend on
+    their size.
+    """
 
     muscle: int
     activation: np.ndarray
     deviation: float
     column: str = ""
+    has_scale: bool = True  #: Whether the scale of the activations is known.
+    spread: float = LEAST_DEVIATION
+
+    def scaled_to(self, activation: np.ndarray) -> EmgTarget:
+        """Return the target with the scale that activations (T,) of recruitment without EMG show.
+
+        The scale is the mean of that of least squares and of that with the largest activation `USUAL_PEAK`, both as
+        logarithms, weighted by their variances.
+        """
+        own, known = self.activation, np.isfinite(activation)
+        square, both = float(np.sum(own[known] ** 2)), float(np.sum((own * activation)[known]))
+        usual = USUAL_PEAK / float(np.max(own))
+        fitted = both / square if both > 0 else usual
+        left = float(np.sum((fitted * own - activation)[known] ** 2)) / (fitted**2 * square)
+        weight = 1.0 / (left / INDEPENDENT + STRENGTH**2), 1.0 / PEAKS**2
+        share = weight[0] / sum(weight)
+        return replace(self, activation=float(elementary.pow(fitted, share) * elementary.pow(usual, 1.0 - share)) * own)
 
 
 class Axial(NamedTuple):
@@ -77,7 +113,7 @@ class Targets:
 
     knees: tuple[Compartments, ...] = ()
     emg: tuple[EmgTarget, ...] = ()
-    left_out: tuple[tuple[EmgTarget, str], ...] = ()  #: Channels that are not used, and why.
+    remarks: tuple[tuple[EmgTarget, str], ...] = ()  #: Channels that disagree with recruitment, and how.
 
     def __bool__(self) -> bool:
         return bool(self.knees or self.emg)
@@ -112,7 +148,7 @@ class Targets:
             matrix[:, k, channel.muscle] = 1.0
             value = np.repeat(channel.activation, rows // len(channel.activation))
             right[:, k] = value * (gains[k - len(self.knees)] if gains else 1.0)
-            deviation[:, k] = np.hypot(channel.deviation * value, LEAST_DEVIATION)
+            deviation[:, k] = np.hypot(channel.deviation * value, channel.spread)
         return SoftTargets(matrix, right, deviation, np.arange(right.shape[1]) < len(self.knees))
 
     def changed(self, shifts: Sequence[float], gains: Sequence[float]) -> Targets:
@@ -127,25 +163,49 @@ class Targets:
         emg = [replace(one, activation=np.tile(one.activation, count)) for one in self.emg]
         return Targets(tuple(knees), tuple(emg))
 
-    def without_noise(self, activation: np.ndarray) -> Targets:
-        """Return the targets without channels that contradict the activations (T, M) of recruitment without EMG."""
-        whys = [_contradiction(one.activation, activation[:, one.muscle]) for one in self.emg]
-        pairs = list(zip(self.emg, whys, strict=True))
-        kept = tuple(one for one, why in pairs if not why)
-        return replace(self, emg=kept, left_out=tuple(pair for pair in pairs if pair[1]))
+    def calibrated(self, activation: np.ndarray, programme: Programme) -> Targets:
+        """Return the targets with EMG whose scales and deviations follow from the moments, and remarks.
 
-
-def _contradiction(emg: np.ndarray, activation: np.ndarray) -> str:
-    """Return why a channel (T,) is not used beside an activation (T,); empty if it is."""
-    if correlation(emg, activation) < FOLLOWS:
-        why = f"does not follow the activation that the moments of the joints need (correlation below {FOLLOWS:g}), so "
-        return why + "that it counts as noise and is not used"
-    largest, most = np.nanmax(emg), np.nanmax(activation)
-    if largest < LEAST_SHARE * most:
-        why = f"is at most {largest:.2g}, while the moments of the joints need an activation of up to {most:.2g}, so "
-        why += "that it seems to have another unit, such as V, and is not used: give `maximum`, the envelope in a "
-        return why + "maximal contraction, in the unit of the column"
-    return ""
+        Muscles without EMG have the activations (T, M) of recruitment without EMG. The scales s of the channels are
+        those with which all muscles together produce the moments of `programme` best, as least squares with the prior
+        of `EmgTarget.scaled_to`. The deviation is larger the less a channel is like its activation without EMG, and its
+        moments are like those that the other muscles leave.
+        """
+        free = [k for k, one in enumerate(self.emg) if not one.has_scale]
+        if not free:
+            return self
+        emg = [one if one.has_scale else one.scaled_to(activation[:, one.muscle]) for one in self.emg]
+        known = np.all(np.isfinite(activation), axis=1)
+        matrix, right = programme.matrix[known][..., : activation.shape[1]], programme.right[known]
+        own, counts = activation[known], np.bincount([one.muscle for one in emg], minlength=activation.shape[1])
+        shares = [matrix[..., one.muscle] * (one.activation[known, None] / counts[one.muscle]) for one in emg]
+        rest = right - products(matrix, np.where(counts > 0, 0.0, own))
+        rest = rest - sum((share for one, share in zip(self.emg, shares, strict=True) if one.has_scale), start=0.0)
+        size = np.maximum(MOMENTS * np.sqrt(np.mean(rest * rest, axis=0)), 1e-9 * np.max(programme.size))
+        weigh = np.sqrt(INDEPENDENT / len(rest)) / size
+        columns, wanted = np.stack([(shares[k] * weigh).ravel() for k in free], axis=1), (rest * weigh).ravel()
+        normal = product(columns.T, columns) + np.eye(len(free)) / SCALES**2
+        factors = least_norms(normal[None], (product(columns.T, wanted) + 1.0 / SCALES**2)[None], 0.0)[0]
+        factors = np.clip(factors, 0.2, 5.0)
+        left = wanted - product(columns, factors)
+        remarks = list(self.remarks)
+        for k, column, factor in zip(free, columns.T, factors.tolist(), strict=True):
+            one = emg[k]
+            acts, alike = column != 0, correlation(one.activation, activation[:, one.muscle])
+            changes = (np.where(acts, x, 0.0).reshape(right.shape) for x in (factor * column, left))
+            mine, lacks = (x - np.mean(x, axis=0) for x in changes)
+            follows = max(alike, correlation(mine.ravel(), (mine + lacks).ravel()), 1e-9)
+            spread = min(DISAGREES * (1.0 - follows) / follows, MOST_DISAGREES)
+            spread = float(np.hypot(spread, LEAST_DEVIATION) * np.sqrt(counts[one.muscle]))
+            values = np.minimum(factor * one.activation, 1.0)
+            emg[k] = replace(one, activation=values, has_scale=True, spread=spread)
+            if alike < FOLLOWS:
+                why = (
+                    f"does not follow the activation that the moments of the joints need (correlation {alike:.2f}), "
+                    f"so that its activations count with a standard deviation of {spread:.2g}"
+                )
+                remarks.append((emg[k], why))
+        return replace(self, emg=tuple(emg), remarks=tuple(remarks))
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from mbdkit.archive.headlines import EXACT, JOINTS_NAMED, Headline, largest_of, 
 from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few
-from mbdkit.base.text import Bar, counted, plus_minus
+from mbdkit.base.text import counted, plus_minus
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
 
@@ -45,9 +45,9 @@ def _compressions(run: Run) -> str:
     texts = []
     for name, knee in run.knees.items():
         row = int(np.argmax(np.nan_to_num(knee.compression)))
-        bar = Bar(float(knee.compression_lower[row]), float(knee.compression_upper[row]))
+        bar = (float(knee.compression_lower[row]), float(knee.compression_upper[row]))
         value = float(knee.compression[row])
-        number = plus_minus(value, bar) if bar.is_known else f"{value:.4g}"
+        number = plus_minus(value, bar) if np.isfinite(sum(bar)) else f"{value:.4g}"
         parts = (f"{side} {getattr(knee, f'{side}_force')[row]:.4g}" for side in ("medial", "lateral"))
         more = f" ({', '.join(parts)})" if np.isfinite(knee.medial_force[row]) else ""
         texts.append(f"{name} {number} N at {run.time[row]:.4f} s{more}")

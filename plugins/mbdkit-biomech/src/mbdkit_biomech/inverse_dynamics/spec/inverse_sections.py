@@ -411,22 +411,36 @@ class Frontal(Section):
 
 
 class Emg(Section):
-    """A column with the EMG of a muscle."""
+    """Columns with the EMG of a muscle."""
 
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("maximum", "file")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("column", "channels", "file")
 
-    column: Annotated[str, Field(min_length=1)]
-    """Heading of the column: an envelope, or a raw signal, which also has negative values and is rectified and filtered
-    at 6 Hz."""
+    column: Annotated[str, Field(min_length=1)] | None = None
+    """Heading of the column, or name of the analog channel of a C3D file: an envelope, or a raw signal, which is
+    rectified about its mean and filtered at 6 Hz."""
+    channels: Annotated[list[Annotated[str, Field(min_length=1)]], Field(min_length=1)] | None = None
+    """Several columns or channels of this muscle, instead of `column`."""
     file: Named | None = None
-    """Table with this column and `time` [s], at any rate; by default, that of the motion."""
-    maximum: Positive | None = None
-    """Envelope in a maximal contraction, in the unit of the column; by default, the column is divided by it already."""
+    """C3D file, or table with these columns and `time` [s], at any rate; by default, that of the motion."""
+    scale: Literal["estimated"] | Positive = "estimated"
+    """Activation divided by the envelope. If it is not known, it is estimated from the activations that the moments of
+    the joints need, so that no maximal contraction is needed."""
     deviation: Annotated[float, Field(gt=0, le=10)] = 0.4
     """Standard deviation of the activation that the EMG shows, relative to it. The default is 0.3 for the EMG, and 0.28
-    for the strength of the muscle, which scales its activations."""
+    for the strength of the muscle, which scales its activations. Channels with an estimated scale that disagree with
+    the activations have a larger one."""
     delay: Annotated[float, Field(ge=0, le=0.5)] = 0.07
     """Time from the EMG to the force of the muscle [s]."""
+
+    def model_post_init(self, _context: object) -> None:
+        """Raise SpecError unless one of `column` and `channels` is given."""
+        if (self.column is None) == (self.channels is None):
+            raise SpecError("or `channels` is needed, but not both", key="column")
+
+    @property
+    def columns(self) -> list[str]:
+        """Headings of the columns."""
+        return self.channels or [self.column or ""]
 
 
 class Span(Section):
