@@ -63,24 +63,6 @@ class LeastChange:
         keep = (column < self.n) & (values != 0)
         return w.phi[pair, place], (row[keep], column[keep], values[keep]), w.phi_t[pair, place]
 
-    def residuals(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return Phi and ``Phi_q v + Phi_t`` of N states, both (N, m).
-
-        `q`, `v`: (N, n + 3) positions and velocities, ground last.
-        """
-        w = self.scratch
-        pair, place = self.rows[:, 0], self.rows[:, 1]
-        phi, phi_t, jacobian = (np.empty((len(q), *x.shape)) for x in (w.phi, w.phi_t, w.jac))
-        for k in range(len(q)):
-            self._constraints(self.t0, q[k], self._at_rest)
-            phi[k], phi_t[k], jacobian[k] = w.phi, w.phi_t, w.jac
-        entries = jacobian.reshape(len(q), -1, 2, 6)[:, pair, place]
-        products = entries * v[:, self._places[1]].reshape(entries.shape)
-        rates = np.zeros(products.shape[:2])
-        for column in range(6):  # in the order of `rates`, so that results are bitwise equal
-            rates += products[..., column]
-        return phi[:, pair, place], phi_t[:, pair, place] + rates
-
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """(6 m,) row and column of each entry of the Jacobian, including those of ground."""

@@ -119,15 +119,16 @@ def forget() -> None:
     built_in.cache_clear()
 
 
-def checked(loaded: Registry) -> Registry:
+def checked(loaded: Registry, *, whole: bool = True) -> Registry:
     """Return a registry without the items that are wrong, which are failures in it.
 
-    The objects behind the targets of all items are imported and checked.
+    The objects behind the targets of all items are imported and checked; if it is not the `whole` registry, those of
+    items of mbdkit itself are not, which takes seconds.
     """
     from mbdkit.registry.item_options import check_item
 
     wrong: dict[tuple[Kind | None, str], str] = {}
-    for item in loaded.items:
+    for item in loaded.items if whole else (item for item in loaded.items if item.origin.distribution != MBDKIT):
         try:
             check_item(item)
         except PluginError as error:

@@ -9,14 +9,12 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
-from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts, at_starts
-from mbdkit.integrators.interface import Timetable
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
 from mbdkit.integrators.lane_stepper import PivotsAtStart
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.mechanism.size import mechanism_sizes
@@ -26,7 +24,7 @@ from mbdkit.runs.findings import findings
 from mbdkit.runs.integrals import functionals_of
 from mbdkit.runs.lane_group import LaneGroup, LaneMember, PreparedRuns
 from mbdkit.runs.law_ranges import has_ranges, steps_are_rows
-from mbdkit.runs.preparation import guards_of, make_method, timetable
+from mbdkit.runs.preparation import make_method, timetable
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding
 
@@ -91,16 +89,14 @@ def _starts(runs: Sequence[_Compiled | None]) -> Iterator[tuple[int, _Compiled, 
         if run is not None:
             alike[run.compiled].append((place, run))
     for compiled, members in alike.items():
-        mechanisms = [run.spec.mechanism() for _, run in members]
-        starts = at_starts(compiled, mechanisms, [run.spec.time.final for _, run in members])
-        some = [
-            (member, model, start) for member, model, start in zip(members, mechanisms, starts, strict=True) if start
-        ]
+        some = []
+        for place, run in members:
+            with suppress(Exception, SystemExit):
+                some.append((place, run, compiled.at_start(run.spec.mechanism(), run.spec.time.final)))
         if some:
-            sizes = mechanism_sizes(
-                [model for _, model, _ in some], np.stack([start.assembled.q for *_, start in some])
-            )
-            for ((place, run), _, start), size in zip(some, sizes.tolist(), strict=True):
+            positions = np.stack([start.assembled.q for *_, start in some])
+            sizes = mechanism_sizes([run.spec.mechanism() for _, run, _ in some], positions)
+            for (place, run, start), size in zip(some, sizes.tolist(), strict=True):
                 yield place, run, start, size
 
 
@@ -119,9 +115,7 @@ class LaneRuns:
         self.measures = measures
         self._groups: dict[tuple[object, ...], LaneGroup] = {}
         self.starts, self.pivots = starts, PivotsAtStart()
-        self._topology: tuple[CompiledMechanism, tuple[object, ...]] | None = None
         self._settings: tuple[tuple[object, ...], Method | None] | None = None
-        self._table: tuple[tuple[object, ...], Timetable] | None = None
 
     def members(self, specs: Iterable[RunSpec]) -> list[LaneMember | None]:
         """Prepare runs for vectorization; None for a run that has to be computed alone.
@@ -176,30 +170,14 @@ class LaneRuns:
         """Return the `LaneMember` of a run with its initial state; None if it cannot be vectorized."""
         spec, method = run.spec, run.method
         extent, size = size, size or start.mechanism.length
-        table = self._timetable(run, size)
+        table = timetable(spec, size)
         # Quantities of contacts and of plugins' elements are computed from numbers of the mechanism that all runs in a
         # vector would share.
         if start.mechanism.extensions or not suits_lanes(method, start.mechanism, table):
             return None
         pivots = self.pivots.of(method, start, table)
         found = (*run.cautions, *findings("start", spec, start.assembled))
-        return LaneMember(spec, method, start, table, pivots, size, extent, found, self._topology_of(start.mechanism))
-
-    def _timetable(self, run: _Compiled, size: float) -> Timetable:
-        """Return the timetable of a run.
-
-        Apart from the limits of its states, it is that of the run before if only initial states differ.
-        """
-        spec = run.spec
-        depends = run.compiled, spec.time, spec.output, spec.limits, spec.integrator, spec.events, spec.inputs
-        if self._table is None or any(a is not b for a, b in zip(depends, self._table[0], strict=True)):
-            self._table = depends, timetable(spec, None)
-        return replace(self._table[1], guards=guards_of(spec, size))
-
-    def _topology_of(self, mechanism: CompiledMechanism) -> tuple[object, ...]:
-        if self._topology is None or self._topology[0] is not mechanism:
-            self._topology = mechanism, topology_of(mechanism)
-        return self._topology[1]
+        return LaneMember(spec, method, start, table, pivots, size, extent, found, topology_of(start.mechanism))
 
     def finished(self, members: Sequence[LaneMember]) -> Iterator[tuple[list[int], FinishedRuns | None]]:
         """Carry out runs, and yield indices and results of similar runs when they have ended.

@@ -37,7 +37,6 @@ from mbdkit.runs.preparation import (
     check_disk_space,
     make_method,
 )
-from mbdkit.runs.repeated_runs import repeated_run
 from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
 from mbdkit.runs.simulated_run import SimulatedRun
@@ -111,6 +110,8 @@ def run(
     is_shown = progress is None and in_notebook()
     is_plain = type(source) is dict and path is None and progress is None and not (is_shown or call)
     if is_plain and not _LOG.isEnabledFor(logging.INFO):
+        from mbdkit.runs.repeated_runs import repeated_run
+
         again = repeated_run({**source, **sections}, load_spec)  # type: ignore[dict-item]
         if again is not None:
             return again

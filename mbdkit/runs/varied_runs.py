@@ -21,15 +21,18 @@ from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.errors import SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.assembly import assemble_from, search_for
-from mbdkit.engine.compiled_mechanism import with_ground
-from mbdkit.engine.consistent_start import MechanismAtStart, consistent_states, within_double_precision
+from mbdkit.engine.consistent_start import (
+    CompiledForStarts,
+    MechanismAtStart,
+    within_double_precision,
+)
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.redundancy import without_redundancy
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.lane_stepper import VariedStarts
 from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
-from mbdkit.runs.findings import criteria
+from mbdkit.mechanism.size import mechanism_size
+from mbdkit.runs.findings import criteria, findings
 from mbdkit.runs.finish import run_in_memory
 from mbdkit.runs.lane_group import Advanced, LaneGroup, LaneMember, VariedLanes
 from mbdkit.runs.lane_runs import LaneRuns
@@ -41,6 +44,9 @@ TRIES = 3  #: Runs are left to the ordinary way after as many consecutive calls 
 
 #: Arrays of a topology on which neither assembly nor the analysis of redundancy depends.
 OF_FORCES = frozenset({"linear", "law_parameters", "spring_points", "load_points", "marker_points"})
+
+#: Arrays on which the geometry does not depend.
+OF_MOTION = OF_FORCES - {"spring_points"} | {"mass", "weight", "gravity"}
 
 #: Arrays of functions of time and of further constraints.
 OF_MOTIONS = frozenset({"motion_values", "law_parameters"})
@@ -175,7 +181,7 @@ class _Base:
         if varying <= self._of_forces and not moved and self._is_given(stacks):
             starts = replace(starts, q=np.tile(start.q0, (count, 1)), v=np.tile(start.v0, (count, 1)))
             extent, size, tolerance = (np.full(count, x) for x in (first.extent, first.size, np.inf))
-        elif first.findings != self._variant.findings or varying & self._checked:
+        elif varying & self._checked:
             return None
         else:
             extent = stacks.size.ravel()
@@ -190,11 +196,12 @@ class _Base:
         is_shared = np.isinf(tolerance[0])
         if (is_shared or not self.is_assembled) and first.pivots is None:
             return runs
-        return self._assembled(runs, None if is_shared else stacks, lanes)
+        return self._assembled(runs, stacks if self.is_assembled and not is_shared else None, lanes)
 
     def _is_given(self, stacks: Stacks) -> bool:
-        """Return whether all runs have the same initial state before assembly as this one."""
-        return all((x == own).all() for x, own in zip((stacks.q, stacks.v), self._given, strict=True))
+        """Return whether all runs have the same initial state before assembly as this one, to the bit."""
+        states = zip((stacks.q, stacks.v), self._given, strict=True)
+        return all((x.view(np.int64) == own.view(np.int64)).all() for x, own in states)
 
     def _assembled(self, runs: VariedLanes, stacks: Stacks | None, lanes: LaneRuns) -> VariedLanes | None:
         """Return those runs that have starts and pivots like `first`; starts are assembled if `stacks` are given."""
@@ -202,7 +209,7 @@ class _Base:
         for run in range(len(runs)):
             at_start: MechanismAtStart | None = runs.member(run).start
             with suppress(SpecError, SingularSystemError), within_double_precision(), one_thread_of_linear_algebra():
-                if stacks is not None and self.is_assembled:
+                if stacks is not None:
                     at_start = self._start(stacks, run)
                 if at_start is None:
                     continue
@@ -216,40 +223,42 @@ class _Base:
         numbers = {
             name: np.stack([getattr(top, name) for top in tops])
             for name in self._own
-            if any(getattr(top, name) is not getattr(base, name) for top in tops)
+            if any(getattr(top, name).tobytes() != getattr(base, name).tobytes() for top in tops)
         }
         runs = runs.of(kept)
         q, v = (np.stack([getattr(start, name) for start, _ in made]) for name in ("q0", "v0"))
         chosen = [pivots for _, pivots in made if pivots is not None]
         runs.starts = replace(runs.starts, numbers=numbers, q=q, v=v, pivots=chosen)
         runs.assembled = [start.assembled for start, _ in made]
-        runs.tolerance[:] = np.inf if self.is_assembled else runs.tolerance
+        if stacks is not None:
+            runs.tolerance[:] = np.inf
+            for run in np.flatnonzero((q != stacks.q[kept]).any(axis=1)).tolist():  # only masses and forces differ
+                runs.extent[run] = mechanism_size(first.settings.mechanism(), runs.assembled[run].q)
+                runs.size[run] = runs.extent[run] or runs.size[run]
+            runs.starts.limits[:] = first.settings.limits.misalignment * runs.size
+            runs.limit = np.minimum(runs.starts.limits, first.table.guards.angle_misalignment)
         return runs
 
     def _start(self, stacks: Stacks, run: int) -> MechanismAtStart | None:
         """Return the mechanism of a run at its start.
 
-        The result is None if the mechanism differs in more than its numbers, if positions change, or if velocities
-        change that are given, about which there might be warnings.
+        The result is None if the mechanism differs in more than its numbers, or if there might be other warnings about
+        changed positions and velocities.
         """
-        first, compiled = self.member, self._variant.compiled
+        first, compiled, model = self.member, self._variant.compiled, self.member.settings.mechanism()
         arrays = {name: values[run] for name, values in stacks.topology.items()}
         for name, own in self._own.items():
             own[...] = arrays.get(name, getattr(compiled.topology, name))
         self._search.__dict__.pop("reach", None)
         q, v, tolerance = stacks.q[run], stacks.v[run], float(stacks.tolerance[run, 0])
-        (start,) = consistent_states(q[None], v[None], [tolerance], compiled.bodies, self._search)
-        if start is None:
-            given_q, given_v = (x.reshape(-1, 3)[:-1] for x in (q, v))
-            start = assemble_from(first.settings.mechanism(), self._search, given_q, given_v, tolerance)
-            is_given = given_v != 0.0
-            is_given[:, :2] = is_given[:, :2].any(axis=1, keepdims=True)
-            if (start.q != given_q).any() or (start.v != given_v)[is_given].any():
+        given_q, given_v = (x.reshape(-1, 3)[:-1] for x in (q, v))
+        start, found = assemble_from(model, self._search, given_q, given_v, tolerance), self._variant.findings
+        is_given = given_v != 0.0
+        is_given[:, :2] = is_given[:, :2].any(axis=1, keepdims=True)
+        if (start.q != given_q).any() or (start.v != given_v)[is_given].any():
+            if not (stacks.topology.keys() <= OF_MOTION and self._is_given(stacks)):
                 return None
-        q, v = with_ground(start.q), with_ground(start.v)
-        mechanism = compiled.with_numbers(arrays, float(stacks.longest[run, 0]))
-        if self._has_loops:
-            mechanism = without_redundancy(mechanism, first.table.start, q[:-3], v[:-3], first.table.end)
-            if topology_of(mechanism) != first.topology:
-                return None
-        return MechanismAtStart(mechanism, q, v, start)
+            found = *found, *findings("start", first.settings, start)
+        compiled = compiled.with_numbers(arrays, float(stacks.longest[run, 0]))
+        at_start = CompiledForStarts(compiled, self._search, self._has_loops).checked(model, start, first.table.end)
+        return at_start if found == first.findings and topology_of(at_start.mechanism) == first.topology else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,17 +12,13 @@ import pytest
 import mbdkit
 from mbdkit import RunSpec
 from mbdkit.base.errors import SpecError
-from mbdkit.engine.consistent_start import CompiledForStarts, Starts, at_starts, mechanism_at_start
 from mbdkit.engine.kernels.angles import FAR
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec import load_spec
 from mbdkit.spec.reading import parse_key, put
 from mbdkit_studies.compute.batch import simulate_batch
 from tests.engine.drawn_angles import drawn
-from tests.engine.random_mechanisms import chain, driven_frame, ladder, slides
-from tests.engine.starts import assert_same_bits, moved
 from tests.laws.thrown_mass import thrown
 from tests.margins import assert_within
 from tests.runs import leg_with_states
@@ -111,35 +106,6 @@ def test_constant_inputs_are_run_in_lanes_and_tables_alone() -> None:
     with_table = load_spec(specs[0], inputs={"torque": {"table": [[-1.0], [2.0]]}})
     assert why_alone(with_table) == "their inputs are set by tables"
     assert next(iter(simulate_batch([with_table]))).data_sha256 == mbdkit.run(with_table).data_sha256
-
-
-@pytest.mark.parametrize("kind", [chain, ladder, driven_frame, slides])
-def test_starts_of_several_mechanisms_have_the_bits_of_starts_alone(
-    kind: Callable[[np.random.Generator], Mechanism],
-) -> None:
-    """Consistent, inconsistent and impossible initial states are mixed."""
-    alone = mechanism_at_start(kind(np.random.default_rng(0)))
-    mechanisms = [moved(kind(np.random.default_rng(0)), np.random.default_rng(seed)) for seed in range(6)]
-    for mechanism in mechanisms[::2]:  # put where assembly has put it before
-        for (name, body), q, v in zip(mechanism.bodies.items(), alone.assembled.q, alone.assembled.v, strict=True):
-            update = {"position": tuple(q[:2].tolist()), "angle": float(q[2])}
-            velocity = {"velocity": tuple(v[:2].tolist()), "angular_velocity": float(v[2])}
-            mechanism.bodies[name] = body.model_copy(update=update | velocity)
-    mechanisms[3].hold(*mechanisms[3].bodies)
-    groups: dict[CompiledForStarts, list[Mechanism]] = {}
-    starts = Starts()
-    for mechanism in mechanisms:
-        groups.setdefault(starts.compiled(mechanism, 0.0), []).append(mechanism)
-    for compiled, members in groups.items():
-        for mechanism, start in zip(members, at_starts(compiled, members, [0.0] * len(members)), strict=True):
-            if mechanism is mechanisms[3]:
-                assert start is None
-            else:
-                assert start is not None
-                assert_same_bits(start, mechanism_at_start(mechanism))
-                assert start.assembled.changed == any(mechanism is one for one in mechanisms[1::2])
-                assert start.assembled.residual == mechanism_at_start(mechanism).assembled.residual
-                assert start.assembled.velocity_residual == mechanism_at_start(mechanism).assembled.velocity_residual
 
 
 DOUBLE = {

@@ -47,10 +47,13 @@ def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str]
 
 
 def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
-    """List installed plugins, and those that could not be loaded."""
+    """List installed plugins, and those that could not be loaded.
+
+    What belongs to mbdkit itself is checked by `mbdkit plugins doctor` only.
+    """
     from mbdkit.registry.manager import checked, load_installed
 
-    installed = checked(load_installed())
+    installed = checked(load_installed(), whole=False)
     if as_json:
         show_json(describe.listing(installed))
     else:

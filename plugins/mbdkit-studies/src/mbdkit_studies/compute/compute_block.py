@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mbdkit.spec import RunSpec
@@ -53,7 +53,7 @@ from mbdkit_studies.spec.measures import (
     other_values,
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, kept, write_block
+from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, kept, write_block
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
@@ -241,7 +241,7 @@ def _compute_block(
             runs += known.values()
             missing = [member for member in members if member.point.number not in known]
             for some, result in _results(missing, lanes, plan.expressions, mark, notify):
-                pending.append(_block_runs(measures, some, result))
+                pending.append(_own_runs(measures, some, result))
                 if unfinished.is_due:
                     add()
             add()
@@ -344,22 +344,13 @@ def _varied_runs(
     for done, results in varied.finished(runs, places):
         for warning in chain.from_iterable(results.warnings):
             notify(f"warning: {warning}")
-        taken, failed = measures.of(results, varied.specs(done))
-        ended = [failed.get(place, results) for place in range(len(done))] if failed else ()
-        hashes = varied.hashes(done)
+        hashes, base = varied.hashes(done), varied.base
         for number, place in enumerate(done):
             if place not in twice:
                 continue
             _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], measures)
-        yield BlockRuns(
-            [place + 1 for place in done],
-            [one.status for one in ended] or results.status,
-            [one.reason for one in ended] or results.reason,
-            *hashes,
-            plugins=_plugins_json(tuple(plugins_of(varied.base).items())),
-            results=kept(results, stored(measures.spec)),
-            measures=taken,
-        )
+        plugins = _plugins_json(tuple(plugins_of(base).items()))
+        yield _block_runs(measures, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
 
 
 def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], measures: BlockMeasures) -> None:
@@ -376,27 +367,31 @@ def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str],
             )
 
 
-def _block_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
-    """Return the data that the block stores for several runs."""
+def _own_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
+    """Return the data that the block stores for several runs with specs of their own."""
     numbers = [member.point.number for member in members]
     specs = [member.spec for member in members if isinstance(member.spec, RunSpec)]
     hashes = [spec.sha256() for spec in specs] or "", [spec.run_id() for spec in specs] or ""
     if isinstance(result, Outcome):
         return BlockRuns(numbers, result.status, result.reason, *hashes)
-    taken, failed = measures.of(result, specs)
-    ended = [failed.get(place, result) for place in range(len(specs))]
-    return BlockRuns(
-        numbers,
-        [one.status for one in ended],
-        [one.reason for one in ended],
-        *hashes,
+    return _block_runs(
+        measures, numbers, result, specs, hashes,
         plugins=[_plugins_json(tuple(plugins_of(spec).items())) for spec in specs],
-        results=kept(result, stored(measures.spec)),
-        measures=taken,
         # That of a packaged model is not stored for each run, because its spec alone determines it.
         mechanism=["" if is_determined(spec) else mechanism_json(spec.mechanism()) for spec in specs],
         files=[files_json(spec.files_read) if spec.files_read else "" for spec in specs],
-    )
+    )  # fmt: skip
+
+
+def _block_runs(
+    measures: BlockMeasures, numbers: Sequence[int], results: FinishedRuns, specs: Sequence[RunSpec],
+    hashes: tuple[Texts, Texts], **columns: Any,
+) -> BlockRuns:  # fmt: skip
+    taken, failed = measures.of(results, specs)
+    ended = [failed.get(place, results) for place in range(len(numbers))] if failed else ()
+    status, reason = [one.status for one in ended] or results.status, [one.reason for one in ended] or results.reason
+    stored_results = kept(results, stored(measures.spec))
+    return BlockRuns(numbers, status, reason, *hashes, results=stored_results, measures=taken, **columns)
 
 
 @lru_cache(maxsize=64)
