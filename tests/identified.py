@@ -26,6 +26,7 @@ def write_identified(
         group = file.create_group("parameters")
         group["parameter"] = np.array([*values], object)
         group["value"], group["covariance"] = np.array([*values.values()]), matrix
+        group["mean"] = group["value"][:]
         group["deviation"] = np.sqrt(np.diagonal(matrix))
         group["why"] = np.array([""] * len(values), object)
         group["identifiable"] = np.isfinite(np.diagonal(matrix)).astype(int)

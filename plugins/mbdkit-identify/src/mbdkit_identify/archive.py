@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +31,8 @@ _LONG_NAMES = {
     "deviation": "standard deviation",
     "identifiable": "whether the data determine the value",
     "at_bound": "bound at which the value is",
-    "why": "why no covariance describes the estimate, empty if one does",
+    "why": "why no standard deviation describes the errors of the estimate, empty if one does",
+    "mean": "value that belongs to the covariance, nan without one",
     "white": "whitened residuals",
     "band": "half width of the band that contains the measured values",
     "values": "fixed values",
@@ -115,7 +116,8 @@ def _fill(file: h5py.File, result: Identification) -> None:
 
 def _estimates(result: Identification, axis: str, names: Iterable[str]) -> dict[str, TableColumn]:
     """Return the columns of some of the estimates."""
-    estimates, columns = [result.estimates[name] for name in names], {}
+    other = Estimate("", "", np.nan, np.nan, np.nan, np.nan, True)  # of a quantity that an experiment should narrow
+    estimates, columns = [result.estimates.get(name, replace(other, name=name)) for name in names], {}
     for one in fields(Estimate):
         values = np.array([getattr(estimate, one.name) for estimate in estimates], _KINDS[one.type])
         units = (

@@ -31,8 +31,11 @@ class Estimate:
     at_bound
         "lower" or "upper" if the estimate is at this bound, so that its interval is one-sided; else "".
     why
-        Why no standard deviation and no covariance describe the estimate, such as a bound in its interval; empty if
-        they do.
+        Why no standard deviation describes the errors of the estimate, such as a bound in its interval; empty if one
+        does.
+    mean
+        The value that other specs take with the covariance: the estimate, or the mean of the posterior distribution if
+        `why` of a parameter is not empty; nan if there is no covariance.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Estimate:
     identifiable: bool
     at_bound: str = ""
     why: str = ""
+    mean: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,7 @@ class Identification(HtmlView):
         Names of the K parameters.
     covariance
         (K, K) covariance of the parameters; nan for those that the data do not determine, or that it does not describe.
+        If `why` of a parameter is not empty, it is that of samples of the posterior distribution.
     combinations
         Sentences on the combinations of parameters that the data determine or do not.
     residuals

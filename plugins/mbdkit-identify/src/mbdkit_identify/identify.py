@@ -23,6 +23,7 @@ from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import ExperimentData, read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
+from mbdkit_identify.posterior import posterior
 from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
@@ -111,10 +112,7 @@ class _Identification:
         residuals = [*self._residuals(problem, self.fit.x, self.covariance, is_hold_out=False), *self._held_out()]
         self._check(residuals)
         following = next_experiment(self) if spec.candidates else None
-        count = len(self.names)
-        lost = np.array([not estimates[name].identifiable or bool(estimates[name].why) for name in self.names])
-        covariance = self.covariance[:count, :count] + np.outer(self.bias, self.bias)[:count, :count]
-        covariance = np.where(lost | lost[:, None], np.nan, covariance)
+        estimates, covariance = self._described(estimates)
         is_bad = failed(self.fit)
         raw = problem.white(problem.predicted(self.fit.x) - problem.measured)
         return Identification(
@@ -307,6 +305,27 @@ class _Identification:
             total = np.nan if one.why else float(np.hypot(deviation, bias))
             estimates[goal.name] = Estimate(goal.name, unit, value, lower, upper, total, True, at, one.why)
         return estimates, profiles
+
+    def _described(self, estimates: dict[str, Estimate]) -> tuple[dict[str, Estimate], np.ndarray]:
+        """Return the estimates with means, and the covariance (K, K) of the parameters, nan where none describes them.
+
+        If a bound or a curved effect of a parameter matters, both are those of samples of the posterior distribution.
+        """
+        count = len(self.names)
+        lost = np.array([not estimates[name].identifiable for name in self.names])
+        curved = np.array([bool(estimates[name].why) for name in self.names])
+        mean, covariance = self.fit.x[:count], self.covariance[:count, :count]
+        if np.any(curved):
+            self.notify("samples of the posterior distribution")
+            usable = self.spec.loss == "linear" and not failed(self.fit)
+            if usable and (found := posterior(self.problem, self.fit, ~lost, self.spec.seed)) is not None:
+                mean, covariance = found[0], found[1] + (self.covariance - self.of_noise)[:count, :count]
+            else:
+                lost = lost | curved
+        covariance = covariance + np.outer(self.bias, self.bias)[:count, :count]
+        means = zip(self.names, np.where(lost, np.nan, mean).tolist(), strict=True)
+        estimates = estimates | {name: replace(estimates[name], mean=value) for name, value in means}
+        return estimates, np.where(lost | lost[:, None], np.nan, covariance)
 
     # ---- residuals -------------------------------------------------------------------------------------------------
 

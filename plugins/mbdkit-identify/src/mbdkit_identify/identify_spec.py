@@ -207,6 +207,17 @@ class Candidate(Section):
     """The experiment that is repeated with these settings; by default the first."""
 
 
+class Narrowed(Section):
+    """A quantity of a later run, whose interval the next experiment should narrow."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("overrides",)
+
+    quantity: str
+    """The quantity, such as ``joints.hip.force_y``; its widest interval in the run counts."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base, such as inputs that were not seen."""
+
+
 def _check_parameters(given: dict[str, Estimated]) -> dict[str, Estimated]:
     if not given:
         raise SpecError("needs at least one parameter, such as `stiffness: {bounds: [0, 100]}`")
@@ -264,17 +275,24 @@ class IdentifySpec(StrictSpec):
     """Loss of a residual, as in `scipy.optimize.least_squares`; all but `linear` reduce the influence of outliers."""
     candidates: dict[str, Candidate] = Field(default_factory=dict)
     """Possible next experiments, by name."""
+    narrow: Narrowed | None = None
+    """What the next experiment should narrow; by default, the interval of the first of `intervals.of`, or of the
+    parameter with the widest relative interval."""
 
     _base: RunSpec | None = PrivateAttr(default=None)
 
     @model_validator(mode="after")
     def _consistent(self) -> IdentifySpec:
         if self.kinematic:
-            unused = [(key,) for key in ("shooting", "candidates") if getattr(self, key)]
-            for name, one in self.experiments.items():
-                unused += [("experiments", name, key) for key in ("inputs", "initial") if getattr(one, key)]
+            unused: list[tuple[str, ...]] = [
+                (key,) for key in ("shooting", "candidates", "narrow") if getattr(self, key)
+            ]
+            for name, record in self.experiments.items():
+                unused += [("experiments", name, key) for key in ("inputs", "initial") if getattr(record, key)]
             if unused:
                 raise SpecError("has no effect with `kinematic: true`; leave it out", key=path_text(unused[0]))
+        if self.narrow is not None and not self.candidates:
+            raise SpecError("needs `candidates`, of which the best is chosen", key="narrow")
         for name, one in self.candidates.items():
             if one.like is not None and one.like not in self.experiments:
                 raise SpecError(f"there is no experiment '{one.like}'", key=path_text(("candidates", name, "like")))

@@ -24,6 +24,14 @@ class _Sample(NamedTuple):
     slopes: np.ndarray
 
 
+class _Moved(NamedTuple):
+    """The mechanism with a larger and a smaller value of one parameter, which differ from its value by `change`."""
+
+    more: GivenStart
+    less: GivenStart
+    change: float
+
+
 class _Evaluated(NamedTuple):
     """Quantities (S, T), and their derivatives (S, T, K + T*D)."""
 
@@ -98,12 +106,11 @@ class Positions:
     def _samples(
         self, plain: Mapping[str, float], start: Mapping[str, float], parameters: Sequence[str]
     ) -> Iterator[_Sample]:
-        given, moved = self._mechanism(plain), []
+        given, moved = self._mechanism(plain), list[_Moved]()
         for name in parameters:
             change = CHANGE * max(abs(plain[name]), CHANGE)
-            moved.append(
-                [self._mechanism({**plain, name: plain[name] + side * change}) for side in (1.0, -1.0)] + [change]
-            )
+            more, less = (self._mechanism({**plain, name: plain[name] + side * change}) for side in (1.0, -1.0))
+            moved.append(_Moved(more, less, change))
         coordinates = np.reshape([*start.values()], (len(self._near), len(self.independent)))
         for row, own in enumerate(coordinates):
             try:
@@ -112,17 +119,15 @@ class Positions:
                 failed = np.full(len(self._observed), np.nan)
                 yield _Sample(failed, np.zeros((len(failed), len(parameters) + len(own))))
 
-    def _sample(self, given: GivenStart, moved: Sequence[Sequence], row: int, coordinates: np.ndarray) -> _Sample:
-        """Return the quantities of one sample.
-
-        `moved`: mechanisms with a larger and a smaller value of each parameter, and the change.
-        """
+    def _sample(self, given: GivenStart, moved: Sequence[_Moved], row: int, coordinates: np.ndarray) -> _Sample:
+        """Return the quantities of one sample, with derivatives by the parameters that are `moved`."""
         q, v = given.state(dict(zip(self.independent, coordinates.tolist(), strict=True)), self._near[row])
         self._near[row] = q
         (values, matrix), _ = given.equations(self._names, q, v)
-        lacks = [[one.equations(self._names, q, v)[0][0] for one in pair[:2]] for pair in moved]
-        by_parameter = np.array([(a - b) / (2.0 * pair[2]) for (a, b), pair in zip(lacks, moved, strict=True)])
-        by_parameter = by_parameter.reshape(len(moved), len(values)).T
+        by_parameter = np.zeros((len(values), len(moved)))
+        for column, one in enumerate(moved):
+            more, less = (side.equations(self._names, q, v)[0][0] for side in (one.more, one.less))
+            by_parameter[:, column] = (more - less) / (2.0 * one.change)
         joints, names = len(values) - len(self._names), [*self._names]
         held = [*range(joints), *(joints + names.index(name) for name in self.independent)]
         shown = [joints + names.index(name) for name in self._observed]

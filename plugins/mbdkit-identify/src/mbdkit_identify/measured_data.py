@@ -177,7 +177,7 @@ class _Files:
     def column(self, of: Measured, where: str) -> np.ndarray:
         """Return the numbers (T,) in a column, as in the file."""
         with SpecError.rekey(f"{where}.column"):
-            return self.table(of).column(of.column, "column")
+            return np.asarray(self.table(of).column(of.column, "column"))
 
     def factor(self, of: Measured, unit: str, where: str) -> float:
         """Return the factor from the numbers in a column to the SI unit of a quantity."""
@@ -206,7 +206,7 @@ class _Files:
         known = values[np.isfinite(values)]
         is_within = is_stated or (len(known) > 0 and np.ptp(known) <= turn * (1.0 + ROUNDED))
         if not (is_within and np.any(np.abs(np.diff(known)) > 0.5 * turn)):
-            return values, False
+            return np.asarray(values), False
         with SpecError.rekey(where):
             return self.table(of).continued(clock, values, turn, of.column), True
 

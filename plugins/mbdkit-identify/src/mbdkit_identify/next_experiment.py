@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any, Protocol
@@ -10,6 +11,7 @@ import numpy as np
 
 from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.specs import parse_key, put
+from mbdkit.plugin.studies import PreparedSensitivities
 from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import NextExperiment
 from mbdkit_identify.identify_spec import IdentifySpec, Signal
@@ -17,6 +19,8 @@ from mbdkit_identify.intervals import Goal, covariance_of
 from mbdkit_identify.measured_data import ExperimentData, SignalData
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
+
+TIMES = 101  #: Number of times at which the interval of a quantity is computed.
 
 
 class Done(Protocol):
@@ -45,16 +49,19 @@ class Done(Protocol):
 def next_experiment(done: Done) -> NextExperiment:
     """Return the expected intervals after each candidate was added to the experiments.
 
-    The derivatives of the candidate's signals at the estimates are added to those of the experiments. The first of
-    `intervals.of` is to be narrowed, or else the parameter whose interval is widest relative to its value.
+    The derivatives of the candidate's signals at the estimates are added to those of the experiments. To be narrowed is
+    what `narrow` of the spec says, or the first of `intervals.of`, or else the parameter whose interval is widest
+    relative to its value.
     """
-    goals = done.goals()
+    goals = [*done.goals(), *_asked(done)]
     known = [goal for goal in goals if done.is_determined(goal.slope(done.fit.x))]
     widths = {"": _widths(done, goals, done.fit.jacobian, done.fit.free)}
     for name in done.spec.candidates:
         widths[name] = _widths(done, goals, *_with_candidate(done, name))
     of = done.spec.intervals.of
-    if of:
+    if done.spec.narrow is not None:
+        narrows = done.spec.narrow.quantity
+    elif of:
         narrows = next(iter(of))
     else:
         relative = {goal.name: widths[""][goal.name] / max(abs(goal.value(done.fit.x)), 1e-300) for goal in known}
@@ -63,19 +70,47 @@ def next_experiment(done: Done) -> NextExperiment:
     return NextExperiment(narrows, widths, best)
 
 
+def _asked(done: Done) -> list[Goal]:
+    """Return what `narrow` of the spec asks for, if it does, as one goal for each time of its run."""
+    if (narrow := done.spec.narrow) is None:
+        return []
+    spec = _base_with(done, narrow.overrides, ("narrow",))
+    own = [name for name in done.names if name in spec.parameters or name.startswith("model.")]
+    times = np.linspace(spec.time.start, spec.time.final, TIMES)
+    with SpecError.rekey("narrow.quantity"):
+        slopes = PreparedSensitivities(spec, narrow.quantity, times, own).at({}).derivatives[0]
+    wide = np.zeros((TIMES, len(done.fit.x)))
+    wide[:, [done.names.index(name) for name in own]] = slopes
+    return [Goal(narrow.quantity, lambda x: np.nan, lambda x, slope=slope: slope) for slope in wide]  # type: ignore[misc]
+
+
+def _base_with(done: Done, overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
+    """Return the base with the estimates and other settings."""
+    settings = done.base_data(done.fit.x)
+    for key, value in overrides.items():
+        with SpecError.rekey(path_text((*place, "overrides", key))):
+            put(settings, parse_key(key), value)
+    with SpecError.rekey(path_text((*place, "overrides"))):
+        base = RunSpec(**settings)
+        base.mechanism()
+    base._document = replace(done.spec.run_spec._document, data=settings)  # type: ignore[type-var]
+    return base
+
+
 def _widths(done: Done, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
     scaled = jacobian[:, free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     _, values, directions = np.linalg.svd(scaled, full_matrices=False)
     lost = directions[values < 1e-7 * values[0]]
-    found = {}
+    found: dict[str, float] = {}
     for goal in goals:
         slope = np.zeros(jacobian.shape[1])
         own = goal.slope(done.fit.x)
         slope[: len(own)] = own
         weighted = slope[free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
         is_lost = np.any(np.abs(lost @ weighted) > 1e-3 * np.linalg.norm(weighted))
-        found[goal.name] = np.inf if is_lost else done.level * float(np.sqrt(slope @ covariance @ slope))
+        width = np.inf if is_lost else done.level * float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+        found[goal.name] = max(found.get(goal.name, 0.0), width)  # of all times of a quantity
     return found
 
 
@@ -89,15 +124,8 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     if data is None:
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
     own = IdentifySpec(**deepcopy(spec._document.data))  # type: ignore[union-attr]
-    own._document, base = spec._document, spec.run_spec
-    settings = done.base_data(done.fit.x)
-    for key, value in candidate.overrides.items():
-        with SpecError.rekey(path_text(("candidates", name, "overrides", key))):
-            put(settings, parse_key(key), value)
-    with SpecError.rekey(f"{where}.overrides"):
-        own._base = RunSpec(**settings)
-        own._base.mechanism()
-    own._base._document = replace(base._document, data=settings)  # type: ignore[type-var]
+    own._document = spec._document
+    own._base = _base_with(done, candidate.overrides, ("candidates", name))
     time = data.time
     if candidate.duration is not None:
         interval = float(np.median(np.diff(time)))

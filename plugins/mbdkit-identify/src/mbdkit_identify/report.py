@@ -163,8 +163,9 @@ def _signals(result: Identification) -> Table:
 def _sections(result: Identification) -> tuple[Section, ...]:
     sections = [Section("determined", "What the data determine", result.combinations)] if result.combinations else []
     if (following := result.next_experiment) is not None:
-        units = {name: result.estimates[name].unit for name in following.half_widths[""]}
-        headings = "; ".join(["candidate", *(f"{name} [{unit}]" for name, unit in units.items())])
+        known = result.estimates
+        names = [f"{name} [{known[name].unit}]" if name in known else name for name in following.half_widths[""]]
+        headings = "; ".join(["candidate", *names])
         rows: list[tuple[Cell, ...]] = [
             (name or "present", *(width if np.isfinite(width) else "no limit" for width in widths.values()))
             for name, widths in following.half_widths.items()

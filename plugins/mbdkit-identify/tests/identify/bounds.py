@@ -19,6 +19,7 @@ import numpy as np
 
 from mbdkit_identify.estimation import best_fit, factors
 from mbdkit_identify.intervals import Goal, covariance_of, interval_of
+from mbdkit_identify.posterior import posterior
 
 from .regressions import Regression
 
@@ -69,9 +70,14 @@ def repeat(loss: str, method: str, number: int) -> Repeat:
         one = interval_of(problem, fit, goal, covariance, LEVEL, is_linear=method == "linear")
         covers.append(bool(one.lower <= truth[place] <= one.upper))
         why += one.why
-    slope = [oscillation(LATER, *(fit.x + 1e-30j * step)).imag / 1e-30 for step in np.eye(4)]
-    error = abs(oscillation(LATER, *fit.x) - oscillation(LATER, *truth))
-    return Repeat(distance, tuple(covers), not why, bool(error <= 1.96 * np.sqrt(slope @ covariance @ slope)))
+    mean = fit.x
+    if why and loss == "linear":
+        mean, covariance = posterior(problem, fit, np.ones(4, dtype=bool), number) or (mean, covariance)
+        why = "" if mean is not fit.x else why
+    columns = np.linalg.cholesky(covariance).T
+    changes = [oscillation(LATER, *(mean + one)) - oscillation(LATER, *(mean - one)) for one in columns]
+    error = abs(oscillation(LATER, *mean) - oscillation(LATER, *truth))
+    return Repeat(distance, tuple(covers), not why, bool(error <= 1.96 * np.linalg.norm(changes) / 2.0))
 
 
 def repeats(loss: str, method: str, count: int, workers: int = 1) -> list[Repeat]:

@@ -257,11 +257,14 @@ def test_the_best_next_experiment_is_the_one_that_moves_what_is_asked(tmp_path: 
         "farther": {"overrides": {"model.bodies.cart.position": [1.0, 0]}},
         "short": {"duration": 0.3},
     }
-    found = identify(spec(tmp_path, candidates=candidates, intervals={"method": "linear", "of": {"rate": "k/m"}}))
-    following = found.next_experiment
-    assert following is not None
-    assert (following.best, following.narrows) == ("farther", "rate")
-    widths = following.half_widths
+    intervals = {"method": "linear", "of": {"rate": "k/m"}}
+    found = identify(spec(tmp_path, candidates=candidates, intervals=intervals))
+    asked = identify(spec(tmp_path, candidates=candidates, intervals=intervals, narrow={"quantity": "cart.x^2"}))
+    for one, name in ((found, "rate"), (asked, "cart.x^2")):
+        assert one.next_experiment is not None
+        assert (one.next_experiment.best, one.next_experiment.narrows) == ("farther", name)
+    widths = asked.next_experiment.half_widths
+    assert widths["farther"]["cart.x^2"] == pytest.approx(widths[""]["cart.x^2"] / np.sqrt(26), rel=2e-2)
     # information adds up: the same experiment once more halves the variance; five times the amplitude, by 26
     assert widths["same"]["k"] == pytest.approx(widths[""]["k"] / np.sqrt(2), rel=1e-2)
     assert widths["farther"]["k"] == pytest.approx(widths[""]["k"] / np.sqrt(26), rel=2e-2)

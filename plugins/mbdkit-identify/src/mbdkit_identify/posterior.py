@@ -1,0 +1,73 @@
+"""Mean and covariance of parameters near bounds or with curved effects, by samples of their posterior distribution.
+
+The prior is uniform within the bounds. Samples of a wider Student distribution are weighted by their likelihood, and
+the next distribution is that of their moments (O. Cappe et al., population Monte Carlo: Journal of Computational and
+Graphical Statistics 13 (2004) 907-929). Initial values are integrated out to second order (L. Tierney, J. B. Kadane,
+Journal of the American Statistical Association 81 (1986) 82-86).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mbdkit_identify.estimation import Fit
+from mbdkit_identify.intervals import covariance_of
+from mbdkit_identify.problem import Problem
+
+SAMPLES, ROUNDS = 192, 5  #: Number of samples of a round, and of rounds.
+FREEDOM, WIDER = 5.0, 1.3  #: Degrees of freedom of the distribution that is sampled, and its width.
+ENOUGH = 48.0  #: Effective number of samples.
+MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may lie beyond the bounds.
+
+
+def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the mean (K,) and the covariance (K, K) of the parameters, or None if samples do not describe them.
+
+    Parameters
+    ----------
+    known
+        (K,) whether the data determine each parameter; others keep their estimates.
+    seed
+        Seed of the random numbers.
+    """
+    count, random = len(known), np.random.default_rng(seed)
+    places = np.flatnonzero(known)
+    whole = covariance_of(fit.jacobian, np.ones(len(fit.x), dtype=bool))
+    center = fit.x[places] - (whole @ (fit.jacobian.T @ fit.white))[places]  # without bounds
+    spread = whole[np.ix_(places, places)]
+    others = fit.jacobian[:, count:]
+    basis, values, directions = np.linalg.svd(others, full_matrices=False)
+    some = values > 1e-9 * values.max(initial=0.0)
+    follow = -(directions[some].T / values[some]) @ basis[:, some].T @ fit.jacobian[:, places]
+    low, high = (bound[places] for bound in problem.bounds)
+    narrower = np.minimum(1.0, (high - low) / np.sqrt(np.diagonal(spread)))  # the data need not be stronger than bounds
+    spread = spread * np.outer(narrower, narrower)
+    center = np.clip(center, low - np.sqrt(np.diagonal(spread)), high + np.sqrt(np.diagonal(spread)))
+
+    def cost(own: np.ndarray) -> float:
+        x = fit.x.copy()
+        x[places] = own
+        x[count:] += follow @ (own - fit.x[places])
+        white = problem.residuals(x)
+        return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
+
+    for _ in range(ROUNDS):
+        factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
+        draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
+        draws *= WIDER * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws)))[:, None]
+        points = center + draws @ factor.T
+        points = points[np.all((points >= low) & (points <= high), axis=1)][:SAMPLES]
+        if len(points) < SAMPLES:
+            return None
+        scaled = np.linalg.solve(factor, (points - center).T)
+        density = -0.5 * (FREEDOM + len(places)) * np.log1p(np.sum(scaled**2, axis=0) / (WIDER**2 * FREEDOM))
+        logs = np.array([-0.5 * cost(own) for own in points]) - density
+        weights = np.exp(logs - logs.max())
+        weights /= weights.sum()
+        center = weights @ points
+        spread = (points - center).T @ (weights[:, None] * (points - center))
+        if 1.0 / np.sum(weights**2) >= ENOUGH:
+            mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
+            mean[places], covariance[np.ix_(places, places)] = center, spread
+            return mean, covariance
+    return None
