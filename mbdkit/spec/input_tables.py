@@ -25,13 +25,12 @@ from mbdkit.spec.sections import Section
 LARGEST_FILE = 16 * 2**20  #: Largest size of a file [bytes].
 
 
-def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) -> list[list[float]]:
+def read_columns(path: Path, columns: Sequence[str]) -> list[list[float]]:
     """Return the numbers in the columns of a CSV file with the given headings, in the order of `columns`.
 
     The file has a line of headings, and commas, semicolons or tabs between its cells; lines that begin with ``#`` are
-    ignored. With `has_gaps`, empty cells and ``nan`` are nan. Raises SpecError, with the file and line, if it has no
-    such columns, if a cell is not a finite number in ASCII digits, or if a row has another number of cells than the
-    headings.
+    ignored. Raises SpecError, with the file and line, if it has no such columns, if a cell is not a finite number in
+    ASCII digits, or if a row has another number of cells than the headings.
     """
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     try:
@@ -57,11 +56,10 @@ def read_columns(path: Path, columns: Sequence[str], *, has_gaps: bool = False) 
             raise SpecError(message, file=path, line=line)
         for own, place, column in zip(numbers, places, columns, strict=True):
             cell = row[place].strip()
-            is_gap = has_gaps and cell.lower() in ("", "nan")
-            if not is_gap and not (re.fullmatch(NUMBER, cell) and math.isfinite(float(cell))):
+            if not (re.fullmatch(NUMBER, cell) and math.isfinite(float(cell))):
                 message = f"the column '{column}' should have a number here, not '{shortened(shown(cell))}'"
                 raise SpecError(message, file=path, line=line)
-            own.append(math.nan if is_gap else float(cell))
+            own.append(float(cell))
     return numbers
 
 

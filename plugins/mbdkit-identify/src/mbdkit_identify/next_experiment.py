@@ -35,15 +35,12 @@ class Done(Protocol):
 
     def goals(self) -> list[Goal]:
         """Return the parameters and expressions whose intervals are computed."""
-        ...
 
     def is_determined(self, slope: np.ndarray) -> bool:
         """Return whether the data determine a goal with these derivatives (n,)."""
-        ...
 
     def base_data(self, x: np.ndarray) -> dict[str, Any]:
         """Return the base with unknowns x (n,) as plain data."""
-        ...
 
 
 def next_experiment(done: Done) -> NextExperiment:

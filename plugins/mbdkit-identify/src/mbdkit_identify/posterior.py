@@ -17,6 +17,7 @@ from mbdkit_identify.problem import Problem
 SAMPLES, ROUNDS = 192, 5  #: Number of samples of a round, and of rounds.
 FREEDOM, WIDER = 5.0, 1.3  #: Degrees of freedom of the distribution that is sampled, and its width.
 ENOUGH = 48.0  #: Effective number of samples.
+FARTHEST = 2.0  #: Largest distance of the centre of the first samples from a bound, in standard deviations.
 MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may lie beyond the bounds.
 
 
@@ -33,16 +34,17 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
     count, random = len(known), np.random.default_rng(seed)
     places = np.flatnonzero(known)
     whole = covariance_of(fit.jacobian, np.ones(len(fit.x), dtype=bool))
-    center = fit.x[places] - (whole @ (fit.jacobian.T @ fit.white))[places]  # without bounds
-    spread = whole[np.ix_(places, places)]
+    low, high = (bound[places] for bound in problem.bounds)
+    sizes = np.sqrt(np.diagonal(whole))[places]
+    narrower = np.minimum(1.0, (high - low) / sizes)  # where bounds say more than the data
+    spread = whole[np.ix_(places, places)] * np.outer(narrower, narrower)
+    step = -(whole @ (fit.jacobian.T @ fit.white))[places]  # to the best fit without bounds, which may be far away
+    beyond = np.maximum(low - fit.x[places] - step, fit.x[places] + step - high) / (sizes * narrower)
+    center = fit.x[places] + step * min(1.0, FARTHEST / max(beyond.max(), 1e-9))
     others = fit.jacobian[:, count:]
     basis, values, directions = np.linalg.svd(others, full_matrices=False)
     some = values > 1e-9 * values.max(initial=0.0)
     follow = -(directions[some].T / values[some]) @ basis[:, some].T @ fit.jacobian[:, places]
-    low, high = (bound[places] for bound in problem.bounds)
-    narrower = np.minimum(1.0, (high - low) / np.sqrt(np.diagonal(spread)))  # the data need not be stronger than bounds
-    spread = spread * np.outer(narrower, narrower)
-    center = np.clip(center, low - np.sqrt(np.diagonal(spread)), high + np.sqrt(np.diagonal(spread)))
 
     def cost(own: np.ndarray) -> float:
         x = fit.x.copy()

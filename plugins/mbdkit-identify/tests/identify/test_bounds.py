@@ -35,4 +35,4 @@ def test_coverage_near_a_bound_is_that_of_the_level(loss: str, method: str) -> N
     *covers, _, wrong = shares(repeats(loss, method, 1000))
     assert min(covers) >= 0.93
     assert max(covers) <= 0.97
-    assert wrong <= 0.05
+    assert wrong <= 0.07  # 5 %, with three standard errors

@@ -103,7 +103,7 @@ def test_json_has_estimates_without_infinite_numbers(spec: Path, hand_made: dict
     assert (values["path"], values["verdict"], done.stderr) == ("fit.h5", "doubtful", "")
     assert values["estimates"]["mass"] == {
         "name": "mass", "unit": "kg", "value": 2.0, "lower": None, "upper": None, "deviation": None,
-        "identifiable": False, "at_bound": "", "why": "",
+        "identifiable": False, "at_bound": "", "why": "", "mean": None,
     }  # fmt: skip
     assert values["covariance"][0] == [0.04, -0.001, None]
     assert values["doubts"][0]["place"] == "friction in the joint 'hip'"
