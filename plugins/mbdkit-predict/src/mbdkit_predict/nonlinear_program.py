@@ -29,7 +29,7 @@ ACTIVE = 1e-6  #: Relative distance from a bound up to which it is active.
 #: Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded.
 ACCEPTABLE = 1e-8
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-STOPPED = "User_Requested_Stop"
+STOPPED, LIMITED = "User_Requested_Stop", "Maximum_Iterations_Exceeded"
 REPORTING = 0.1  #: Least time between two reports of iterates [s].
 ROUNDED = "Search_Direction_Becomes_Too_Small"  #: Reports of the optimizer.
 
@@ -328,7 +328,7 @@ STATUSES: Mapping[str, tuple[str, str]] = {
     "Infeasible_Problem_Detected": _INFEASIBLE,
     "Restoration_Failed": _INFEASIBLE,
     "Not_Enough_Degrees_Of_Freedom": ("infeasible", "there are more conditions than unknowns"),
-    "Maximum_Iterations_Exceeded": ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
+    LIMITED: ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
     "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
     "Invalid_Number_Detected": ("not-solved", "an expression is not defined, or infinite, along the motion"),
     ROUNDED: ("not-solved", "the optimizer makes no progress, although conditions of optimality are violated"),

@@ -6,19 +6,27 @@ import math
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit_predict.between_points import FEW, NODES, Residual, residual_between_points
 from mbdkit_predict.jumps import Jump, jumps_along
-from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, STATUSES, Solution
-from mbdkit_predict.predict_spec import PredictSpec
+from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
+from mbdkit_predict.predict_spec import SAME, PredictSpec
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.transcription import MOST_UNEVEN, OF_POINTS, Mesh, Transcription, solved_meshes
 
 #: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
 ROUNDING = 1e-8
 NOTHING = 1e-9  #: Changes of the objective below this, relative to its natural size, count as zero.
+#: A start from the optimum on a coarser mesh wanders if it takes so many iterations, or if it takes `FEW_STEPS` and the
+#: objective changes by a share of `ELSEWHERE`. Of about 200 such starts in 60 drawn problems, one does, rightly. Where
+#: the optimum on the coarser mesh is an artefact, they take a hundred iterations, and lead anywhere.
+WANDERING, FEW_STEPS, ELSEWHERE = 90, 15, 0.25
+#: Largest first-order change of the objective by what remains between the points, as a share of the objective, of a
+#: motion that begins a sequence of meshes. That of artefacts is as large as the objective, or larger.
+CREDIBLE = 0.25
 MOST_INTERVALS = 640  #: Largest number of intervals of a refined mesh; every first mesh is refined once.
 ITERATIONS_OF_START = 500  #: Largest number of iterations from a drawn guess.
 HUGE = 1e8  #: Unknowns above this size at the limit of iterations are taken for unbounded ones.
@@ -36,6 +44,16 @@ SLOWEST, FASTEST = 0.5, 2.0**-4
 
 
 Problem = tuple[Transcription, Mesh, int]  #: A problem, its first guess, and the largest number of iterations.
+
+
+class SolvedMesh(NamedTuple):
+    """A row of the table of meshes."""
+
+    intervals: int | tuple[int, ...]  #: Of each phase, if there are several.
+    points: int  #: Collocation points of each interval.
+    objective: float | None  #: None where no optimum was found.
+    iterations: int  #: Those on this mesh.
+    why: str  #: Why there is this mesh.
 
 
 @dataclass(frozen=True)
@@ -57,7 +75,13 @@ class Optimum:
     jumps
         Where forces, rates, integrands or conditions jump as functions of the state.
     starts
-        Objective on the first mesh from each first guess; nan where no optimum was found.
+        Objective from each first guess, on the mesh that begins the sequence; nan where no optimum was found.
+    start
+        Index of the start that led to this motion.
+    rows
+        The table of all meshes.
+    wandered
+        Whether the search began anew, because the first meshes led to different motions.
     """
 
     transcription: Transcription
@@ -67,6 +91,9 @@ class Optimum:
     reason: str
     jumps: Sequence[Jump]
     starts: Sequence[float]
+    start: int
+    rows: Sequence[SolvedMesh]
+    wandered: bool
 
     @property
     def spec(self) -> PredictSpec:
@@ -79,9 +106,27 @@ class Optimum:
         return self.is_optimum and _solution(self.mesh).is_strict
 
     @property
-    def record(self) -> list[tuple[tuple[int, ...], float]]:
-        """Numbers of intervals of the phases, and objective, of each mesh."""
-        return [(mesh.grid.counts, _solution(mesh).objective) for mesh in self.meshes or [self.mesh]]
+    def ending_here(self) -> int:
+        """Number of first guesses that lead to this motion."""
+        return int(self._ends_here.sum())
+
+    @property
+    def _ends_here(self) -> np.ndarray:
+        own = self.starts[self.start]
+        return np.asarray(abs(np.array(self.starts) - own) <= SAME * abs(own) + NOTHING * self.mesh.size)
+
+    @property
+    def basin(self) -> str:
+        """Sentence on where the first guesses end; empty if there is only one."""
+        ended, here = np.array(self.starts), self._ends_here
+        others = ended[~here & np.isfinite(ended)]
+        if len(ended) < 2 or not here.any():
+            return ""
+        text = f"Local minimum: {here.sum()} of {len(ended)} starts end here"
+        if others.size:
+            share = 100.0 * (others.min() - ended[self.start]) / max(abs(ended[self.start]), NOTHING * self.mesh.size)
+            text += f", the best of the others is {abs(share):.2g} % {'higher' if share > 0.0 else 'lower'}"
+        return text + "."
 
     @property
     def is_optimum(self) -> bool:
@@ -127,19 +172,24 @@ def find_optima(transcriptions: Sequence[Transcription], stop: Stop) -> list[Opt
 
 
 _Search = Generator[list[Problem], list[Mesh], Optimum]
+_Solving = Generator[list[Problem], list[Mesh], Mesh]
 
 
 class _MeshSearch:
     """Refines meshes until the error of the objective is known to be small enough."""
 
+    first: Mesh  #: The solution that begins the sequence of meshes.
+
     def __init__(self, transcription: Transcription, stop: Stop):
         self.spec, self.transcription, self.stop = transcription.spec, transcription, stop
-        self.meshes, self.starts = list[Mesh](), list[float]()
+        self.meshes, self.starts, self.start = list[Mesh](), list[float](), 0
+        self.rows, self.wandered = list[SolvedMesh](), False
+        self.problems = dict[int, Transcription]()  # by number of collocation points
         self.halved = 0  # index of the mesh from which on all intervals are divided
 
     def run(self) -> _Search:
         """Yield problems to solve, take their solutions, and return the best motion."""
-        mesh, error, reason = (yield from self._first()), math.nan, ""
+        mesh, error, reason = (yield from self._begin()), math.nan, ""
         divisions, is_resolved = 0, False
         while _solution(mesh).is_optimum:
             opens, joints = self.transcription.openings(mesh)
@@ -148,8 +198,7 @@ class _MeshSearch:
                 break
             if opens.max() > OPEN:
                 divisions, self.halved = divisions + 1, len(self.meshes)
-                refined = self.transcription.refined(mesh, opens > OPEN)
-                (mesh,) = yield [(self.transcription, refined, MOST_ITERATIONS)]
+                mesh = yield from self._refine(mesh, opens > OPEN, "in which joints open")
                 continue
             self.meshes.append(mesh)
             error, is_known = self._error()
@@ -171,24 +220,77 @@ class _MeshSearch:
                 # all intervals are halved unless few of them have almost all that remains
                 if is_accurate or 0 < large.sum() <= MOST_UNEVEN * count < MOST_UNEVEN * MOST_INTERVALS / 2:
                     chosen, self.halved = large, len(self.meshes)
-            (mesh,) = yield [(self.transcription, self.transcription.refined(mesh, chosen), MOST_ITERATIONS)]
+            mesh = yield from self._refine(mesh, chosen, "with what remains between the points")
         if not _solution(mesh).is_optimum and not reason:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
-        jumps = jumps_along(self.transcription, best) if self.meshes and not self.stop.now else []
-        return Optimum(self.transcription, best, self.meshes, error, reason, jumps, self.starts)
+        method = self.problems[len(best.grid.c)]
+        jumps = jumps_along(method, best) if self.meshes and not self.stop.now else []
+        return Optimum(
+            method, best, self.meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered
+        )
 
-    def _first(self) -> Generator[list[Problem], list[Mesh], Mesh]:
-        random = np.random.default_rng(self.spec.seed)
-        guesses = [self.transcription.guess(random if k else None, self.stop) for k in range(self.spec.starts)]
+    def _begin(self, coarser: Mesh | None = None) -> _Solving:
+        """Solve from all first guesses, and from the motion of a coarser mesh, without its multipliers; return the best
+        solution.
+        """
+        random, method = np.random.default_rng(self.spec.seed), self.transcription
+        moved, grid = list[Mesh](), None
+        if coarser is not None:
+            method = method.of_high_order()
+            moved = [self.transcription.moved(coarser, method, np.full(len(coarser.grid.phase), 2))]
+            grid = moved[0].grid
+        guesses = [method.guess(random if k else None, self.stop, grid) for k in range(self.spec.starts)] + moved
         meshes = yield [
-            (self.transcription, guess, ITERATIONS_OF_START if k else MOST_ITERATIONS)
-            for k, guess in enumerate(guesses)
+            (method, guess, ITERATIONS_OF_START if k else MOST_ITERATIONS) for k, guess in enumerate(guesses)
         ]
-        solutions = [_solution(mesh) for mesh in meshes]
-        self.starts = [solution.objective if solution.is_optimum else np.nan for solution in solutions]
-        return min(meshes, key=_order)
+        self.transcription, self.problems[len(method.c)], self.halved = method, method, len(self.meshes)
+        is_credible = [len(meshes) == 1 or self._is_credible(mesh) for mesh in meshes]
+        self.start = min(range(len(meshes)), key=lambda k: (not is_credible[k], *_order(meshes[k])))
+        self.starts = [_solution(x).objective if _solution(x).is_optimum else np.nan for x in meshes]
+        self.first, why = meshes[self.start], "first mesh" if coarser is None else "anew, all intervals halved"
+        self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
+        if coarser is not None and not is_credible[self.start] and _solution(self.first).is_optimum and self._can_begin:
+            return (yield from self._begin(self.first))
+        return self.first
+
+    def _refine(self, mesh: Mesh, chosen: np.ndarray | None, which: str) -> _Solving:
+        """Solve on a finer mesh from the optimum on a coarser one, or anew if that wanders."""
+        method, guess = self.transcription, self.transcription.refined(mesh, chosen)
+        why = "all intervals divided" if chosen is None else f"{chosen.sum()} divided, {which}"
+        if self._can_begin:
+            (finer,) = yield [(method, guess, WANDERING)]
+            if self.stop.now or not _wanders(_solution(mesh), _solution(finer)):
+                self._note(finer, why)
+                return finer
+            self._note(finer, why + "; the start wanders")
+            anew = yield from self._begin(self.first)
+            if _solution(anew).is_optimum or self.stop.now:
+                self.wandered = True
+                return anew
+            self.transcription = method
+        (finer,) = yield [(method, guess, MOST_ITERATIONS)]
+        self._note(finer, why)
+        return finer
+
+    @property
+    def _can_begin(self) -> bool:
+        return 2 * len(self.first.grid.phase) <= MOST_INTERVALS
+
+    def _is_credible(self, mesh: Mesh) -> bool:
+        """Return whether a motion is an optimum that what remains between the points hardly changes."""
+        solution, size = _solution(mesh), NOTHING * mesh.size
+        if not solution.is_optimum:
+            return False
+        change = abs(residual_between_points(self.transcription, mesh, FEW).change).sum()
+        return bool(change <= CREDIBLE * abs(solution.objective) + size)
+
+    def _note(self, mesh: Mesh, why: str) -> None:
+        solution, counts = _solution(mesh), mesh.grid.counts
+        objective = solution.objective if solution.is_optimum else None
+        intervals = counts[0] if len(counts) == 1 else counts
+        self.rows.append(SolvedMesh(intervals, len(mesh.grid.c), objective, solution.iterations, why))
 
     def _error(self) -> tuple[float, bool]:
         """Return the estimated error of the objective, and whether it can be trusted.
@@ -277,6 +379,12 @@ def _mesh_limit(error: float, limit: float, residual: Residual, count: int) -> s
 def _solution(mesh: Mesh) -> Solution:
     assert mesh.solution is not None
     return mesh.solution
+
+
+def _wanders(before: Solution, after: Solution) -> bool:
+    change = abs(after.objective - before.objective)
+    is_elsewhere = after.iterations > FEW_STEPS and change > ELSEWHERE * max(abs(x.objective) for x in (before, after))
+    return after.status == LIMITED or (after.is_optimum and is_elsewhere)
 
 
 def _order(mesh: Mesh) -> tuple[bool, float, float]:

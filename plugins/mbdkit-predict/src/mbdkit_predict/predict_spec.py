@@ -30,7 +30,8 @@ from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
 from mbdkit_predict.measured_functions import MeasuredFunction
 
-STAGES = {"radau": (2, 3, 5), "gauss": (1, 2, 3, 4, 5, 6)}  #: Numbers of collocation points of each method.
+SAME = 1e-4  #: Optima on one mesh whose relative difference is below this count as one.
+STAGES = {"radau": (2, 3, 5, 7), "gauss": (1, 2, 3, 4, 5, 6)}  #: Numbers of collocation points of each method.
 
 
 def _ordered(bounds: object) -> object:
@@ -128,7 +129,7 @@ class Collocation(Section):
     method: Literal["radau", "gauss"] = "radau"
     """Radau IIA, or Gauss-Legendre."""
     points: Count = 3
-    """Collocation points of an interval: 2, 3 or 5 with radau, 1 to 6 with gauss."""
+    """Collocation points of an interval: 2, 3, 5 or 7 with radau, 1 to 6 with gauss."""
     intervals: Count = 20
     """Intervals of the first mesh, of equal length."""
 

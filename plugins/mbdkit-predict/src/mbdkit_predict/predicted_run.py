@@ -40,6 +40,7 @@ INACCURATE = "The objective is less accurate than `tolerance`."
 UNKNOWN = "Too few meshes have an optimum, so that the error of the objective is not known."
 SMALL = "The error of the objective is more than `tolerance`: it is nearly zero, compared with its natural size."
 NO_MINIMUM = "The second-order condition does not hold: motions near it may have the same or a smaller objective."
+WANDERED = "Coarse meshes have other optima, and no second first guess leads to this one: try more `starts`."
 #: Verdicts on motions.
 ESTIMATED = "The error of the objective is estimated, a forward run confirms the motion, and it is a local minimum."
 
@@ -161,7 +162,7 @@ def _run_of(
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:
     optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
     texts = {
-        "mesh": [[counts[0] if len(counts) == 1 else counts, value] for counts, value in result.record],
+        "mesh": [row._asdict() for row in result.rows],
         "durations": result.mesh.values["duration"].tolist(),
         "optimized": {name: optimized[name] for name in result.spec.optimized},
         "starts": [None if np.isnan(value) else value for value in result.starts],
@@ -191,6 +192,8 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
         doubts.append(SMALL)
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
+    if result.wandered and result.ending_here < 2:
+        doubts.append(f"{WANDERED} {result.basin}")
     if forward is None:
         doubts.append("The optimization was stopped, so that no forward run confirms the motion.")
     elif not forward.of_intervals <= limit:
@@ -205,4 +208,5 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
         )
     if result.spec.compare and (rival is None or rival.reason or rival.jumps):
         doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
-    return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", (ESTIMATED,))
+    known = (ESTIMATED, result.basin) if result.basin else (ESTIMATED,)
+    return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", known)

@@ -14,10 +14,9 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import parse_path
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit_predict.predict_spec import SAME
 from mbdkit_report import Section, Table, columns_of
 from mbdkit_report.seams import report_sections
-
-SAME = 1e-4  #: Optima on the first mesh whose relative difference is below this count as one.
 
 
 class PredictedGain(NamedTuple):
@@ -46,9 +45,16 @@ def objective_error(run: Run) -> float:
 
 
 def mesh(run: Run) -> list[tuple[int | tuple[int, ...], float]]:
-    """Return the number of intervals, of each phase if there are several, and the objective of each mesh."""
-    meshes = _recorded(run, "mesh")
-    return [(tuple(count) if isinstance(count, list) else int(count), float(value)) for count, value in meshes]
+    """Return the number of intervals, of each phase if there are several, and the objective of each mesh with an
+    optimum.
+    """
+    rows = [(_count(row), row["objective"]) for row in _recorded(run, "mesh")]
+    return [(count, float(value)) for count, value in rows if value is not None] or [(rows[-1][0], objective(run))]
+
+
+def _count(row: dict[str, Any]) -> int | tuple[int, ...]:
+    count = row["intervals"]
+    return tuple(count) if isinstance(count, list) else int(count)
 
 
 def parameters(run: Run) -> dict[str, float]:
@@ -109,10 +115,13 @@ def lines(run: Run) -> list[tuple[str, str]]:
     value, error, ended, slopes = objective(run), objective_error(run), starts(run), sensitivities(run)
     of_optimum = f"{value:.10g} +- {'unknown' if math.isnan(error) else f'{error:.2g}'} on {counts} intervals"
     of_iterate = f"{value:.10g} at the best iterate, which is no optimum"
-    method, forward = run.spec["collocation"], forward_run(run)
+    method, forward = run.spec["collocation"]["method"], forward_run(run)
+    rows = _recorded(run, "mesh")
+    last = ([row for row in rows if row["objective"] is not None] or rows)[-1]
     entries = [
-        ("collocation", f"{method['method']}, {method['points']} points in each of {counts} intervals"),
-        ("objective", of_optimum if any(map(math.isfinite, ended)) else of_iterate),
+        ("collocation", f"{method}, {last['points']} points in each of {counts} intervals"),
+        *((f"mesh {k}", ", ".join(map(str, row))) for k, row in enumerate(_rows(run), 1)),
+        ("objective", of_optimum if any(row["objective"] is not None for row in rows) else of_iterate),
         *([("starts", _of_starts(ended))] if len(ended) > 1 else []),
         *((name, f"{value:.6g}") for name, value in parameters(run).items()),
     ]
@@ -126,6 +135,15 @@ def lines(run: Run) -> list[tuple[str, str]]:
         at_end, most = (f"{forward[name]:.1e}" for name in ("end", "largest"))
         entries.append(("forward run", f"differs by {at_end} of the range of the motion at the end, {most} at most"))
     return entries
+
+
+def _rows(run: Run) -> Iterator[tuple[str, str, str, str]]:
+    for row in _recorded(run, "mesh"):
+        counts, value = " + ".join(map(str, np.atleast_1d(_count(row)))), row["objective"]
+        yield (
+            f"{counts} x {row['points']}", "no optimum" if value is None else f"{value:.8g}",
+            f"{row['iterations']} iterations", row["why"],
+        )  # fmt: skip
 
 
 def _of_starts(values: list[float]) -> str:
@@ -159,10 +177,9 @@ def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
     spec, names = run.spec, {"radau": "Radau IIA methods", "gauss": "Gauss methods"}
     collocation = spec["collocation"]
     text = _METHOD.format(minimize=spec["minimize"], method=names[collocation["method"]], points=collocation["points"])
-    meshes = tuple((" + ".join(map(str, n)) if isinstance(n, tuple) else n, value) for n, value in mesh(run))
     tables = [
         Table("optimum", "Optimum", columns_of("item; value"), tuple(lines(run)), headline=True),
-        Table("meshes", "Meshes", columns_of("intervals; objective"), meshes),
+        Table("meshes", "Meshes", columns_of("intervals x points; objective; iterations; why"), tuple(_rows(run))),
     ]
     slopes = tuple(sensitivities(run).items())
     if slopes:

@@ -19,6 +19,7 @@ States are continuous from phase to phase, because the end of an interval is the
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -56,6 +57,7 @@ MOTION, COLLOCATION, ENDS = "the equations of motion", "the collocation", "the c
 JOINTS = "the joints at the ends of intervals"  #: Names of conditions.
 #: Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`.
 WEIGHT_OF_START = 10.0
+MANY_POINTS = {"radau": 7, "gauss": 5}  #: Collocation points of meshes on which the search begins anew.
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
@@ -120,8 +122,7 @@ class Transcription:
             "p": _limits(map(spec.optimized.get, self.system.parameter_names), self.system.p0),
             "duration": _limits((x if isinstance(x, Duration) else None for x in durations), lengths),
         }
-        method = radau_iia if spec.collocation.method == "radau" else gauss
-        self.a, self.b, self.c = method.tableau(spec.collocation.points).floats()
+        self._set_points(spec.collocation.points)
         self.has_nodes = spec.collocation.method == "gauss"
         ends = np.cumsum(lengths).tolist()
         self.breaks = breaks_of(spec, float(self.limits["duration"][1].sum()))
@@ -156,6 +157,16 @@ class Transcription:
         self._projection, self._weights = self._projection_function()
         self._idle = self._without_effect()
 
+    def _set_points(self, points: int) -> None:
+        method = radau_iia if self.spec.collocation.method == "radau" else gauss
+        self.a, self.b, self.c = method.tableau(points).floats()
+
+    def of_high_order(self) -> Transcription:
+        """Return the problem with as many collocation points as meshes have on which the search begins anew."""
+        other = copy(self)
+        other._set_points(max(len(self.c), MANY_POINTS[self.spec.collocation.method]))
+        return other
+
     def _add_path(self, conditions: Mapping[str, PathCondition], key: str, phase: int | None) -> None:
         """Add conditions along the path; those of one coordinate, velocity or state are bounds of unknowns."""
         unknowns = {
@@ -181,13 +192,18 @@ class Transcription:
         within = begins[:, :, None] + h[:, None] * (parts @ self.a.T)
         return np.column_stack([np.zeros(len(rates)), within.reshape(len(rates), -1), *[whole[:, -1]] * self.has_nodes])
 
-    def guess(self, random: np.random.Generator | None = None, stop: Stop | None = None) -> Mesh:
-        """Return a first guess: the motion in an archive, that of the simpler problem, or else positions on straight
-        lines between poses that satisfy the conditions at the start and at the ends of phases; with `random`, by way of
-        drawn poses, and with drawn controls.
+    def guess(
+        self,
+        random: np.random.Generator | None = None,
+        stop: Stop | None = None,
+        grid: IntervalGrid | None = None,
+    ) -> Mesh:
+        """Return a first guess, by default on the first mesh: the motion in an archive, that of the simpler problem, or
+        else positions on straight lines between poses that satisfy the conditions at the start and at the ends of
+        phases; with `random`, by way of drawn poses, and with drawn controls.
         """
         system, spec = self.system, self.spec
-        grid, (low, high, durations) = self._first_grid(), self.limits["duration"]
+        grid, (low, high, durations) = grid or self._first_grid(), self.limits["duration"]
         if self.simpler is not None and self._simple is None:
             given = self.simpler.guess()
             self._simple = solved_meshes([(self.simpler, given, MOST_ITERATIONS)], stop or Stop())[0]
@@ -277,14 +293,20 @@ class Transcription:
         `chosen` (N,), only these are divided, into as many parts.
         """
         divided = self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1)
+        finer = self.moved(mesh, self, divided)
+        return replace(finer, slopes=self._refined_slopes(mesh, finer.grid))
+
+    def moved(self, mesh: Mesh, other: Transcription, divided: np.ndarray) -> Mesh:
+        """Return the motion of a solution as a guess for another number of collocation points, with intervals that are
+        divided into so many parts (N,).
+        """
         values = dict(mesh.values)
-        within = {m: np.array([(j + c) / m for j in range(m) for c in self.c]) for m in set(divided.tolist())}
+        within = {m: np.array([(j + c) / m for j in range(m) for c in other.c]) for m in set(divided.tolist())}
         for name in OF_POINTS:
             columns = {m: self.values_at(mesh, name, shares) for m, shares in within.items()}
             values[name] = np.concatenate([columns[m][:, i] for i, m in enumerate(divided.tolist())], axis=1)
-        grid = mesh.grid.divided(divided)
-        slopes = self._refined_slopes(mesh, grid)
-        return Mesh(grid, self._with_nodes(values), mesh.iterations, slopes=slopes, size=mesh.size)
+        grid = replace(mesh.grid.divided(divided), c=other.c)
+        return Mesh(grid, other._with_nodes(values), mesh.iterations, size=mesh.size)
 
     def _parts(self, mesh: Mesh) -> np.ndarray:
         """Return the number of parts (N,) into which intervals are divided for the next mesh."""

@@ -18,11 +18,14 @@ import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
 from mbdkit.plugin.specs import write_yaml
+from mbdkit_predict import nonlinear_program
 from mbdkit_predict.nonlinear_program import _Watcher
 from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
 from mbdkit_predict.processes import Stop
 from mbdkit_predict.transcription import OF_POINTS, Mesh
+from predict import chains
+from predict.chains import chain
 from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
 from tests.identified import MASS, STIFFNESS, sliding, write_fit
 from tests.margins import assert_within
@@ -140,7 +143,7 @@ def test_a_motion_that_cannot_be_is_infeasible(tmp_path: Path) -> None:
         ({"subject_to": {"a": {"value": "block.z", "max": 1}}}, "subject_to.a.value", "block.z"),
         ({"controls": {PUSH: {"bounds": [1, -1]}}}, 'controls."forces.push.value[0]".bounds', "is above"),
         ({"controls": {"forces.pull.value": {"bounds": [0, 1]}}}, "model.forces.pull.value", "no 'pull' here"),
-        ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3 or 5 points, not 4"),
+        ({"collocation": {"points": 4}}, "collocation.points", "radau has 2, 3, 5 or 7 points, not 4"),
         ({"base": "blok"}, "base", "`mbdkit examples` lists all"),
         ({"durration": 1.0}, "durration", "(did you mean 'duration'?); known here: base, overrides, title"),
         ({"phases": [{"duration": 1.0}]}, "duration", "each of the `phases` has its own"),
@@ -499,3 +502,29 @@ def test_a_mechanism_without_freedom_moves_only_its_states(coordinates: str) -> 
     spec |= {"controls": {"states.u": {"bounds": [-5, 5]}}, "minimize": "integral(states.u**2)"}
     run = mbdkit.predict(spec | {"final": {"states.x.value": 1}})
     assert abs(run.objective - 1.0) <= run.objective_error
+
+
+def raised_chain(count: int, **sections: Any) -> dict[str, Any]:
+    """Return a chain that is raised by 0.6 rad, whose least effort on coarse meshes is an artefact."""
+    spec = chain(count)
+    return spec | {"final": {name: 0.6 * (x > 0.0) for name, x in spec["final"].items()}} | sections
+
+
+def test_a_search_whose_meshes_wander_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    # optima on meshes of 5 and 10 intervals are 88.5 and 128.6; that of the transcription in absolute angles is 436.94
+    monkeypatch.setattr(chains, "ANGLE", 0.6)
+    program, start = chains.program(4, 40, 5)
+    exact = float(ca.nlpsol("angles", "ipopt", program, nonlinear_program._OPTIONS)(**start)["f"])
+    run = mbdkit.predict(raised_chain(4, collocation={"intervals": 5}, tolerance=1e-4))
+    assert run.objective == pytest.approx(exact, rel=1e-4)
+    assert run.verdict_reasons[-1] == "Local minimum: 2 of 2 starts end here."
+    table = run.summary()
+    assert "the start wanders" in table
+    assert "10 x 7, " in table
+
+
+@pytest.mark.slow
+def test_an_optimum_that_no_second_guess_finds_after_wandering_is_doubtful() -> None:
+    run = mbdkit.predict(raised_chain(5, collocation={"intervals": 8}, tolerance=1e-4))
+    assert run.verdict == "doubtful"
+    assert "1 of 2 starts end here, the best of the others is" in run.verdict_reasons[0]
