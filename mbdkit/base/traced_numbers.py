@@ -380,7 +380,8 @@ def _cubic_pieces(arguments: Sequence[float], values: Any) -> Any:
 
 
 _FUNCTIONS: Mapping[str, Callable[..., Any]] = {
-    "_cubic_pieces": _cubic_pieces, "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max, "_min": min,
+    "_cubic_pieces": _cubic_pieces, "_dist": math.dist, "_hypot": math.hypot, "_sqrt": math.sqrt, "_max": max,
+    "_min": min,
     "_power": _power, "_second": _second,
 }  # fmt: skip
 _RECORDABLE = {function: _recordable(name, function) for name, function in _FUNCTIONS.items()}

@@ -55,7 +55,7 @@ class Sections(TypedDict, total=False):
     output: Section
     events: Mapping[str, Section]
     measures: Mapping[str, str | Mapping[str, object]]
-    gradients: Sequence[str]
+    gradients: Sequence[str] | Section
     inputs: Mapping[str, Section]
     limits: Section
     check: bool

@@ -45,6 +45,7 @@ from mbdkit.spec.sections import (
     LARGEST_COUNT,
     UNSTABILIZED,
     Event,
+    Gradients,
     Limits,
     Output,
     StabilizationChoice,
@@ -151,9 +152,9 @@ class RunSpec(ModelSpec):
     """Events by name: zero crossings of expressions in the state of the run, which are recorded or stop the run."""
     measures: RunMeasures = Field(default_factory=dict)
     """Measures by name: numbers that expressions, such as `max(abs(joints.B.force))`, or plugins take from the run."""
-    gradients: list[str] = Field(default_factory=list, max_length=50)
+    gradients: list[str] | Gradients = Field(default_factory=list)
     """Parameters with respect to which mbdkit differentiates all measures when the run is complete: names of
-    `parameters`, or key paths of numbers such as `model.bodies.rod.mass`."""
+    `parameters`, or key paths of numbers such as `model.bodies.rod.mass`; or a mapping of `parameters` and `mode`."""
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False

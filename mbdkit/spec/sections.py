@@ -188,6 +188,22 @@ class Meta(Section):
     """Licence of the results: an SPDX identifier such as `CC-BY-4.0`, or an address; none by default."""
 
 
+GradientMode = Literal["auto", "forward", "adjoint"]
+
+
+class Gradients(Section):
+    """Derivatives of all measures with respect to parameters."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("mode",)
+
+    parameters: list[str] = Field(min_length=1)
+    """Names of `parameters`, or key paths of numbers such as `model.bodies.rod.mass`."""
+    mode: GradientMode = "auto"
+    """How they are computed: `forward` carries the derivatives with respect to all parameters through every step;
+    `adjoint` carries those of each measure back from the end to the start, which costs a few runs for any number of
+    parameters, and refuses what it does not support; `auto` chooses by cost."""
+
+
 class Limits(Section):
     """Limits that stop a run early."""
 

@@ -22,12 +22,15 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.notes import zero_reactions_in
-from mbdkit.runs.preparation import RunSetup
+from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import open_doubts
+from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
+from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
@@ -159,13 +162,13 @@ def gradient(
     *,
     parameters: Names | None = None,
     check: bool = True,
+    mode: GradientMode = "auto",
     **sections: object,
 ) -> Gradient:
     """Run a spec, and return the exact derivatives of measures of the run with respect to parameters of its model.
 
-    The run differentiates every step of the method (forward sensitivities of the discrete solution), so that the result
-    is the derivative of the computed numbers for any step size. It includes the dependence of the initial state on the
-    parameters, also the dependence due to assembly.
+    Every step of the method is differentiated, so that the result is the derivative of the computed numbers for any
+    step size. It includes the dependence of the initial state on the parameters, also the dependence due to assembly.
 
     Parameters
     ----------
@@ -182,6 +185,10 @@ def gradient(
     check
         Whether to check the gradient, and to estimate the errors of its entries, by up to ten runs and a gradient by
         another method.
+    mode
+        ``forward`` carries the derivatives with respect to all parameters through every step; ``adjoint`` carries those
+        of each measure back from the end to the start, which costs a few runs for any number of parameters; ``auto``
+        takes the adjoint for many parameters where it is available.
     **sections
         Sections of the spec, such as ``time={"end": 1.0, "step": 0.01}``; they replace those of `source`.
 
@@ -193,7 +200,8 @@ def gradient(
     Raises
     ------
     SpecError
-        If the input is wrong, or if a measure or runs of this spec have no derivatives.
+        If the input is wrong, if a measure or runs of this spec have no derivatives, or if the adjoint does not give
+        them and is asked for.
     RunError
         If the run stops early.
 
@@ -209,6 +217,7 @@ def gradient(
     """
     with one_thread_of_linear_algebra():
         problem, chosen = _RunProblem.asked(load_spec, source, measures, names, parameters, sections)
+        problem.mode = mode
         found = problem.gradient(chosen, check=check)
     spec = problem.spec
     of_spec = RunSetup.of(spec).findings()
@@ -222,15 +231,23 @@ def gradient(
     return replace(found, doubts=(*of_run, *found.doubts), remarks=remarks)
 
 
+def asked_gradients(spec: RunSpec) -> tuple[list[str], GradientMode]:
+    """Return the names of the parameters in the key `gradients` of a spec, and the mode."""
+    asked = spec.gradients
+    return (asked, "auto") if isinstance(asked, list) else (asked.parameters, asked.mode)
+
+
 def check_gradients(spec: RunSpec, method: Method) -> None:
     """Raise SpecError, with the key, if the gradients requested by a spec cannot be computed."""
     with SpecError.place_by(spec.placed):
         if not spec.measures:
             raise SpecError("gradients are derivatives of measures, but the spec has no `measures`", key="gradients")
-        for index, name in enumerate(spec.gradients):
-            with SpecError.rekey(path_text(("gradients", index))):
+        names, _ = asked_gradients(spec)
+        key = ("gradients",) if isinstance(spec.gradients, list) else ("gradients", "parameters")
+        for index, name in enumerate(names):
+            with SpecError.rekey(path_text((*key, index))):
                 resolved(spec, [name])
-        resolved(spec, spec.gradients)
+        resolved(spec, names)
         require_derivatives(expressions_of(spec, definitions_of(spec, list(spec.measures))))
         refuse(spec, method)
 
@@ -248,7 +265,10 @@ def gradients_json(spec: RunSpec) -> str:
     try:
         with one_thread_of_linear_algebra():
             definitions = definitions_of(spec, list(spec.measures))
-            found = gradient_of_run_spec(spec, definitions, resolved(spec, spec.gradients), check=True)
+            names, mode = asked_gradients(spec)
+            problem = _RunProblem(spec, definitions)
+            problem.mode = mode
+            found = problem.gradient(resolved(spec, names), check=True)
     except MbdkitError as error:
         text = {name: {"reason": str(error)} for name in spec.measures}
     else:
@@ -310,6 +330,13 @@ class GradientProblem(ABC, Generic[S]):
     def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:
         """Return the states with derivatives with respect to the parameters."""
 
+    def differentiated(
+        self, parameters: Sequence[Parameter], prepared: PreparedDerivatives
+    ) -> tuple[Any, Mapping[str, DerivedMeasure]]:
+        """Return a `DifferentiatedRun` or an `AdjointRun`, and its measures with their derivatives."""
+        run = self.run(parameters, prepared)
+        return run, derived_measures(run, self.expressions, prepared.seeds)
+
     @abstractmethod
     def measured(self, run: DifferentiatedRun, settings: Settings) -> list[float]:
         """Return the measures for other values of the parameters than those of `run`; nan if the computation fails."""
@@ -321,8 +348,7 @@ class GradientProblem(ABC, Generic[S]):
     def gradient(self, parameters: Sequence[Parameter], *, check: bool) -> Gradient:
         """Return the gradient with respect to parameters, with its check unless `check` is false."""
         prepared = self.prepared(parameters)
-        run = self.run(parameters, prepared)
-        derived = derived_measures(run, self.expressions, prepared.seeds)
+        run, derived = self.differentiated(parameters, prepared)
         doubts = [*run.doubts, *(doubt for one in derived.values() for doubt in one.doubts)]
         value = np.array([one.value for one in derived.values()])
         jacobian = np.array([one.slope for one in derived.values()]).reshape(len(derived), len(parameters))
@@ -345,7 +371,7 @@ class GradientProblem(ABC, Generic[S]):
             remarks=tuple(f"{name}: {remark}" for name, one in derived.items() for remark in one.remarks),
         )
 
-    def _sizes(self, run: DifferentiatedRun, derived: Mapping[str, DerivedMeasure]) -> dict[str, float]:
+    def _sizes(self, run: DifferentiatedRun | AdjointRun, derived: Mapping[str, DerivedMeasure]) -> dict[str, float]:
         """Return the magnitudes of the numbers from which the measures are computed."""
         mechanism, duration = run.rows.mechanism, float(np.ptp(run.rows.time))
         mass = float(np.max(mechanism.topology.mass[:-1, 0], initial=0.0))
@@ -354,8 +380,14 @@ class GradientProblem(ABC, Generic[S]):
         return {name: max(abs(one.value), one.size, NATURAL * natural[name]) for name, one in derived.items()}
 
 
+#: Smallest number of parameters for which the adjoint, if it is available, is chosen by itself.
+FEW = 9
+
+
 class _RunProblem(GradientProblem[RunSpec]):
     """A run with its measures."""
+
+    mode: GradientMode = "auto"
 
     def __init__(self, spec: RunSpec, definitions: Definitions):
         super().__init__(spec, definitions)
@@ -370,7 +402,27 @@ class _RunProblem(GradientProblem[RunSpec]):
         run = differentiated_run(self.spec, prepared.seeds, self._needs)
         return replace(run, doubts=(*start_doubts(self.spec, parameters, prepared), *run.doubts))
 
-    def measured(self, run: DifferentiatedRun, settings: Settings) -> list[float]:
+    def differentiated(
+        self, parameters: Sequence[Parameter], prepared: PreparedDerivatives
+    ) -> tuple[Any, Mapping[str, DerivedMeasure]]:
+        if self.mode == "forward" or (self.mode == "auto" and len(parameters) < FEW):
+            return super().differentiated(parameters, prepared)
+        refuse(self.spec, make_method(self.spec))
+        try:
+            if why := why_forward(self.spec, make_method(self.spec), prepared.seeds):
+                raise NotByAdjointError(why)
+            run = AdjointRun(self.spec, prepared.seeds, self._needs)
+            derived = run.measures(self.expressions)
+        except NotByAdjointError as error:
+            if self.mode == "adjoint":
+                raise SpecError(
+                    f"the adjoint does not give this gradient: {error}; use mode: forward", key="gradients"
+                ) from None
+            return super().differentiated(parameters, prepared)
+        run.doubts = tuple(start_doubts(self.spec, parameters, prepared))
+        return run, derived
+
+    def measured(self, run: DifferentiatedRun | AdjointRun, settings: Settings) -> list[float]:
         spec = self._specs.spec(settings)
         expressions = expressions_of(spec, self.definitions) if self.spec.parameters else self.expressions
         is_plain = self._needs == Needs() and not spec.events and not run.is_split and run.sizes is None
@@ -381,9 +433,10 @@ class _RunProblem(GradientProblem[RunSpec]):
             return [np.nan] * len(expressions)
         return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
 
-    def reference(self, run: DifferentiatedRun, prepared: PreparedDerivatives) -> Reference:
+    def reference(self, run: DifferentiatedRun | AdjointRun, prepared: PreparedDerivatives) -> Reference:
+        by_adjoint = isinstance(run, AdjointRun)
         step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
-        return Reference(self.spec, self.expressions, prepared, self._needs, step)
+        return Reference(self.spec, self.expressions, prepared, self._needs, step, by_adjoint)
 
 
 @object_view

@@ -77,7 +77,7 @@ def derived_measures(
     states = MotionStates(run.motions)
     _keep_shared_states(run, states, expressions.values())
     return {
-        name: _MeasureEvaluation(run, states, one, slopes_of(one.program, seeds, of_measure(name))).derived()
+        name: MeasureEvaluation(run, states, one, slopes_of(one.program, seeds, of_measure(name))).derived()
         for name, one in expressions.items()
     }
 
@@ -101,7 +101,7 @@ def _keep_shared_states(run: DifferentiatedRun, states: MotionStates, expression
         states.keep(number, np.concatenate(time))
 
 
-class _MeasureEvaluation(DoubtedMeasure):
+class MeasureEvaluation(DoubtedMeasure):
     """The evaluation of one measure.
 
     Parameters
@@ -160,7 +160,7 @@ class _MeasureEvaluation(DoubtedMeasure):
                 return time
             if operation == "get":
                 quantity = self.expression.quantities[int(number)]
-                return self._of_event(quantity) if quantity.kind == "events" else quantity_of(states, quantity)
+                return self._of_event(quantity) if quantity.kind == "events" else self._quantity(states, quantity)
             if operation.startswith(REDUCE):
                 if index not in self._reduced:
                     self._reduced[index] = self._reduction(index, operation.removeprefix(REDUCE), int(number), operands)
@@ -173,6 +173,9 @@ class _MeasureEvaluation(DoubtedMeasure):
             return of_operands(operation, number, *operands)
 
         return execute(self.expression.program[begin:end], step)
+
+    def _quantity(self, states: DifferentiatedStates, quantity: Quantity) -> DerivedValue:
+        return quantity_of(states, quantity)
 
     def _reduction(self, index: int, name: str, number: int, operands: Sequence[DerivedValue]) -> DerivedValue:
         """Return the value of the reduction over time at this index of the program.

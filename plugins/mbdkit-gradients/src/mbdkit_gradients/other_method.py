@@ -14,10 +14,12 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
-from mbdkit.runs.preparation import RunSetup
+from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.simulation import measured_in
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
+from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.law_corners import with_sides
@@ -48,6 +50,8 @@ class Reference:
         Data that the measures need.
     step
         Size of the steps of the run [s], on average.
+    by_adjoint
+        Whether the gradient is known only if the adjoint gives it, because there are many parameters.
     """
 
     spec: RunSpec
@@ -55,6 +59,7 @@ class Reference:
     prepared: PreparedDerivatives
     needs: Needs
     step: float
+    by_adjoint: bool = False
 
     def __post_init__(self) -> None:
         self._specs = VariedSpecs(self.spec.canonical_json())
@@ -86,8 +91,13 @@ class Reference:
         step = min(step, self.step / FINER) if fixed else step
         other = with_other_steps(other, step, fixed=fixed, tightest=TOLERANCE)
         try:
+            if self.by_adjoint:
+                if why_forward(other, make_method(other), seeds):
+                    return unknown
+                found = AdjointRun(other, seeds, self.needs).measures(self.expressions)
+                return np.array([one.slope for one in found.values()]).reshape(unknown.shape)
             derived = derived_measures(differentiated_run(other, seeds, self.needs), self.expressions, seeds)
-        except (MbdkitError, ArithmeticError):
+        except (MbdkitError, NotByAdjointError, ArithmeticError):
             return unknown
         return np.array([one.slope for one in derived.values()]).reshape(unknown.shape)
 

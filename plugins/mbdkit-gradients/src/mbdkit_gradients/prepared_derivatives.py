@@ -32,9 +32,9 @@ from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions
 from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import (
     CENTRAL,
-    Arrays,
     RANK,
     WIDEST,
+    Arrays,
     KnownDerivatives,
     Preparation,
     PreparedDerivatives,
@@ -264,7 +264,7 @@ class RunPreparation(Preparation):
         try:
             variant = Variant.of(self.spec, paths)
             values = np.array([one.value for one in parameters])
-            slopes = arrays_from(variant.places, variant.base, derivatives_of(variant.formulas, values))
+            slopes = arrays_from(variant.places, variant.base, derivatives_of(variant.formulas, values.tolist()))
         except (Exception, SystemExit):  # code computes in a way that cannot be recorded
             return None
         changes = WIDEST * np.array([self._scale(one) for one in parameters])

@@ -206,7 +206,7 @@ class StartDerivatives:
     def _by_points(self, slopes: np.ndarray) -> np.ndarray:
         """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K)."""
         total = np.zeros((2, len(self._search.rows), slopes.shape[-1]))
-        for column in np.flatnonzero(np.any(slopes, axis=(0, 2))):
+        for column in np.flatnonzero(np.any(slopes, axis=(0, 2))).tolist():
             given = self._points[:, column].copy()
             unit = 2.0 ** np.floor(np.log2(0.0125 * max(0.1, float(np.max(np.abs(given))))))
 
@@ -226,7 +226,7 @@ class StartDerivatives:
         if not np.any(np.abs(miss) > CONSISTENT * np.max(size, axis=0, initial=0.0)):
             return given
         light = self._light
-        return given - light[:, None] * np.linalg.lstsq(self._jacobian * light, miss, RANK)[0]
+        return np.asarray(given - light[:, None] * np.linalg.lstsq(self._jacobian * light, miss, RANK)[0])
 
     def of(self, q: np.ndarray, v: np.ndarray, points: np.ndarray) -> dict[str, np.ndarray]:
         """Return the derivatives of the start ``q`` and ``v`` (3 (B + 1), K) from those of the given values, ground
@@ -236,8 +236,12 @@ class StartDerivatives:
         dq = self._projected(q[:-3], by_points[0])
         rate = by_points[1]
         for k in np.flatnonzero(np.any(dq, axis=0)) if np.any(self.v) else ():
-            unit = 0.001 / float(np.max(np.abs(dq[:, k])))
-            rate[:, k] += self._along(lambda x, k=k: self._residuals(self.q + x * dq[:, k]), unit)[1]
+            way = 0.001 / float(np.max(np.abs(dq[:, k]))) * dq[:, k]
+
+            def moved(share: float, way: np.ndarray = way) -> np.ndarray:
+                return self._residuals(self.q + share * way)
+
+            rate[:, k] += self._along(moved, 1.0)[1] * float(np.max(np.abs(dq[:, k]))) / 0.001
         dv = self._projected(v[:-3], rate)
         return {name: np.apply_along_axis(with_ground, 0, x) for name, x in (("q", dq), ("v", dv)) if np.any(x)}
 

@@ -1,0 +1,429 @@
+"""Gradients by the adjoint: the cost of a few runs for each measure, for any number of parameters.
+
+A run records the states at the ends of its steps. The derivatives of a measure with respect to these states are carried
+back through the steps to the start; on the way, those with respect to the numbers of the mechanism are added up
+(`mbdkit_gradients.kernels.adjoint`). Products with the derivatives of the preparation give the gradient.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from mbdkit.base.errors import PluginError, RunError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.iteration_matrix import classes_of
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, RESIDUAL_Q, STIFFNESS
+from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.number_arrays import ITEM, new_duals
+from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.differentiated_stepper import dual_laws
+from mbdkit.integrators.duals.dual_run import Seeds, dual_states, new_dual_run
+from mbdkit.integrators.interface import SAME_TIME, joined
+from mbdkit.laws.tabulated import LAW as TABLE
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.states import States
+from mbdkit.runs.continuous_motion import MotionPart, observed_at
+from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.step_interpolation import StepEnds
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_gradients.adjoint_measures import Bars, Nodes, NotByAdjointError, measured_bars
+from mbdkit_gradients.differentiated_run import Needs
+from mbdkit_gradients.kernels import adjoint as kernels
+from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
+from mbdkit_gradients.measured_derivatives import DerivedMeasure
+
+#: Arrays of a mechanism with respect to which the adjoint gives derivatives; `weight` follows from `mass`.
+ARRAYS = ("mass", "gravity", "pair_parameters", "spring_points", "linear", "law_parameters", "load_points")
+AROUND = 8  #: Number of step ends on both sides of a step that may determine the motion in it.
+
+
+def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
+    """Return why the adjoint does not give gradients of runs of a spec, as a clause; empty if it does.
+
+    What depends on the compiled mechanism is told by `AdjointRun`.
+    """
+    if not isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta) or not method.traits.has_derivatives:
+        return "the method is neither an explicit Runge-Kutta method nor a collocation method"
+    if spec.formulated.name != "index-1":
+        return f"the formulation is {spec.formulated.name}"
+    if spec.stabilized.kind == "projection":
+        return "states are projected"
+    if spec.events:
+        return "the run has events"
+    if unknown := [name for name in seeds.arrays if name not in (*ARRAYS, "weight", "q", "v", "marker_points")]:
+        known = {"motion_values": "motions or loads that are functions of time", "section_parameters": "beams"}
+        of_measure = "numbers of measures" if "." in unknown[0] else "other elements"
+        return f"parameters change {known.get(unknown[0], of_measure)}"
+    return ""
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The motion between two stops: numbers of its first and last step end, and its motion; see `MotionPart`."""
+
+    begin: int
+    end: int
+    plain: MotionPart
+    corner: None = None
+
+    @property
+    def span(self) -> tuple[float, float]:
+        time = self.plain.ends.time
+        return float(time[0]), float(time[-1])
+
+
+class AdjointRun:
+    """A run whose measures are differentiated by the adjoint.
+
+    Parameters
+    ----------
+    spec
+        The run, for which `why_forward` gives no reason.
+    seeds
+        Derivatives of the prepared run with respect to the parameters.
+    needs
+        Data that the measures need.
+
+    Raises
+    ------
+    NotByAdjointError
+        If elements of the mechanism do not allow it.
+    RunError
+        If the run stops early.
+    """
+
+    is_split = False
+    doubts: tuple[str, ...] = ()
+
+    def __init__(self, spec: RunSpec, seeds: Seeds, needs: Needs):
+        self.spec, self.seeds, self._needs = spec, seeds, needs
+        method = make_method(spec)
+        assert isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
+        setup = RunSetup.of(spec, method=method)
+        self.method, self.workspace = method, setup.workspace
+        self._check()
+        self._table = replace(setup.timetable(), every=1)
+        stepper, stretches = setup.stepper(self._table), []
+        while not (stepper.finished or stepper.failure):
+            stretches.append(stepper.advance())
+        if stepper.failure:
+            text = f"{stepper.failure.code}: {stepper.failure.sentence}"
+            raise RunError(f"a run that stops early has no gradient: {text}")
+        rows, work = joined(stretches), self.workspace
+        self.time = np.concatenate([[work.t0], rows.time])
+        self.q, self.v = np.concatenate([work.q0[None], rows.q]), np.concatenate([work.v0[None], rows.v])
+        size, step = np.diff(self.time), self._table.step
+        self.size = size if step is None else np.where(np.abs(size - step) < 1e-9 * step, step, size)
+        self.sizes = None if method.traits.tolerances is None else self.size.tolist()
+        self._observer = StateObserver(work.with_own_pivots())
+        self._adjoint = _Adjoint(work, seeds)
+
+    def _check(self) -> None:
+        """Raise NotByAdjointError for a mechanism that the kernels do not differentiate."""
+        mechanism, top, seeds = self.workspace.mechanism, self.workspace.mechanism.topology, self.seeds
+        mechanism.refuse_kinds("gradients")
+        kinds = {
+            "first-order states or controllers": len(top.states) + len(top.inputs) + len(top.load_values),
+            "friction in joints": len(top.frictions), "forces between bodies": len(top.interactions),
+            "contacts": mechanism.reacting is not None, "redundant joints": len(top.spare),
+            "kinds of plugins": len(mechanism.extensions), "beams": len(top.sections),
+        }  # fmt: skip
+        if reasons := [name for name, count in kinds.items() if count]:
+            raise NotByAdjointError(f"the mechanism has {reasons[0]}")
+        if with_sides(mechanism) is not None or with_unknown_corners(mechanism) or doubts_of_kinds(mechanism):
+            raise NotByAdjointError("force laws have, or may have, discontinuities")
+        points = seeds.get("spring_points")
+        if points is not None and np.any(points[top.springs[:, SPRING.segments] != 1]):
+            raise NotByAdjointError("parameters change points of a pathway with several segments")
+        if self._table_arguments(top):
+            raise NotByAdjointError(
+                "parameters change the arguments of a table, or numbers of other laws than those of springs"
+            )
+
+    def _table_arguments(self, top: Any) -> bool:
+        """Return whether parameters change numbers of laws that the kernels do not differentiate."""
+        slopes = self.seeds.get("law_parameters")
+        if slopes is None:
+            return False
+        changed, of_springs = np.any(slopes, axis=-1), np.zeros(len(slopes), dtype=bool)
+        for law in top.springs[top.springs[:, SPRING.law] >= 0, SPRING.law]:
+            begin = int(top.laws[law, LAW_ROW.parameters])
+            count = int(top.law_parameters[begin])
+            of_springs[begin + 1 : begin + 1 + count] = True
+            if self.workspace.mechanism.laws[law][1].law is TABLE:
+                pieces = int(top.law_parameters[begin + 2])
+                of_springs[begin + 2 : begin + 4 + pieces] = False
+        return bool(np.any(changed & ~of_springs))
+
+    @cached_property
+    def parts(self) -> list[_Part]:
+        """The motion between stops."""
+        table, time = self._table, self.time
+        cuts = {0: np.inf, len(time) - 1: np.inf}  # no discontinuities, which have finite margins
+        for stop, margin in zip(table.stops, table.stop_margins, strict=True):
+            near = np.flatnonzero(np.abs(time - stop) <= SAME_TIME * margin) if margin else ()
+            cuts |= {int(k): margin for k in near}
+        borders, parts = sorted(cuts), []
+        for begin, end in pairwise(borders):
+            first, last = cuts[begin], cuts[end]
+            sides = (time[begin] + first if first < np.inf else -np.inf, time[end] - last if last < np.inf else np.inf)
+            some = slice(begin, end + 1)
+            q, v = self.q[some], self.v[some]
+            seen, none = np.clip(time[some], *sides), np.zeros((end - begin + 1, 0))
+            stiff = self.method.traits.suits_stiff
+            acc = None if stiff else observed_at(self._observer, seen, q, v, none).acc
+            ends = StepEnds(time[some], q, v, acc)
+            names = archive_names(self.workspace.mechanism)
+            parts.append(_Part(begin, end, MotionPart(self._observer, names, ends, range(end - begin), sides)))
+        return parts
+
+    def at(self, number: int, time: np.ndarray) -> States:
+        """Return the states at times [s] in a part of the motion, or at the ends of all steps if `number` is -1."""
+        part = self.parts[number].plain
+        q, v = part.ends.at(time)
+        return self._states(np.clip(time, *part.sides), q, v)
+
+    def _states(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> States:
+        none = np.zeros((len(time), 0))
+        return States(self.workspace.mechanism, time, q, v, lambda: observed_at(self._observer, time, q, v, none))
+
+    @cached_property
+    def rows(self) -> States:
+        """The states at the ends of all steps."""
+        self.workspace.clamp_motions(-np.inf, np.inf)
+        return self._states(self._table.before(self.time), self.q, self.v)
+
+    def measures(self, expressions: Mapping[str, MeasureExpression]) -> dict[str, DerivedMeasure]:
+        """Return measures with their derivatives; raise NotByAdjointError if the adjoint does not give them."""
+        nodes = None
+        if self._needs.nodes:
+            time, weight, q, v = self._adjoint.stages(self)
+            nodes = Nodes(self._states(time, q, v), weight)
+        motions = [SimpleNamespace(parts=self.parts)] if self._needs.ends else []
+        run = {"rows": self.rows, "nodes": nodes, "motions": motions}
+        found = {}
+        for name, (value, size, doubts, remarks, bars) in measured_bars(run, self, expressions).items():
+            found[name] = DerivedMeasure(value, self._slope(bars), size, doubts, remarks)
+        return found
+
+    def _slope(self, bars: list[Bars]) -> np.ndarray:
+        """Return the derivatives (K,) of a measure from those with respect to states."""
+        own, stages = self._adjoint, len(self.method.tableau.floats()[1])
+        own.clear()
+        q_bar, v_bar = np.zeros(self.q.shape), np.zeros(self.v.shape)
+        stage_bars: list[np.ndarray] = []
+        marker_points = np.zeros(self.workspace.mechanism.topology.marker_points.shape)
+        for one in bars:
+            given = own.pulled(one)
+            marker_points += one.markers.sum(axis=0)
+            if one.part == -1:
+                q_bar[-1] += given[0][0]
+                v_bar[-1] += given[1][0]
+            elif one.part == -2:
+                stage_bars = [
+                    x + y for x, y in zip(stage_bars or given, given if stage_bars else (0.0, 0.0), strict=True)
+                ]
+            else:
+                self._add_to_ends(one, *given, q_bar, v_bar)
+        own.sweep(self, q_bar, v_bar, stage_bars, stages)
+        slope = np.zeros(self.seeds.count)
+        arrays = {**{name: getattr(own.bundle, name) for name in ARRAYS}, "marker_points": marker_points}
+        for name, x in (*arrays.items(), ("q", q_bar[0]), ("v", v_bar[0])):
+            if (seeds := self.seeds.get(name)) is not None:
+                slope += np.tensordot(x, seeds, x.ndim)
+        return slope
+
+    def _add_to_ends(self, one: Bars, q: np.ndarray, v: np.ndarray, q_bar: np.ndarray, v_bar: np.ndarray) -> None:
+        """Add derivatives with respect to states between the ends of steps to those with respect to these ends."""
+        part = self.parts[one.part]
+        ends, plain = part.plain.ends, part.plain
+        acc_bar = np.zeros((len(ends.time), q.shape[1]))
+        step = np.clip(np.searchsorted(ends.time, one.states.time, side="right") - 1, 0, len(ends.time) - 2)
+        for number in np.unique(step):
+            some = np.flatnonzero(step == number)
+            window = slice(max(0, number - AROUND), min(len(ends.time), number + AROUND + 2))
+            weights = _weights(ends.time[window], np.clip(one.states.time[some], *part.span), ends.a is not None)
+            for rows, x in zip(weights, (q[some], v[some]), strict=True):
+                for target, by in zip((q_bar[part.begin :], v_bar[part.begin :], acc_bar), rows, strict=False):
+                    target[window] += by.T @ x
+        if ends.a is not None and np.any(acc_bar):
+            used = np.flatnonzero(np.any(acc_bar, axis=1))
+            seen = np.clip(ends.time[used], *plain.sides)
+            given = Bars(one.part, self._states(seen, ends.q[used], ends.v[used]), self.workspace.mechanism)
+            given.acc += acc_bar[used]
+            more_q, more_v = self._adjoint.pulled(given)
+            q_bar[part.begin + used] += more_q
+            v_bar[part.begin + used] += more_v
+
+
+def _weights(time: np.ndarray, at: np.ndarray, uses_accelerations: bool) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return positions and velocities at times (T,) as weights (T, N) of positions, velocities and accelerations at N
+    ends of steps.
+    """
+    count, axes = len(time), 3 if uses_accelerations else 2
+    unit = np.zeros((axes, count, axes * count))
+    for axis in range(axes):
+        unit[axis, :, axis * count : (axis + 1) * count] = np.eye(count)
+    ends = StepEnds(time, unit[0], unit[1], unit[2] if uses_accelerations else None)
+    return tuple(np.split(x, axes, axis=1) for x in ends.at(at))  # type: ignore[return-value]
+
+
+class _Adjoint:
+    """The kernels of the adjoint for a workspace, and derivatives with respect to numbers of its mechanism."""
+
+    def __init__(self, workspace: Workspace, seeds: Seeds):
+        self.workspace = workspace
+        mechanism, top = workspace.mechanism, workspace.mechanism.topology
+        classes, terms = classes_of(workspace), workspace.terms
+        keep = np.isin(classes, (STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q))
+        columns = (terms.source[keep], terms.row[keep], terms.column[keep], classes[keep])
+        laws = top.springs[:, SPRING.law]
+        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in laws]
+        size, pairs, springs = mechanism.size, len(top.pairs), len(top.springs)
+        slots = np.zeros((pairs, 6, 12)), np.zeros((springs, 6, 12))
+        for k in range(6):
+            slots[0][:, k, k] = slots[1][:, k, 6 + k] = 1.0
+        units = Seeds({"pair_parameters": slots[0], "spring_points": slots[1]}, np.ones(12))
+        wanted = np.any(seeds.get("law_parameters"), axis=-1) if seeds.get("law_parameters") is not None else None
+        wants_points = any(seeds.get(name) is not None for name in ("pair_parameters", "spring_points"))
+        try:
+            rows = dual_laws(workspace) if wanted is not None else top.laws
+        except PluginError as error:
+            raise NotByAdjointError(str(error)) from None
+        self._run = new_dual_run(workspace, units, rows, 0, 0)
+        states = dual_states(self._run, workspace, np.zeros(2), new_duals(2, size), new_duals(2, size))
+        self._recorded = PinnedBundle(states._replace(top=self._run.top._replace(baumgarte=states.top.baumgarte)))
+        self._stepping = PinnedBundle(states._replace(top=self._run.top))
+        w = self._run.w
+        gradients = {name: np.zeros(getattr(top, name).shape) for name in ARRAYS}
+        self.bundle = kernels.Adjoint(
+            terms=np.ascontiguousarray(np.column_stack(columns).astype(np.int64)),
+            wants=np.array([wants_points, wanted is not None], dtype=np.int64),
+            laws_wanted=(np.zeros(len(top.law_parameters)) if wanted is None else wanted).astype(np.int64),
+            kinds=np.array(kinds, dtype=np.int64),
+            mu=np.zeros(size), nu=np.zeros((pairs, 2)), rest=np.zeros(size), rest_rows=np.zeros((pairs, 2)),
+            right=np.zeros(mechanism.unknowns), lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
+            **gradients,
+            jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
+            tension=np.asarray(w.tension), values=np.asarray(w.law_values), rate=np.asarray(states.v)[0, :2],
+        )  # fmt: skip
+        assert self.bundle.jac.shape[-1] == ITEM
+        self._pinned = PinnedBundle(self.bundle)
+
+    def clear(self) -> None:
+        """Set the derivatives to zero."""
+        for name in ARRAYS:
+            getattr(self.bundle, name)[...] = 0.0
+
+    def _call(self, engine: int, duals: PinnedBundle, given: int, task: int, first: int, end: int) -> tuple[int, int]:
+        arguments = engine, duals.address, self._pinned.address, given, given, task, first, end
+        status, place = kernels.differentiate_back(*arguments)
+        return int(status), int(place)
+
+    def _retried(self, call: Callable[[], tuple[int, int]], is_done: Callable[[int], bool]) -> None:
+        """Call a kernel until it is done; choose new pivots for a state whose system it cannot solve."""
+        failed = -1
+        while True:
+            status, place = call()
+            if status == OK and is_done(int(place)):
+                return
+            if status == DIVERGED:
+                raise NotByAdjointError("a fixed-point iteration for the stages of a step does not converge")
+            try:
+                if status == OK or failed == place:
+                    raise SingularSystemError
+                self.workspace.use_pivots()
+            except SingularSystemError:
+                raise RunError("the equations of motion of a state have no derivatives") from None
+            failed = int(place)
+
+    def pulled(self, one: Bars) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (T, n + 3) with respect to positions and velocities of T states."""
+        work, count = self.workspace, len(one.states.time)
+        work.clamp_motions(-np.inf, np.inf)
+        given = kernels.Given(
+            np.ascontiguousarray(one.states.time), np.ascontiguousarray(one.states.q),
+            np.ascontiguousarray(one.states.v), one.acc, one.reactions, one.forces, one.kinetic, one.gravity,
+            one.q.copy(), one.v.copy(), np.zeros((2, one.q.shape[1])), np.zeros((len(self.bundle.nu), 2)),
+        )  # fmt: skip
+        begin = 0
+
+        def call() -> tuple[int, int]:
+            nonlocal begin
+            rest = kernels.Given(*(x[begin:] if k < 10 else x for k, x in enumerate(given)))
+            pinned = PinnedBundle(rest)
+            status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)
+            begin += int(row)
+            return status, begin
+
+        self._retried(call, partial(operator.eq, count))
+        return given.q_bar, given.v_bar
+
+    def _steps(self, run: AdjointRun, **arrays: Any) -> Any:
+        a, b, c = run.method.tableau.floats()
+        stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
+        schur = self.workspace.solver.schur
+        names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")
+        vectors = {name: np.zeros((stages, size)) for name in names}
+        is_implicit = not isinstance(run.method, ExplicitRungeKutta)
+        none = np.zeros((0, size))
+        return kernels.Steps(
+            a=np.ascontiguousarray(a), b=np.ascontiguousarray(b), c=np.ascontiguousarray(c),
+            **{"q_bar": none, "v_bar": none, "stage_q_bar": none, "stage_v_bar": none, **arrays},
+            time=np.ascontiguousarray(run.time[:-1]), size=np.ascontiguousarray(run.size), q=run.q, v=run.v,
+            lam=np.zeros((stages, pairs, 2)), diagonal=np.zeros((stages, *schur.diagonal.shape)),
+            below=np.zeros((stages, *schur.below.shape)), **vectors, next=np.zeros(size),
+            is_implicit=np.array([int(is_implicit)]),
+            source=np.zeros((stages if is_implicit else 0, len(self.workspace.scratch.source))),
+        )  # fmt: skip
+
+    def stages(self, run: AdjointRun) -> tuple[np.ndarray, ...]:
+        """Return times, weights, positions and velocities of the stages of all steps."""
+        _, b, c = run.method.tableau.floats()
+        time = (run.time[:-1, None] + run.size[:, None] * c[: len(b)]).ravel()
+        weight = np.multiply.outer(run.size, b).ravel()
+        q, v = (np.zeros((len(time), run.q.shape[1])) for _ in range(2))
+        pinned = PinnedBundle(self._steps(run, stage_q_bar=q, stage_v_bar=v))
+        for part in run.parts:
+            self.workspace.clamp_motions(*part.plain.sides)
+            begin = part.begin
+
+            def call(part: _Part = part) -> tuple[int, int]:
+                nonlocal begin
+                engine = self.workspace.stepping_engine  # which new pivots may move
+                status, begin = self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, part.end)
+                return status, begin
+
+            self._retried(call, partial(operator.eq, part.end))
+        return time, weight, q, v
+
+    def sweep(self, run: AdjointRun, q_bar: np.ndarray, v_bar: np.ndarray, stage_bars: Any, stages: int) -> None:
+        """Carry the derivatives with respect to step ends back to the start, whose row of `q_bar`, `v_bar` changes."""
+        more = dict(zip(("stage_q_bar", "stage_v_bar"), stage_bars, strict=False))
+        pinned = PinnedBundle(self._steps(run, q_bar=q_bar, v_bar=v_bar, **more))
+        work = self.workspace
+        for part in reversed(run.parts):
+            work.clamp_motions(*part.plain.sides)
+            left = part.end
+
+            def call(part: _Part = part) -> tuple[int, int]:
+                nonlocal left
+                engine, duals = work.stepping_engine, self._stepping
+                status, left = self._call(engine, duals, pinned.address, kernels.SWEEP, part.begin, left)
+                return status, int(left)
+
+            self._retried(call, partial(operator.eq, part.begin))
+        work.clamp_motions(-np.inf, np.inf)

@@ -1,0 +1,270 @@
+"""Measures for adjoint gradients: the derivatives of a measure with respect to the states from which it is computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.acting import ANGLE
+from mbdkit.engine.kernels.applied_forces import PATHWAYS
+from mbdkit.engine.kernels.table_rows import JOINT, LAW_ROW, SPRING
+from mbdkit.engine.native.calls import HAS_POTENTIAL
+from mbdkit.measures.measure_expression import MeasureExpression
+from mbdkit.measures.reductions import Functional
+from mbdkit.quantities.names import archive_names
+from mbdkit.quantities.quantity import Quantity
+from mbdkit.quantities.states import States
+from mbdkit.runs.continuous_motion import Peak
+from mbdkit_gradients.derived_values import DerivedValue
+from mbdkit_gradients.measured_derivatives import MeasureEvaluation
+
+
+class NotByAdjointError(Exception):
+    """The adjoint does not give this gradient, for the reason that the message states as a clause."""
+
+
+@dataclass
+class Bars:
+    """Derivatives of a measure with respect to T states of a part of the motion, and to what follows from them.
+
+    `part`: number of the part of the motion; -1 for the end of the run, -2 for the stages of all steps. See
+    `mbdkit_gradients.kernels.adjoint.Given` for the other arrays.
+    """
+
+    part: int
+    states: States
+    mechanism: CompiledMechanism
+    q: np.ndarray = field(init=False)
+    v: np.ndarray = field(init=False)
+    acc: np.ndarray = field(init=False)
+    reactions: np.ndarray = field(init=False)
+    forces: np.ndarray = field(init=False)
+    kinetic: np.ndarray = field(init=False)
+    gravity: np.ndarray = field(init=False)
+    markers: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        top, count = self.mechanism.topology, len(self.states.time)
+        self.q, self.v, self.acc = (np.zeros((count, self.mechanism.size)) for _ in range(3))
+        self.reactions = np.zeros((count, len(top.pairs), 3))
+        self.forces = np.zeros((count, len(top.springs), 4))
+        self.kinetic, self.gravity = np.zeros(count), np.zeros(count)
+        self.markers = np.zeros((count, *top.marker_points.shape))
+
+    def add(self, quantity: Quantity, given: np.ndarray) -> None:
+        """Add derivatives (C, T) with respect to the components of a quantity; raise NotByAdjointError if unknown."""
+        kind, array, part = quantity.kind, quantity.recorded.array.name, quantity.recorded.part
+        top, names = self.mechanism.topology, archive_names(self.mechanism)
+        of = cast("int", quantity.of.index(quantity.name, names)) if quantity.of.axis else 0  # only beams have slices
+        own = np.zeros((len(self.states.time), 3))
+        own[:, slice(0, 2) if part is None and len(given) == 2 else 0 if part is None else part] = (
+            given.T if len(given) > 1 else given[0]
+        )
+        if kind == "bodies" and array in ("position", "velocity", "acceleration"):
+            {"position": self.q, "velocity": self.v, "acceleration": self.acc}[array][:, 3 * of : 3 * of + 3] += own
+        elif kind == "joints" and array in ("reaction_force", "reaction_torque"):
+            columns = [0, 1] if array == "reaction_force" else [2]
+            for pair in self.mechanism.joint_pairs[of]:
+                self.reactions[:, pair, columns] += own[:, : len(columns)]
+        elif kind == "joints" and array == "angle" and top.joints[of, JOINT.kind] == ANGLE:
+            self.q[:, 3 * top.joints[of, JOINT.second] + 2] += given[0]
+            self.q[:, 3 * top.joints[of, JOINT.first] + 2] -= given[0]
+        elif kind == "forces" and array in ("length", "rate", "value", "power", "potential"):
+            self._add_force(of, array, given[0])
+        elif kind == "energy" and array in ("kinetic", "potential", "total"):
+            if array != "potential":
+                self.kinetic += given[0]
+            if array != "kinetic":
+                self.gravity += given[0]
+                for k in np.flatnonzero(top.springs[:, SPRING.segments]):
+                    law = top.springs[k, SPRING.law]
+                    if law < 0 or top.laws[law, LAW_ROW.claims] & HAS_POTENTIAL:
+                        self.forces[:, k, 3] += given[0]
+        elif kind == "markers":
+            self._add_marker(of, array, own[:, :2])
+        else:
+            raise NotByAdjointError(f"the measures contain {quantity}")
+
+    def _add_force(self, of: int, array: str, given: np.ndarray) -> None:
+        top, values = self.mechanism.topology, self.states.observed.forces[:, of]
+        leaders = np.flatnonzero((top.force_place[: len(top.springs)] == of) & (top.springs[:, SPRING.segments] > 0))
+        if len(leaders) != 1:
+            raise NotByAdjointError(f"the measures contain a quantity of the load '{self.mechanism.forces[of].name}'")
+        k = leaders[0]
+        sign = -1.0 if top.springs[k, SPRING.pathway] == PATHWAYS["relative_angle"] else 1.0
+        if array == "power":  # the negative product of tension and rate
+            self.forces[:, k, 1] -= given * sign * values[:, 2]
+            self.forces[:, k, 2] -= given * values[:, 1]
+        else:
+            column = ("length", "rate", "value", "potential").index(array)
+            self.forces[:, k, column] += given * (sign if array == "value" else 1.0)
+
+    def _add_marker(self, of: int, array: str, given: np.ndarray) -> None:
+        top, n = self.mechanism.topology, 3 * self.mechanism.topology.markers[of]
+        angle, spin = self.states.q[:, n + 2], self.states.v[:, n + 2]
+        cos, sin = np.cos(angle), np.sin(angle)
+        px, py = top.marker_points[of]
+        x, y = cos * px - sin * py, sin * px + cos * py
+        gx, gy = given.T
+        if array == "velocity":
+            self.v[:, n] += gx
+            self.v[:, n + 1] += gy
+            self.v[:, n + 2] += gy * x - gx * y
+            gx, gy = spin * gy, -spin * gx  # derivatives with respect to the arm (x, y)
+        else:
+            self.q[:, n] += gx
+            self.q[:, n + 1] += gy
+        self.q[:, n + 2] += gy * x - gx * y
+        self.markers[:, of] += np.stack([cos * gx + sin * gy, cos * gy - sin * gx], axis=-1)
+
+
+class Nodes(NamedTuple):
+    """The states of the stages of all steps, and their weights (T,) in integrals over time [s]."""
+
+    states: States
+    weight: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Read:
+    """Where a reduction reads its operand: a part of the motion (see `Bars`), states, weights (T,), and derivatives
+    (C, T) of the operand with respect to the quantities.
+    """
+
+    part: int
+    states: States
+    weight: np.ndarray
+    slope: np.ndarray
+
+
+class AdjointMeasure(MeasureEvaluation):
+    """A measure whose derivatives with respect to states are noted where reductions over time read them.
+
+    The first derivatives of all values are those with respect to the components of the quantities; the other ones are
+    those with respect to the results of reductions.
+
+    Parameters
+    ----------
+    run
+        What `MeasureEvaluation` reads of a differentiated run.
+    """
+
+    def __init__(self, run: Any, states: Any, expression: MeasureExpression):
+        if any(quantity.kind == "events" for quantity in expression.quantities):
+            raise NotByAdjointError("the measures contain times of events")
+        sizes = [2 if quantity.is_vector else 1 for quantity in expression.quantities]
+        self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        reductions = sum(operation.startswith("over time") for operation, _ in expression.program)
+        count = int(self._first[-1]) + 2 * reductions
+        self._next, self._reads = int(self._first[-1]), list[tuple[int, _Read]]()
+        run = SimpleNamespace(**run, end=np.zeros(count), crossings=())
+        super().__init__(run, states, expression, np.zeros((len(expression.program), count)))
+
+    def bars(self) -> tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]:
+        """Return value, size, doubts and remarks of the measure, and its derivatives with respect to states."""
+        derived = self.derived()
+        bars = []
+        for column, read in self._reads:
+            one = Bars(read.part, read.states, self.run.rows.mechanism)
+            given = derived.slope[column] * read.weight * read.slope
+            for quantity, first, end in zip(self.expression.quantities, self._first, self._first[1:], strict=False):
+                if np.any(given[first:end]):
+                    one.add(quantity, given[first:end])
+            bars.append(one)
+        return derived.value, derived.size, derived.doubts, derived.remarks, bars
+
+    def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
+        if quantity.beam or (quantity.recorded.array.is_shared and states.mechanism.redundancy.rows):
+            raise NotByAdjointError(f"the measures contain {quantity}")
+        value = np.asarray(quantity.taker(archive_names(states.mechanism))(states)).T
+        first = int(self._first[self.expression.quantities.index(quantity)])
+        slope = np.zeros((self.count, *value.shape))
+        for component in range(len(value) if value.ndim > 1 else 1):
+            slope[(first + component, component) if value.ndim > 1 else first] = 1.0
+        return DerivedValue(value, slope)
+
+    def _noted(self, value: np.ndarray, reads: Sequence[tuple[int, States, np.ndarray, np.ndarray]]) -> DerivedValue:
+        """Return the result of a reduction, (1,) or (2, 1), and note where it reads its operand.
+
+        `reads`: part, states, weights (T,) and derivatives (K, ..., T) of the operand.
+        """
+        slope = np.zeros((self.count, *value.shape))
+        for component in range(len(value) if value.ndim > 1 else 1):
+            for part, states, weight, slopes in reads:
+                own = slopes[:, component] if value.ndim > 1 else slopes
+                self._reads.append((self._next, _Read(part, states, weight, own[: self._first[-1]])))
+            slope[(self._next, component) if value.ndim > 1 else self._next] = 1.0
+            self._next += 1
+        return DerivedValue(value, slope)
+
+    def _reduction(self, index: int, name: str, number: int, operands: Sequence[DerivedValue]) -> DerivedValue:
+        functional = self.expression.functionals[number - 1] if number else None
+        if name == "final":
+            self.size = max(self.size, float(np.max(np.abs(operands[0].value))))
+            rows = self.run.rows
+            some = slice(-1, None)
+            last = States(rows.mechanism, rows.time[some], rows.q[some], rows.v[some], lambda: rows.observed.rows(some))
+            end = operands[0][-1:]
+            return self._noted(end.value, [(-1, last, np.ones(1), end.slope)])
+        if functional is None or (functional.is_value and functional.is_nested):
+            raise NotByAdjointError(f"'{self.expression.text}' needs the recorded rows")
+        return super()._reduction(index, name, number, operands)
+
+    def _of_stages(self, index: int, square: bool) -> DerivedValue:
+        nodes: Any = self.run.nodes
+        values = self._of_operand(index, nodes.states, square=square)
+        total = np.sum(values.value * nodes.weight, axis=-1, keepdims=True)
+        return self._noted(total, [(-2, nodes.states, nodes.weight, values.slope)])
+
+    def _split(self, functional: Functional, index: int, square: bool) -> DerivedValue:
+        total: np.ndarray | float = 0.0
+        reads = []
+        for number in range(len(self.run.motions[0].parts)):
+            found = self._sampled(functional, number)
+            nodes = found.quadrature(found.steps)
+            states = self.states.at(number, nodes.time)
+            switches: list[DerivedValue] = []
+            values = self._of_operand(index, states, square=square, switches=switches)
+            self._note_rest(switches, nodes.time)
+            if self.doubts:
+                raise NotByAdjointError(self.doubts[0])
+            total = total + np.sum(values.value * nodes.weight, axis=-1, keepdims=True)
+            reads.append((number, states, nodes.weight, values.slope))
+        return self._noted(np.asarray(total), reads)
+
+    def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
+        if peak.switch >= 0:
+            raise NotByAdjointError(f"an extremum of '{self.expression.text}' is not smooth")
+        if self._reads and self._peak_of == index:
+            raise NotByAdjointError(f"an extremum of '{self.expression.text}' is attained at several times")
+        self._peak_of = index
+        return self._read_at(number, peak.time, index)
+
+    _peak_of = -1
+
+    def _read_at(self, number: int, time: float, index: int) -> DerivedValue:
+        states = self.states.at(number, np.array([time]))
+        here = self._of_operand(index, states)
+        return self._noted(here.value, [(number, states, np.ones(1), here.slope)])
+
+    def _at(self, functional: Functional | None, index: int, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
+        at = float(time.value.reshape(-1)[0])
+        assert functional is not None
+        number = self._part_at(functional, at)
+        if number is None:
+            return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
+        found = self._read_at(number, at, index)
+        self._functionals[functional.text] = found
+        return found
+
+
+def measured_bars(
+    run: Mapping[str, Any], states: Any, expressions: Mapping[str, MeasureExpression]
+) -> dict[str, tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]]:
+    """Return what `AdjointMeasure.bars` returns for each measure, by name."""
+    return {name: AdjointMeasure(run, states, expression).bars() for name, expression in expressions.items()}

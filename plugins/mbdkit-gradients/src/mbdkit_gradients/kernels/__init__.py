@@ -1,0 +1,1 @@
+"""Kernels of adjoint gradients, whose machine code is stored beside this folder."""

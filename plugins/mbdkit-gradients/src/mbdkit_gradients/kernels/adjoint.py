@@ -1,0 +1,734 @@
+"""Adjoint derivatives: from derivatives with respect to results back to those with respect to states and parameters.
+
+Accelerations a and multipliers lambda of a state solve ``M a + Phi_q^T lambda = Q``, ``Phi_q a = gamma``. If a scalar
+has the derivatives ``a_bar`` and ``lam_bar`` with respect to them, the same symmetric matrix gives
+
+    [ M      Phi_q^T ] [ mu ]   [ a_bar   ]
+    [ Phi_q  0       ] [ nu ] = [ lam_bar ]
+
+and the derivatives with respect to anything else are those of ``mu (Q - M a - Phi_q^T lambda) + nu (gamma - Phi_q a)``
+at constant a, lambda, mu and nu. Those with respect to positions and velocities are products with the tangents; those
+with respect to numbers of the mechanism are local to its elements.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from mbdkit.engine.kernels.accelerations import solve_accelerations
+from mbdkit.engine.kernels.applied_forces import (
+    TORQUE,
+    evaluate_law,
+    law_value,
+    path_rate,
+    pathway_lengths,
+    point_force,
+    rate_slope,
+)
+from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealCube, RealMatrix, RealVector, example_of
+from mbdkit.engine.kernels.dual_observe import load_dual_states
+from mbdkit.engine.kernels.engine_bundles import load_engine
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V
+from mbdkit.engine.kernels.lu import substitute
+from mbdkit.engine.kernels.schur import solve as schur_solve
+from mbdkit.engine.kernels.system import DIVERGED, OK, constraint_rows, evaluate_tangents, prepare
+from mbdkit.engine.kernels.table_rows import LAW_ROW, LINEAR, LOAD, PAIR, SPRING, TENSION
+from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
+from mbdkit.engine.native.bundle import bundle_loader
+from mbdkit.engine.native.functions import kernel, separate, subkernel
+
+POINTS, LAWS = range(2)
+"""Indices of `Adjoint.wants`."""
+LINEAR_LAW, TABLE_LAW, OTHER_LAW = range(3)
+"""Kinds of laws in `Adjoint.kinds`."""
+LENGTH, RATE, FORCE, POTENTIAL = range(4)
+"""Columns of derivatives with respect to the values of a force element."""
+
+
+MOST_ITERATIONS = 60
+SMALL = 1e-15
+STALLED, NEGLIGIBLE = 0.5, 1e-11
+"""An iteration ends when the relative change is below `SMALL`, or round-off: below `NEGLIGIBLE`, and above the share
+`STALLED` of the last change."""
+
+
+class Adjoint(NamedTuple):
+    """Derivatives with respect to numbers of a mechanism, and working arrays; S segments of springs, P pairs."""
+
+    terms: Annotated[IntMatrix, 4]
+    """(N, 4) terms of the tangents: index in ``Scratch.source``, row, column, class."""
+    wants: IntVector
+    """(2,) whether derivatives by points of joints and springs, and by parameters of laws, are computed."""
+    laws_wanted: IntVector
+    """(N,) whether they are with respect to each of the parameters of laws."""
+    kinds: IntVector
+    """(S,) kind of the law of each segment."""
+    mu: RealVector
+    """(3 (B + 1),) solution of the adjoint system, and (P, 2)."""
+    nu: Annotated[RealMatrix, 2]
+    rest: RealVector
+    """Right side, then residual."""
+    rest_rows: Annotated[RealMatrix, 2]
+    right: RealVector
+    """(n + m,) right side in the order of the unknowns."""
+    lam_bar: Annotated[RealMatrix, 2]
+    pull_bar: RealMatrix
+    """(S, 4) derivatives with respect to the values of the springs; those of the first segment count."""
+    mass: Annotated[RealMatrix, 3]
+    """Derivatives with respect to arrays of the mechanism, which are added up: these and the following."""
+    gravity: RealVector
+    pair_parameters: Annotated[RealMatrix, 6]
+    spring_points: Annotated[RealMatrix, 6]
+    linear: Annotated[RealMatrix, 3]
+    law_parameters: RealVector
+    load_points: Annotated[RealMatrix, 2]
+    jac: RealCube
+    """Numbers in the memory of the arrays of dual numbers, (P, 12, 13)."""
+    gamma: RealCube
+    s: RealCube
+    grad: RealCube
+    tension: RealCube
+    values: RealMatrix
+    rate: RealMatrix
+    """(1, 13) a dual number for rates."""
+
+
+class Given(NamedTuple):
+    """T states, and derivatives of a scalar with respect to what follows from them; the results are added up."""
+
+    time: RealVector
+    q: RealMatrix
+    v: RealMatrix
+    acc: RealMatrix
+    """(T, 3 (B + 1)) derivatives with respect to accelerations."""
+    reactions: RealCube
+    """(T, P, 3) to forces and torques of pairs on their second bodies."""
+    forces: RealCube
+    """(T, S, 4) to length, rate, tension and potential of the springs."""
+    kinetic: RealVector
+    """(T,) to the kinetic energy, and to the potential energy of gravity."""
+    gravity: RealVector
+    q_bar: RealMatrix
+    """(T, 3 (B + 1)) results: derivatives with respect to positions and velocities."""
+    v_bar: RealMatrix
+    found: RealMatrix
+    """(2, 3 (B + 1)) work array: accelerations."""
+    lam: Annotated[RealMatrix, 2]
+
+
+class Steps(NamedTuple):
+    """N steps of a Runge-Kutta method of S stages, and the derivatives that are carried through them."""
+
+    is_implicit: IntVector
+    """(1,) whether stages depend on later ones; they are then found by fixed-point iteration, and so are the
+    derivatives with respect to them."""
+
+    a: RealMatrix
+    b: RealVector
+    c: RealVector
+    time: RealVector
+    """(N,) beginnings of the steps, and their sizes [s]."""
+    size: RealVector
+    q: RealMatrix
+    """(N, 3 (B + 1)) states at the beginnings."""
+    v: RealMatrix
+    q_bar: RealMatrix
+    """(N + 1, 3 (B + 1)) derivatives with respect to the states between the steps; the first row is the result."""
+    v_bar: RealMatrix
+    stage_q_bar: RealMatrix
+    """(N S or 0, 3 (B + 1)) derivatives with respect to the states of the stages."""
+    stage_v_bar: RealMatrix
+    q_stage: RealMatrix
+    """(S, 3 (B + 1)) work arrays: states of the stages of a step, and derivatives with respect to them."""
+    v_stage: RealMatrix
+    acc: RealMatrix
+    lam: RealCube
+    diagonal: RealCube
+    """(S, P, 3) and (S, E, 4) factors of the Schur complements of the stages."""
+    below: RealCube
+    source: RealMatrix
+    """(S, ...) values of ``Scratch.source`` at the stages of an implicit step."""
+    to_q: RealMatrix
+    to_v: RealMatrix
+    to_acc: RealMatrix
+    by_q: RealMatrix
+    by_v: RealMatrix
+    next: RealVector
+    kept: RealMatrix
+
+
+load_adjoint = bundle_loader(lambda: example_of(Adjoint))
+load_given = bundle_loader(lambda: example_of(Given))
+load_steps = bundle_loader(lambda: example_of(Steps))
+
+
+@separate
+def _accelerations(h, t, q, v, acc, lam, refine):
+    """Solve for accelerations and multipliers of a state; return a status."""
+    prepare(h.top, h.w, t, q)
+    return solve_accelerations(h.top, h.w, h.solver, q, v, acc, lam, refine)
+
+
+@separate
+def _tangents(h, t, q, v, acc, lam):
+    evaluate_tangents(h.top, h.w, t, q, v, acc, lam)
+
+
+@subkernel
+def _substitute(h, g):
+    """Replace the right sides ``g.rest`` and ``g.rest_rows`` by the solution, with the factors of the last solution."""
+    top, jac, weight, pairs = h.top, h.w.jac, h.top.weight, h.top.pairs
+    rest, rows = g.rest, g.rest_rows
+    if h.solver.pivoted[0] != 0:
+        for d in range(len(rest) - 3):
+            g.right[d] = rest[d]
+        for k in range(len(pairs)):
+            for r in range(top.rows[k]):
+                g.right[h.solver.row_index[k, r]] = rows[k, r]
+        substitute(h.solver.pattern, h.solver.factors, g.right, g.right)
+        for d in range(len(rest) - 3):
+            rest[d] = g.right[d]
+        for k in range(len(pairs)):
+            for r in range(top.rows[k]):
+                rows[k, r] = g.right[h.solver.row_index[k, r]]
+        return
+    for b in range(len(weight)):
+        for i in range(3):
+            rest[3 * b + i] *= weight[b, i]
+    for k in range(len(pairs)):
+        a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
+        for r in range(2):
+            total = -rows[k, r]
+            for i in range(3):
+                total += jac[k, 6 * r + i] * rest[a + i] + jac[k, 6 * r + 3 + i] * rest[b + i]
+            rows[k, r] = total if r < top.rows[k] else 0.0
+    schur_solve(h.solver.schur, rows)
+    for k in range(len(pairs)):
+        a, b = pairs[k, PAIR.first], pairs[k, PAIR.second]
+        for i in range(3):
+            rest[3 * a + i] -= weight[a, i] * (jac[k, i] * rows[k, 0] + jac[k, 6 + i] * rows[k, 1])
+            rest[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * rows[k, 0] + jac[k, 9 + i] * rows[k, 1])
+
+
+@subkernel
+def _solve_adjoint(h, g, acc_bar):
+    """Solve for ``g.mu`` and ``g.nu`` with one step of refinement; ``g.lam_bar`` has the derivatives by multipliers."""
+    top, jac, pairs = h.top, h.w.jac, h.top.pairs
+    fill(g.mu, 0.0)
+    fill_rows(g.nu, 0.0)
+    for _ in range(2):
+        for d in range(len(g.mu)):
+            g.rest[d] = acc_bar[d] - top.mass[d // 3, d % 3] * g.mu[d]
+        for i in range(3):
+            g.rest[len(g.rest) - 3 + i] = 0.0
+        for k in range(len(pairs)):
+            a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
+            for r in range(2):
+                total = g.lam_bar[k, r]
+                for i in range(3):
+                    g.rest[a + i] -= jac[k, 6 * r + i] * g.nu[k, r]
+                    g.rest[b + i] -= jac[k, 6 * r + 3 + i] * g.nu[k, r]
+                    total -= jac[k, 6 * r + i] * g.mu[a + i] + jac[k, 6 * r + 3 + i] * g.mu[b + i]
+                g.rest_rows[k, r] = total if r < top.rows[k] else 0.0
+        for i in range(3):
+            g.rest[len(g.rest) - 3 + i] = 0.0
+        _substitute(h, g)
+        for d in range(len(g.mu) - 3):
+            g.mu[d] += g.rest[d]
+        for k in range(len(pairs)):
+            for r in range(top.rows[k]):
+                g.nu[k, r] += g.rest_rows[k, r]
+
+
+@subkernel
+def _to_state(h, g, q_bar, v_bar):
+    """Add the products of mu and nu with the tangents to the derivatives with respect to positions and velocities."""
+    n3, source, unknown = len(g.mu) - 3, h.w.source, g.right
+    for d in range(n3):
+        unknown[d] = g.mu[d]
+    for k in range(len(h.top.pairs)):
+        for r in range(h.top.rows[k]):
+            unknown[h.solver.row_index[k, r]] = g.nu[k, r]
+    for e in range(len(g.terms)):
+        column, kind = g.terms[e, 2], g.terms[e, 3]
+        product = source[g.terms[e, 0]] * unknown[g.terms[e, 1]]
+        if kind == GAMMA_V:
+            v_bar[column] += product
+        elif kind == DAMPING:
+            v_bar[column] -= product
+        else:
+            q_bar[column] -= product
+
+
+@subkernel
+def _law_slopes(h, c, g, t, k, length, rate, by_force, by_potential):
+    """Add the derivatives with respect to the parameters of the law of spring `k`, at rate `rate`."""
+    law = h.top.springs[k, SPRING.law]
+    begin = h.top.laws[law, LAW_ROW.parameters]
+    count = int(h.top.law_parameters[begin])
+    if g.kinds[k] == TABLE_LAW:
+        p, out = h.top.law_parameters, g.law_parameters
+        pieces, first = int(p[begin + 2]), begin + 3
+        low, high = 0, pieces
+        while high - low > 1:
+            middle = (low + high) // 2
+            if p[first + middle] <= length:
+                low = middle
+            else:
+                high = middle
+        inside = min(max(length, p[first + low]), p[first + low + 1])
+        x, beyond = inside - p[first + low], length - inside
+        row = first + pieces + 1 + 5 * low
+        out[begin + 1] += by_force * rate
+        power = 1.0
+        for j in range(4):
+            slope = 0.0 if j == 0 else j * power
+            power = 1.0 if j == 0 else power * x
+            out[row + j] += by_force * (power + beyond * slope)
+            potential = power * x / (j + 1.0) + beyond * (power + 0.5 * beyond * slope)
+            out[row + j] += by_potential * potential
+        out[row + 4] += by_potential
+        return
+    for i in range(count):
+        if g.laws_wanted[begin + 1 + i] == 0:
+            continue
+        # one parameter after the other: laws have few of them
+        g.values[begin + 1 + i, 1] = 1.0
+        spare = len(h.top.springs)
+        g.rate[0, 0] = length
+        g.rate[1, 0] = rate
+        evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
+        g.values[begin + 1 + i, 1] = 0.0
+        g.law_parameters[begin + 1 + i] += by_force * g.tension[spare, TENSION.force, 1]
+        g.law_parameters[begin + 1 + i] += by_potential * g.tension[spare, TENSION.potential, 1]
+
+
+@subkernel
+def _springs(h, c, g, t, q_bar, v_bar, v):
+    """Add what depends on springs: derivatives with respect to their parameters, and of their own values."""
+    top, w = h.top, h.w
+    for k in range(len(top.springs)):
+        if top.springs[k, SPRING.segments] == 0:
+            continue
+        law, rate, along = top.springs[k, SPRING.law], path_rate(k, top.springs, v, w.grad), 0.0
+        for segment in range(k, k + top.springs[k, SPRING.segments]):
+            a, b = 3 * top.springs[segment, SPRING.first], 3 * top.springs[segment, SPRING.second]
+            for i in range(3):
+                along += w.grad[segment, i] * g.mu[a + i] + w.grad[segment, 3 + i] * g.mu[b + i]
+        own = g.pull_bar[k, FORCE]
+        by_potential = g.pull_bar[k, POTENTIAL]
+        length, pull = w.s[k, 0], w.tension[k, TENSION.force]
+        by_length = g.pull_bar[k, LENGTH] + own * w.tension[k, TENSION.by_length]
+        by_rate = g.pull_bar[k, RATE] + own * w.tension[k, TENSION.by_rate]
+        if law < 0:
+            stretch = length - top.linear[k, LINEAR.free_length]
+            g.linear[k, LINEAR.stiffness] += (own - along) * stretch + by_potential * 0.5 * stretch * stretch
+            g.linear[k, LINEAR.damping] += (own - along) * rate
+            slope = top.linear[k, LINEAR.stiffness]
+            g.linear[k, LINEAR.free_length] -= slope * (own - along + by_potential * stretch)
+            by_length += by_potential * slope * stretch
+        else:
+            if by_potential != 0.0:
+                by_length += by_potential * law_value(top, w, law, length, 0.0, t)
+            if g.wants[LAWS] != 0:
+                _law_slopes(h, c, g, t, k, length, rate, own - along, by_potential)
+        if by_length != 0.0 or by_rate != 0.0:
+            for segment in range(k, k + top.springs[k, SPRING.segments]):
+                a, b = 3 * top.springs[segment, SPRING.first], 3 * top.springs[segment, SPRING.second]
+                for i in range(6):
+                    d = a + i if i < 3 else b + i - 3
+                    q_bar[d] += by_length * w.grad[segment, i] + by_rate * rate_slope(top, w, v, segment, i)
+                    v_bar[d] += by_rate * w.grad[segment, i]
+        if g.wants[POINTS] != 0 and top.springs[k, SPRING.segments] == 1:
+            # the residual has the derivatives of the force and of its direction
+            total = by_length - along * w.tension[k, TENSION.by_length]
+            at_rate = by_rate - along * w.tension[k, TENSION.by_rate]
+            a, b = 3 * top.springs[k, SPRING.first], 3 * top.springs[k, SPRING.second]
+            for j in range(6):
+                add = total * g.s[k, 0, 7 + j]
+                for i in range(3):
+                    first, second = g.grad[k, i, 7 + j], g.grad[k, 3 + i, 7 + j]
+                    add += at_rate * (first * v[a + i] + second * v[b + i])
+                    add -= pull * (first * g.mu[a + i] + second * g.mu[b + i])
+                g.spring_points[k, j] += add
+
+
+@subkernel
+def _joints(h, g, acc, lam):
+    """Add the derivatives with respect to the parameters of joints."""
+    for k in range(len(h.top.pairs)):
+        a, b = 3 * h.top.pairs[k, PAIR.first], 3 * h.top.pairs[k, PAIR.second]
+        for j in range(6):
+            add = 0.0
+            for r in range(2):
+                add += g.nu[k, r] * g.gamma[k, r, 1 + j]
+                for i in range(3):
+                    first, second = g.jac[k, 6 * r + i, 1 + j], g.jac[k, 6 * r + 3 + i, 1 + j]
+                    add -= first * (g.mu[a + i] * lam[k, r] + g.nu[k, r] * acc[a + i])
+                    add -= second * (g.mu[b + i] * lam[k, r] + g.nu[k, r] * acc[b + i])
+            g.pair_parameters[k, j] += add
+
+
+@subkernel
+def _bodies_and_loads(h, g, acc):
+    """Add the derivatives with respect to masses, gravity and points of loads."""
+    top, w = h.top, h.w
+    for b in range(len(top.mass) - 1):
+        for i in range(3):
+            pull = top.gravity[i] - acc[3 * b + i] if i < 2 else -acc[3 * b + i]
+            g.mass[b, i] += g.mu[3 * b + i] * pull
+        for i in range(2):
+            g.gravity[i] += g.mu[3 * b + i] * top.mass[b, i]
+    for k in range(len(top.loads)):
+        if top.loads[k, LOAD.kind] != TORQUE:
+            fx, fy, _, _ = point_force(top, w, k)
+            body = top.loads[k, LOAD.body]
+            c, s, turn = w.cs[body, 0], w.cs[body, 1], g.mu[3 * body + 2]
+            g.load_points[k, 0] += turn * (c * fy - s * fx)
+            g.load_points[k, 1] -= turn * (s * fy + c * fx)
+
+
+@separate
+def _by_points(c, g, t, q, v):
+    """Evaluate Jacobian, gamma and lengths of pathways with their derivatives with respect to points."""
+    if g.wants[POINTS] == 0:
+        return
+    top, w, own_q, own_v = c.top, c.w, c.q[0], c.v[1]
+    for d in range(len(q)):
+        own_q[d] = q[d]
+        own_v[d] = v[d]
+    prepare(top, w, t, own_q)
+    constraint_rows(top, w, own_q, own_v)
+    pathway_lengths(top, w, own_q)
+
+
+@separate
+def _pull_back(h, c, g, t, v, acc, lam, acc_bar, q_bar, v_bar):
+    """Add the derivatives with respect to a state and to numbers of the mechanism, given those with respect to
+    accelerations `acc_bar`, multipliers ``g.lam_bar`` and springs ``g.pull_bar``; requires `evaluate_tangents` and
+    `_by_points`.
+    """
+    _solve_adjoint(h, g, acc_bar)
+    _to_state(h, g, q_bar, v_bar)
+    _bodies_and_loads(h, g, acc)
+    _springs(h, c, g, t, q_bar, v_bar, v)
+    if g.wants[POINTS] != 0:
+        _joints(h, g, acc, lam)
+
+
+@subkernel
+def _reactions(h, g, bars, lam, q_bar):
+    """Add what follows from derivatives `bars` (P, 3) with respect to forces and torques of the pairs."""
+    top, w = h.top, h.w
+    for k in range(len(top.pairs)):
+        b = top.pairs[k, PAIR.second]
+        cos, sin = w.cs[b, 0], w.cs[b, 1]
+        px, py = top.pair_parameters[k, 2], top.pair_parameters[k, 3]
+        arm_x, arm_y = cos * px - sin * py, sin * px + cos * py
+        fx = -(w.jac[k, 3] * lam[k, 0] + w.jac[k, 9] * lam[k, 1])
+        fy = -(w.jac[k, 4] * lam[k, 0] + w.jac[k, 10] * lam[k, 1])
+        turn = bars[k, 2]
+        x, y = -turn * fy, turn * fx  # derivatives with respect to the arm
+        q_bar[3 * b + 2] += y * arm_x - x * arm_y
+        g.pair_parameters[k, 2] += x * cos + y * sin
+        g.pair_parameters[k, 3] += y * cos - x * sin
+        e0, e1 = bars[k, 0] + turn * arm_y, bars[k, 1] - turn * arm_x
+        a = top.pairs[k, PAIR.first]
+        for r in range(2):
+            g.lam_bar[k, r] -= e0 * w.jac[k, 6 * r + 3] + e1 * w.jac[k, 6 * r + 4] + turn * w.jac[k, 6 * r + 5]
+        for i in range(6):
+            product = e0 * w.stiff[k, 18 + i] + e1 * w.stiff[k, 24 + i] + turn * w.stiff[k, 30 + i]
+            q_bar[3 * a + i if i < 3 else 3 * b + i - 3] -= product
+        if g.wants[POINTS] != 0:
+            for j in range(6):
+                for r in range(2):
+                    g.pair_parameters[k, j] -= lam[k, r] * (
+                        e0 * g.jac[k, 6 * r + 3, 1 + j]
+                        + e1 * g.jac[k, 6 * r + 4, 1 + j]
+                        + turn * g.jac[k, 6 * r + 5, 1 + j]
+                    )
+
+
+@subkernel
+def _energies(h, g, kinetic, potential, q, v, q_bar, v_bar):
+    top = h.top
+    for b in range(len(top.mass) - 1):
+        for i in range(3):
+            v_bar[3 * b + i] += kinetic * top.mass[b, i] * v[3 * b + i]
+            g.mass[b, i] += 0.5 * kinetic * v[3 * b + i] * v[3 * b + i]
+        for i in range(2):
+            q_bar[3 * b + i] -= potential * top.mass[b, 0] * top.gravity[i]
+            g.mass[b, 0] -= potential * top.gravity[i] * q[3 * b + i]
+            g.gravity[i] -= potential * top.mass[b, 0] * q[3 * b + i]
+
+
+@subkernel
+def _pull_states(h, c, g, x):
+    acc, lam = x.found[0], x.lam
+    for r in range(len(x.time)):
+        t, q, v = x.time[r], x.q[r], x.v[r]
+        status = _accelerations(h, t, q, v, acc, lam, True)
+        if status != OK:
+            return status, r
+        _tangents(h, t, q, v, acc, lam)
+        _by_points(c, g, t, q, v)
+        fill_rows(g.lam_bar, 0.0)
+        for k in range(len(h.top.springs)):
+            for i in range(4):
+                g.pull_bar[k, i] = x.forces[r, k, i]
+        _reactions(h, g, x.reactions[r], lam, x.q_bar[r])
+        _energies(h, g, x.kinetic[r], x.gravity[r], q, v, x.q_bar[r], x.v_bar[r])
+        _pull_back(h, c, g, t, v, acc, lam, x.acc[r], x.q_bar[r], x.v_bar[r])
+    return OK, len(x.time)
+
+
+@subkernel
+def _keep_factors(h, s, i):
+    """Keep the factors of the Schur complement of stage `i`."""
+    schur = h.solver.schur
+    for k in range(len(schur.diagonal)):
+        for d in range(3):
+            s.diagonal[i, k, d] = schur.diagonal[k, d]
+    for k in range(len(schur.below)):
+        for d in range(4):
+            s.below[i, k, d] = schur.below[k, d]
+
+
+@subkernel
+def _place_stage(s, n, i, count):
+    """Write the state of stage `i` of step `n` from the rates of the first `count` stages."""
+    q, v, size = s.q_stage[i], s.v_stage[i], s.size[n]
+    copy(s.q[n], q)
+    copy(s.v[n], v)
+    for j in range(count):
+        factor = size * s.a[i, j]
+        if factor != 0.0:
+            for d in range(len(q)):
+                v[d] += factor * s.acc[j, d]
+    for j in range(count):
+        factor = size * s.a[i, j]
+        if factor != 0.0:
+            for d in range(len(q)):
+                q[d] += factor * s.v_stage[j, d]
+
+
+@subkernel
+def _take_stages(h, s, n):
+    """Evaluate the stages of step `n`, and keep the factors of their Schur complements; return a status."""
+    if s.is_implicit[0] != 0:
+        return _iterate_stages(h, s, n)
+    for i in range(len(s.b)):
+        _place_stage(s, n, i, i)
+        t = s.time[n] + s.c[i] * s.size[n]
+        status = _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i], False)
+        if status != OK:
+            return status
+        _keep_factors(h, s, i)
+    return OK
+
+
+@subkernel
+def _iterate_stages(h, s, n):
+    """Solve for the accelerations of the stages of step `n`, beginning with those of the last step; return a status."""
+    stages, before = len(s.b), np.inf
+    # forces that cancel leave their round-off in accelerations, which may be small; so do positions
+    far = 0.0
+    for d in range(len(s.next)):
+        far = max(far, abs(s.q[n, d]))
+    rounding = SMALL * far / (s.size[n] * s.size[n])
+    for _ in range(MOST_ITERATIONS):
+        # velocities first: positions depend on those of all stages
+        for _ in range(2):
+            for i in range(stages):
+                _place_stage(s, n, i, stages)
+        change = largest = 0.0
+        for i in range(stages):
+            t = s.time[n] + s.c[i] * s.size[n]
+            copy(s.acc[i], s.next)
+            status = _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.next, s.lam[i], False)
+            if status != OK:
+                return status
+            _keep_factors(h, s, i)
+            for d in range(len(s.next)):
+                change = max(change, abs(s.next[d] - s.acc[i, d]))
+                largest = max(largest, abs(s.next[d]))
+            copy(s.next, s.acc[i])
+        limit = max(NEGLIGIBLE * largest, rounding)
+        if change <= SMALL * largest or (change >= STALLED * before and change <= limit):
+            return OK
+        if not change < np.inf:
+            return DIVERGED
+        before = change
+    return DIVERGED
+
+
+@subkernel
+def _take_factors(h, s, i, t):
+    """Restore the factors of the system of stage `i`; return a status."""
+    solver = h.solver
+    if solver.pivoted[0] != 0:
+        return _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i], False)
+    for k in range(len(s.diagonal[i])):
+        for d in range(3):
+            solver.schur.diagonal[k, d] = s.diagonal[i, k, d]
+    for k in range(len(s.below[i])):
+        for d in range(4):
+            solver.schur.below[k, d] = s.below[i, k, d]
+    return OK
+
+
+@subkernel
+def _write_stages(h, s, first, end):
+    stages = len(s.b)
+    for n in range(first, end):
+        status = _take_stages(h, s, n)
+        if status != OK:
+            return status, n
+        for i in range(stages):
+            copy(s.q_stage[i], s.stage_q_bar[n * stages + i])
+            copy(s.v_stage[i], s.stage_v_bar[n * stages + i])
+    return OK, end
+
+
+@subkernel
+def _begin_stage(s, n, i):
+    """Write the derivatives with respect to stage `i` of step `n` that do not come from other stages."""
+    factor, row = s.size[n] * s.b[i], n * len(s.b) + i
+    for d in range(len(s.next)):
+        s.to_q[i, d] = s.stage_q_bar[row, d] if len(s.stage_q_bar) > 0 else 0.0
+        s.to_v[i, d] = factor * s.q_bar[n + 1, d]
+        if len(s.stage_v_bar) > 0:
+            s.to_v[i, d] += s.stage_v_bar[row, d]
+        s.to_acc[i, d] = factor * s.v_bar[n + 1, d]
+
+
+@subkernel
+def _iterate_derivatives(h, g, s, n):
+    """Solve for the derivatives with respect to the stages of an implicit step; return a status."""
+    stages, size, before = len(s.b), s.size[n], np.inf
+    fill_rows(s.by_q, 0.0)
+    fill_rows(s.by_v, 0.0)
+    for i in range(stages):
+        t = s.time[n] + s.c[i] * size
+        status = _take_factors(h, s, i, t)
+        if status != OK:
+            return status
+        _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+        copy(h.w.source, s.source[i])
+    for _ in range(MOST_ITERATIONS):
+        change = largest = 0.0
+        for i in range(stages):
+            _begin_stage(s, n, i)
+            for d in range(len(s.next)):
+                s.to_q[i, d] += s.by_q[i, d]
+        for i in range(stages):
+            for j in range(stages):
+                for d in range(len(s.next)):
+                    s.to_v[i, d] += size * s.a[j, i] * s.to_q[j, d]
+            for d in range(len(s.next)):
+                s.to_v[i, d] += s.by_v[i, d]
+        for i in range(stages):
+            for j in range(stages):
+                for d in range(len(s.next)):
+                    s.to_acc[i, d] += size * s.a[j, i] * s.to_v[j, d]
+        for i in range(stages):
+            status = _take_factors(h, s, i, s.time[n] + s.c[i] * size)
+            if status != OK:
+                return status
+            copy(s.source[i], h.w.source)
+            copy(s.by_v[i], s.next)
+            fill(s.by_q[i], 0.0)
+            fill(s.by_v[i], 0.0)
+            _solve_adjoint(h, g, s.to_acc[i])
+            _to_state(h, g, s.by_q[i], s.by_v[i])
+            for d in range(len(s.next)):
+                # derivatives by positions count as those by velocities, over the step
+                change = max(change, abs(s.by_v[i, d] - s.next[d]), size * abs(s.by_q[i, d] - s.kept[i, d]))
+                largest = max(largest, abs(s.to_v[i, d]), size * abs(s.by_q[i, d]))
+            copy(s.by_q[i], s.kept[i])
+        if change <= SMALL * largest or (change >= STALLED * before and change <= NEGLIGIBLE * largest):
+            return OK
+        if not change < np.inf:
+            return DIVERGED
+        before = change
+    return DIVERGED
+
+
+@subkernel
+def _through_stage(h, c, g, s, n, i):
+    """Add what follows from the derivatives with respect to the accelerations of stage `i`; return a status."""
+    t = s.time[n] + s.c[i] * s.size[n]
+    is_zero = True
+    for d in range(len(s.next)):
+        is_zero = is_zero and s.to_acc[i, d] == 0.0
+    if is_zero:
+        return OK
+    status = _take_factors(h, s, i, t)
+    if status != OK:
+        return status
+    _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+    _by_points(c, g, t, s.q_stage[i], s.v_stage[i])
+    _pull_back(h, c, g, t, s.v_stage[i], s.acc[i], s.lam[i], s.to_acc[i], s.by_q[i], s.by_v[i])
+    return OK
+
+
+@subkernel
+def _sweep_back(h, c, g, s, first, before):
+    stages = len(s.b)
+    fill_rows(g.lam_bar, 0.0)
+    fill_rows(g.pull_bar, 0.0)
+    for n in range(before - 1, first - 1, -1):
+        size, q_bar, v_bar = s.size[n], s.q_bar[n], s.v_bar[n]
+        status = _take_stages(h, s, n)
+        if status == OK and s.is_implicit[0] != 0:
+            status = _iterate_derivatives(h, g, s, n)
+        if status != OK:
+            return status, n + 1
+        for d in range(len(q_bar)):
+            q_bar[d] += s.q_bar[n + 1, d]
+            v_bar[d] += s.v_bar[n + 1, d]
+        if s.is_implicit[0] == 0:
+            for i in range(stages):
+                _begin_stage(s, n, i)
+        for i in range(stages - 1, -1, -1):
+            fill(s.by_q[i], 0.0)
+            fill(s.by_v[i], 0.0)
+            status = _through_stage(h, c, g, s, n, i)
+            if status != OK:
+                return status, n + 1
+            if s.is_implicit[0] == 0:
+                for d in range(len(q_bar)):
+                    s.to_q[i, d] += s.by_q[i, d]
+                    s.to_v[i, d] += s.by_v[i, d]
+                    for j in range(i):
+                        s.to_v[j, d] += size * s.a[i, j] * s.to_q[i, d]
+                        s.to_acc[j, d] += size * s.a[i, j] * s.to_v[i, d]
+            # the derivatives of an implicit step contain these already
+            for d in range(len(q_bar) - 3):
+                q_bar[d] += s.to_q[i, d]
+                v_bar[d] += s.to_v[i, d]
+    return OK, first
+
+
+PULL, STAGES, SWEEP = range(3)
+"""Tasks of `differentiate_back`."""
+
+
+@kernel
+def differentiate_back(
+    engine: int, duals: int, adjoint: int, given: int, steps: int, task: int, first: int, end: int
+) -> tuple[int, int]:
+    """Do a task for states or steps, whose numbers are from `first` to ``end - 1``; return a status and a number.
+
+    PULL adds the derivatives of the `Given` states to their results; the number is that of the states done. STAGES
+    writes the states of the stages of `Steps` into their arrays of derivatives; the number is that of the next step.
+    SWEEP carries derivatives back through `Steps`; the number is that of the first step passed.
+    """
+    h, c, g = load_engine(engine), load_dual_states(duals), load_adjoint(adjoint)
+    if task == PULL:
+        return _pull_states(h, c, g, load_given(given))
+    if task == STAGES:
+        return _write_stages(h, load_steps(steps), first, end)
+    return _sweep_back(h, c, g, load_steps(steps), first, end)

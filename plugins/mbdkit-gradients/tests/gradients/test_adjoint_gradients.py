@@ -1,0 +1,211 @@
+"""Gradients by the adjoint: against dual numbers, against complex steps of a code of its own, and refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, seed, settings
+
+import mbdkit
+from mbdkit.base.errors import RunError, SpecError
+from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
+from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.laws.tabulated import LAW as TABLE
+from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.spec import RunSpec, load_spec
+from mbdkit.spec.loading import _examples
+from mbdkit_gradients.adjoint_gradient import ARRAYS, AdjointRun, why_forward
+from mbdkit_gradients.adjoint_measures import NotByAdjointError
+from mbdkit_gradients.differentiated_expressions import expressions_of
+from mbdkit_gradients.differentiated_run import Needs, differentiated_run
+from mbdkit_gradients.measured_derivatives import derived_measures, needs_of
+from tests.engine.strategies import Drawn, mechanisms
+from tests.margins import assert_within
+
+QUICK = ("pendulum", "double-pendulum", "four-bar", "slider-crank", "knee", "gravity-balanced-arm")
+METHODS: tuple[dict[str, Any], ...] = (
+    {"name": "rk4"},
+    {"name": "gauss", "stages": 2},
+    {"name": "dopri5", "adaptive": True, "rtol": 1e-7},
+)
+
+
+def random_seeds(spec: RunSpec, draw: np.random.Generator) -> Seeds:
+    """Return a direction in which all numbers of the mechanism and of its start change."""
+    workspace = RunSetup.of(spec).workspace
+    top = workspace.mechanism.topology
+    arrays: dict[str, np.ndarray] = {name: draw.normal(size=(*getattr(top, name).shape, 1)) for name in ARRAYS}
+    arrays["mass"] *= top.mass[..., None]
+    arrays["mass"][-1] = 0.0
+    arrays["linear"] *= np.abs(top.linear)[..., None]
+    arrays["spring_points"][top.springs[:, SPRING.segments] != 1] = 0.0
+    of_laws = np.zeros(len(top.law_parameters))
+    for law in top.springs[top.springs[:, SPRING.law] >= 0, SPRING.law]:
+        begin = int(top.laws[law, LAW_ROW.parameters])
+        of_laws[begin + 1 : begin + 1 + int(top.law_parameters[begin])] = 1.0
+        if workspace.mechanism.laws[law][1].law is TABLE:
+            of_laws[begin + 2 : begin + 4 + int(top.law_parameters[begin + 2])] = 0.0
+    arrays["law_parameters"] *= (of_laws * np.abs(top.law_parameters))[:, None]
+    arrays["weight"] = -(top.weight**2)[..., None] * arrays["mass"]
+    for name, x in (("q", workspace.q0), ("v", workspace.v0)):
+        arrays[name] = 0.1 * draw.normal(size=(len(x), 1))
+        arrays[name][-3:] = 0.0
+    return Seeds({name: x for name, x in arrays.items() if x.size}, np.ones(1))
+
+
+def measures_of(spec: RunSpec) -> dict[str, str]:
+    """Return measures of all kinds that the adjoint gives, of the last body, the first joint and the first spring."""
+    mechanism = spec.mechanism()
+    body, middle = f"bodies.{[*mechanism.bodies][-1]}", 0.5 * (spec.time.start + spec.time.final)
+    wanted = [f"final({body}.x)", f"at({body}.angle, {middle!r})", "mean(energy.kinetic)", "final(energy.total)"]
+    if mechanism.joints:
+        joint = f"joints.{next(iter(mechanism.joints))}"
+        wanted += [f"max(abs({joint}.force))", f"rms({joint}.force_x)"]
+    springs = [name for name, force in mechanism.forces.items() if hasattr(force, "pathway")]
+    if springs:
+        wanted += [f"integral(forces.{springs[0]}.value)", f"final(forces.{springs[0]}.power)"]
+    return {text: text for text in wanted}
+
+
+def compare(spec: RunSpec, draw: np.random.Generator) -> None:
+    """Compare both ways to differentiate in a random direction; skip runs that the adjoint does not take."""
+    seeds = random_seeds(spec, draw)
+    if why := why_forward(spec, make_method(spec), seeds):
+        pytest.skip(why)
+    count = 0
+    for text in measures_of(spec):
+        try:
+            expressions = expressions_of(spec, {text: (text, "")})
+        except SpecError:
+            continue
+        need = needs_of(expressions[text])
+        needs = Needs(need.nodes, need.ends)
+        try:
+            run = AdjointRun(spec, seeds, needs)
+            found = run.measures(expressions)[text]
+        except NotByAdjointError as error:
+            if str(error).startswith(("the mechanism", "force laws")):
+                pytest.skip(str(error))
+            continue
+        except (SpecError, RunError) as error:
+            pytest.skip(str(error))
+        known = derived_measures(differentiated_run(spec, seeds, needs, sizes=run.sizes), expressions, seeds)[text]
+        size = max(abs(known.value), known.size, abs(float(known.slope[0])), 1e-3)
+        assert_within(found.value - known.value, 1e-11 * size, text)
+        assert_within(found.slope - known.slope, 3e-11 * max(abs(float(known.slope[0])), known.size, 1e-3), text)
+        count += 1
+    assert count
+
+
+def example(name: str, method: dict[str, Any]) -> RunSpec:
+    path = _examples()[name]
+    spec = load_spec(str(path), ())
+    step = spec.time.step or (spec.time.final - spec.time.start) / 1000
+    time = {"start": spec.time.start, "end": spec.time.start + 40 * step, "step": step}
+    if "rtol" in method:
+        time.pop("step")
+    sections: dict[str, Any] = {"integrator": method, "time": time, "check": False, "measures": {}, "gradients": []}
+    return load_spec(str(path), (), **sections)
+
+
+EXAMPLES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in sorted(_examples())]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_adjoint_agrees_with_a_dual_direction_on_packaged_examples(name: str) -> None:
+    # expected: the derivative in a random direction by dual numbers, from the kernels of the run itself
+    try:
+        spec = example(name, METHODS[len(name) % 2])
+    except (SpecError, KeyError, TypeError) as error:
+        pytest.skip(str(error))
+    compare(spec, np.random.default_rng(len(name)))
+
+
+def test_adjoint_agrees_with_a_dual_direction_for_adaptive_steps() -> None:
+    # expected: dual numbers with the same step sizes, which are constants
+    compare(example("double-pendulum", METHODS[2]), np.random.default_rng(1))
+
+
+def test_adjoint_agrees_with_a_dual_direction_with_baumgarte_terms() -> None:
+    # expected: dual numbers
+    base = {"name": "baumgarte", "alpha": 5.0, "beta": 7.0}
+    spec = load_spec("four-bar", (), integrator={"name": "rk4"}, stabilization=base, time={"end": 0.2, "step": 0.005})
+    compare(spec, np.random.default_rng(2))
+
+
+def compare_drawn(drawn: Drawn, index: int) -> None:
+    time = {"start": drawn.start, "end": drawn.start + 0.15, "step": 0.025}
+    spec = load_spec(drawn.mechanism, (), integrator=METHODS[index % 2], time=time)
+    with suppress(pytest.skip.Exception):
+        compare(spec, np.random.default_rng(index))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("batch", range(8))
+def test_adjoint_agrees_with_a_dual_direction_on_drawn_mechanisms(batch: int) -> None:
+    # expected: dual numbers
+    count = iter(range(10**6))
+    chosen = settings(
+        max_examples=25, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
+    )
+    seed(batch)(chosen(given(mechanisms())(lambda drawn: compare_drawn(drawn, next(count)))))()
+
+
+def pendulum_by_complex_steps(measure: Callable[[np.ndarray], Any], values: list[float]) -> list[float]:
+    """Return derivatives of a function of the last state of a pendulum with a spring: own equations, rk4, 100 steps."""
+
+    def final(mass: Any, length: Any, stiffness: Any, angle: Any) -> Any:
+        def rate(y: np.ndarray) -> np.ndarray:
+            moment = -mass * 9.81 * 0.5 * length * np.cos(y[0]) - stiffness * y[0]
+            return np.array([y[1], moment / (mass * length**2 / 3.0)])
+
+        y, h = np.array([angle, 0.0j]), 0.01
+        for _ in range(100):
+            a = rate(y)
+            b = rate(y + 0.5 * h * a)
+            c = rate(y + 0.5 * h * b)
+            y = y + h / 6.0 * (a + 2.0 * b + 2.0 * c + rate(y + h * c))
+        return measure(y)
+
+    steps = 1e-30j * np.eye(len(values))
+    return [float(final(*(np.array(values) + step)).imag) / 1e-30 for step in steps]
+
+
+def pendulum(mode: str, **sections: Any) -> mbdkit.Gradient:
+    mass, length, stiffness, angle = 2.0, 0.7, 3.0, 0.4
+    position = ["l/2*cos(a)", "l/2*sin(a)"]
+    model = {
+        "name": "mechanism",
+        "bodies": {"rod": {"mass": "m", "inertia": "m*l**2/12", "position": position, "angle": "a"}},
+        "joints": {"J": {"type": "revolute", "bodies": ["ground", "rod"], "points": [[0, 0], ["-l/2", 0]]}},
+        "forces": {"k": {"type": "torsion-spring", "bodies": ["ground", "rod"], "stiffness": "k"}},
+    }  # fmt: skip
+    numbers = {"m": mass, "l": length, "k": stiffness, "a": angle}
+    spec = {"mbdkit": 1, "model": model, "parameters": numbers, "integrator": {"name": "rk4"}, **sections}
+    spec.setdefault("time", {"end": 1.0, "step": 0.01})
+    return mbdkit.gradient(spec, ["final(bodies.rod.angle)"], [*numbers], check=False, mode=mode)  # type: ignore[arg-type]
+
+
+def test_adjoint_of_a_pendulum_agrees_with_complex_steps_of_its_equation_in_the_angle() -> None:
+    # expected: complex steps of an independent code in one coordinate; its steps differ by a discretization error
+    found = pendulum("adjoint", time={"end": 1.0, "step": 0.0005})
+    expected = pendulum_by_complex_steps(lambda y: y[0], [2.0, 0.7, 3.0, 0.4])
+    assert_within(found.jacobian[0] - expected, 1e-6 * np.max(np.abs(expected)))
+
+
+@pytest.mark.parametrize(
+    ("sections", "reason"),
+    [
+        ({"formulation": "index-3", "integrator": {"name": "radau-iia"}}, "the formulation is index-3"),
+        ({"stabilization": "projection"}, "projected"),
+        ({"events": {"low": {"when": "bodies.rod.angle"}}}, "events"),
+    ],
+)
+def test_what_the_adjoint_does_not_take_is_refused_with_its_reason(sections: dict[str, Any], reason: str) -> None:
+    with pytest.raises(SpecError, match=reason):
+        pendulum("adjoint", **sections)
+    assert np.all(np.isfinite(pendulum("auto", **sections).jacobian))
