@@ -151,5 +151,8 @@ def test_bars_of_a_drawn_person_contain_most_forces() -> None:
     covered = {name: tally.row(name)[0] for name in tally.errors}
     assert np.mean([covered[f"force of the {joint}"] for joint in JOINTS]) > 0.6
     assert covered["forces of muscles"] > 0.6
+    error, lower, upper, _ = np.moveaxis(tally.knee[0], -1, 0)
+    assert np.mean((-lower <= error) & (error <= upper)) > 0.6
+    assert np.median(upper) > 1.1 * np.median(lower)  # co-contraction only adds
     for joint in JOINTS:
         assert np.nanmedian(tally.bars[f"force of the {joint}"]) < 1200  # N; the largest forces are 1,700 to 3,800 N

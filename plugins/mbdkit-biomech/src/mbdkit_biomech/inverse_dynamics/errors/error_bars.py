@@ -27,7 +27,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base.errors import RunError
 from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import products
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, forces_of, reactions_of
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression, forces_of, knees_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import (
     LongGap,
     changes_at_ends,
@@ -76,7 +76,7 @@ class ResultBars:
         Magnitudes of actuators (T, U) and of reaction forces (T, J) with the accelerations at both ends that the data
         before smoothing show.
     knees
-        (T, K, 3) compressions of knees with both sides of their bars; None without uncertain muscles.
+        (T, K, 3) compressions of knees with both sides of their bars; None without knees.
     uncertain
         Effects of the person and its muscles, which the bounds contain; None if they count as exact.
     """
@@ -212,11 +212,23 @@ def error_bars(result: Inverse) -> ResultBars | None:
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
         (np.abs(likely.actuators), np.linalg.norm(likely.reactions[:, :, :2], axis=2)),
-        None
-        if uncertain is None or uncertain.knees is None
-        else uncertain.knees.with_data(of_data, np.isnan(squares[1])),
+        _knee_bars(result, uncertain, of_data, np.isnan(squares[1])),
         uncertain,
     )
+
+
+def _knee_bars(
+    result: Inverse, uncertain: UncertainResult | None, of_data: np.ndarray, is_unknown: np.ndarray
+) -> np.ndarray | None:
+    """Return the compressions of knees with both sides of their bars; see `ResultBars.knees`."""
+    knees = knees_of(result.problem)
+    if uncertain is not None and uncertain.knees is not None:
+        return uncertain.knees.with_data(of_data, is_unknown)
+    if not knees:
+        return None
+    own, sides = reactions_of(result), np.where(is_unknown, np.nan, np.sqrt(of_data))
+    columns = [(compression(own[:, j], result.motion.q, shank), sides[:, j], sides[:, j]) for j, shank in knees]
+    return np.moveaxis(np.array(columns), -1, 0)
 
 
 def _covariances(data: NoisyData, others: Sequence[_Other]) -> list[np.ndarray]:

@@ -26,7 +26,7 @@ LEAST_DEVIATION = 0.03  #: Smallest standard deviation of an activation by EMG: 
 
 #: Deviation [1] that a channel has in addition for a correlation of 0.5 with the activation that recruitment finds
 #: without EMG: it is this times (1 - correlation) / correlation, up to the second number.
-DISAGREES, MOST_DISAGREES = 0.3, 10.0
+DISAGREES, MOST_DISAGREES = 0.2, 10.0
 
 FOLLOWS = 0.5  #: Correlation below which a channel is named.
 
