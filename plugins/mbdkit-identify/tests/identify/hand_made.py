@@ -30,8 +30,8 @@ def signal(experiment: str, *, is_hold_out: bool = False, samples: int = 200) ->
 def result(**changes: Any) -> Identification:
     """Return the result with some fields changed."""
     estimates = [
-        Estimate("stiffness", "N m/rad", 12.0, 11.6, 12.4, 0.2, True),
-        Estimate("damping", "N m s/rad", 0.0, 0.0, 0.1, 0.05, True, "lower"),
+        Estimate("stiffness", "N m/rad", 12.0, 11.6, 12.4, 0.2, True, mean=12.0),
+        Estimate("damping", "N m s/rad", 0.0, 0.0, 0.1, 0.05, True, "lower", mean=0.02),
         Estimate("mass", "kg", 2.0, -np.inf, np.inf, np.nan, False),
         Estimate("ratio", "1", 6.0, 5.8, np.inf, 0.1, True),
     ]

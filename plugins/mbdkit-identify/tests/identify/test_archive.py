@@ -53,7 +53,7 @@ def test_other_specs_take_the_estimates(tmp_path: Path) -> None:
 
     names, values, covariance, reasons = read_identified(write_identification(result(), tmp_path / "fit.h5"))
     assert names == ["stiffness", "damping", "mass"]
-    assert values.tolist() == [12.0, 0.0, 2.0]
+    assert values.tolist() == [12.0, 0.02, 2.0]  # the mean of damping, whose estimate is at its bound
     np.testing.assert_array_equal(covariance, COVARIANCE)
     assert reasons == ["", "", "the data do not determine it"]
 
