@@ -64,8 +64,9 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Return a page with the new addresses of pictures, and the gallery with the specs."""
-    if page.file.src_uri == "mbdkit/guide/spec.md":  # the search shows pages that explain before the list of all keys
-        page.meta["search"] = {"boost": 0.3}
+    is_reference = page.file.src_uri == "mbdkit/guide/spec.md" or "/guide/" not in page.file.src_uri
+    if is_reference:  # the search shows pages that explain before lists of keys and names, and maps of the code
+        page.meta["search"] = {"boost": 0.1}
     markdown = re.sub(r"(\]\(|src=\")([./]*)\.github/", r"\1\2pictures/", markdown)
     if page.file.src_uri == "plugins/README.md":
         markdown = re.sub(r"\]\((mbdkit-[\w-]+)\)", r"](\1/README.md)", markdown)

@@ -164,14 +164,13 @@ def _drawn(pairs: Mapping[str, Pair], which: str) -> Illustration:
 
 def _glance(design: Design, pairs: Mapping[str, Pair]) -> Section:
     spec = design.spec
-    goals = listed(
-        [expression if name == GOAL else f"{name} = {expression}" for name, expression in spec.goals.items()], "and"
-    )
+    goals = listed([text if name == GOAL else f"{name} = {text}" for name, text in spec.goals.items()], "and")
     bounds = [f"{key_words(name)} from {_bounds(spec, name)}" for name in spec.variables]
     limits = f", within the limits of {listed(list(spec.subject_to), 'and')}" if spec.subject_to else ""
     asked = f"the least {goals}, by {listed(bounds, 'and')}{limits}"
-    reasons = [design.trust.judgement.partition(": ")[2] or design.trust.judgement]
-    return glance(asked, design.trust.level, [*filter(None, [design.doubt]), *reasons], _drawn(pairs, "best"))
+    level = design.trust.level
+    reason = design.trust.judgement.partition(": ")[2].removeprefix(f"{level}, ")
+    return glance(asked, level, [*filter(None, [design.doubt]), reason], _drawn(pairs, "best"))
 
 
 def _bounds(spec: DesignSpec, name: str) -> str:
