@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -54,6 +56,14 @@ def test_plain_h5py_reads_what_mbdkit_reads(name: str, files: dict[str, Path]) -
         axes, units = found["arrays"]["trajectory/position"]
         assert axes == ["/trajectory/time", "/trajectory/body", "/trajectory/coordinate"]
         assert units == ["m", "m", "rad"]
+
+
+@pytest.mark.parametrize("name", ["run", "failed", "ball", "inverse"])
+def test_names_are_names_of_variables_in_matlab(name: str, files: dict[str, Path]) -> None:
+    with h5py.File(files[name]) as file:
+        names = {*file.attrs}
+        file.visititems(lambda path, item: names.update({path.rpartition("/")[2], *item.attrs}))
+    assert [one for one in names if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,62}", one)] == []
 
 
 def test_a_block_has_the_largest_forces_of_its_runs(files: dict[str, Path]) -> None:
