@@ -104,7 +104,7 @@ class VariedRuns:
         runs, group = found
         advanced = self._advanced(group, runs)
         self.work = int(advanced.results.counters["rhs_evaluations"][0]) * len(group.names.bodies)
-        if not len(runs.sound(advanced.results)):
+        if self._failed:
             return None
 
         def concluded() -> FinishedRun | None:
@@ -138,7 +138,8 @@ class VariedRuns:
         advanced = group.advanced(runs)
         self._failed = 0 if len(runs.sound(advanced.results)) else self._failed + 1
         assert self._base is not None
-        self._base.is_assembled |= not runs.is_consistent(advanced.results).all()
+        if not self._base.is_assembled:
+            self._base.is_assembled = not runs.is_consistent(advanced.results).all()
         return advanced
 
 
