@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
+from types import CodeType
 from typing import Any
 
 import numpy as np
@@ -45,18 +46,27 @@ class Formulas:
     kept: tuple[str, ...]
     results: tuple[str, ...]
 
-    def compiled(self, lines: Sequence[str], functions: Mapping[str, Any]) -> Callable[..., tuple[Any, ...] | None]:
-        """Return some lines, and then the results, as a Python function that calls `functions` by their names."""
-        text = "\n".join([*lines, f" return ({', '.join([*self.results, ''])})"])
+    def compiled(self, functions: Mapping[str, Any]) -> Callable[..., tuple[Any, ...] | None]:
+        """Return the results as a Python function that calls `functions` by their names; `kept` is not asked for."""
+        return self._with(self._code, functions)
+
+    def _with(self, code: CodeType, functions: Mapping[str, Any]) -> Callable[..., tuple[Any, ...] | None]:
         space: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **functions}
-        code = f"def formulas({', '.join(self.inputs)}):\n{text}"
-        exec(compile(code, "<formulas>", "exec"), space)  # the text consists of recorded operations only
+        exec(code, space)  # the text consists of recorded operations only
         function: Callable[..., tuple[Any, ...] | None] = space["formulas"]
         return function
 
+    def _compiled(self, *lines: str) -> CodeType:
+        text = "\n".join([*lines, f" return ({', '.join([*self.results, ''])})"])
+        return compile(f"def formulas({', '.join(self.inputs)}):\n{text}", "<formulas>", "exec")
+
+    @cached_property
+    def _code(self) -> CodeType:
+        return self._compiled(*self.lines)
+
     @cached_property
     def _function(self) -> Callable[..., tuple[float, ...] | None]:
-        return self.compiled([*self.lines, *self.kept], recorded_functions())
+        return self._with(self._compiled(*self.lines, *self.kept), recorded_functions())
 
     def __call__(self, *inputs: float) -> tuple[float, ...] | None:
         """Return the results; see the class."""

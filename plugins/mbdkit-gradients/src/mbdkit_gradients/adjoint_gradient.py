@@ -23,7 +23,9 @@ from mbdkit.engine.iteration_matrix import classes_of
 from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
+from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.levels import chosen_level
 from mbdkit.engine.native.number_arrays import ITEM, new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
@@ -48,6 +50,12 @@ from mbdkit_gradients.measured_derivatives import DerivedMeasure
 #: Arrays of a mechanism with respect to which the adjoint gives derivatives; `weight` follows from `mass`.
 ARRAYS = ("mass", "gravity", "pair_parameters", "spring_points", "linear", "law_parameters", "load_points")
 AROUND = 8  #: Number of step ends on both sides of a step that may determine the motion in it.
+
+
+def is_ready() -> bool:
+    """Return whether the machine code of the kernels is stored; to compile it takes minutes."""
+    symbol = kernels.differentiate_back.symbol
+    return machine_code.IN_PYTHON or machine_code.stored_file(symbol, chosen_level()) is not None
 
 
 def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:

@@ -29,7 +29,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import open_doubts
-from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
+from mbdkit_gradients.adjoint_gradient import AdjointRun, is_ready, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
@@ -405,7 +405,8 @@ class _RunProblem(GradientProblem[RunSpec]):
     def differentiated(
         self, parameters: Sequence[Parameter], prepared: PreparedDerivatives
     ) -> tuple[Any, Mapping[str, DerivedMeasure]]:
-        if self.mode == "forward" or (self.mode == "auto" and len(parameters) < FEW):
+        is_chosen = self.mode == "adjoint" or (self.mode == "auto" and len(parameters) >= FEW and is_ready())
+        if not is_chosen:
             return super().differentiated(parameters, prepared)
         refuse(self.spec, make_method(self.spec))
         try:

@@ -144,7 +144,7 @@ def derivatives_of(formulas: Formulas, values: Sequence[float]) -> np.ndarray:
     inputs = map(_Number, map(float, values), unit)
     try:
         with np.errstate(invalid="ignore"):
-            results = formulas.compiled(formulas.lines, _functions())(*inputs)
+            results = formulas.compiled(_functions())(*inputs)
     except (ArithmeticError, ValueError, TypeError, AttributeError) as error:
         raise UntraceableError(str(error)) from error
     if results is None:
@@ -157,7 +157,7 @@ def derivatives_of(formulas: Formulas, values: Sequence[float]) -> np.ndarray:
 
 def inside(formulas: Formulas, values: np.ndarray, changes: np.ndarray) -> np.ndarray:
     """Return (K,) whether all recorded conditions hold if a value increases or decreases by its change."""
-    function = formulas.compiled(formulas.lines, recorded_functions())
+    function = formulas.compiled(recorded_functions())
 
     def hold(inputs: np.ndarray) -> bool:
         try:
