@@ -240,6 +240,9 @@ class _Writer:
             ("created_utc", now),
             ("study_sha256", heading.study_sha256),
             ("store", heading.store),
+            ("title", "Runs of a study"),
+            ("description", f"{self.count} runs of the study with the hash {heading.study_sha256[:16]}."),
+            ("Conventions", f"{FORMAT}-{FORMAT_VERSION}"),
         ):
             set_text(self.file, name, text)
         provenance = self.file.create_group("provenance")

@@ -227,6 +227,9 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
         set_text(file, "mbdkit", own_version())
         set_text(file, "study", spec.canonical_json())
         set_text(file, "study_sha256", spec.sha256())
+        set_text(file, "title", (spec.title or "Study").replace("\0", " "))  # attributes end at a null character
+        set_text(file, "description", "Table of the runs of a study.")
+        set_text(file, "Conventions", f"{FORMAT}-{FORMAT_VERSION}")
         _write_table(file, "runs", "run", index.runs, index)
         if index.references:
             _write_table(file, "references", "reference", index.references, index)
