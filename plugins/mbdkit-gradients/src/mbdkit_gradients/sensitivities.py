@@ -115,7 +115,7 @@ def sensitivities(
     parameters
         Names of `parameters` of the spec, key paths of numbers of its model such as ``model.bodies.rod.mass``, or
         initial values such as ``initial.crank.angle`` and ``initial.crank.angular_velocity``, which `initial` must
-        contain; A mapping of names in `parameters` to numbers also sets these numbers.
+        contain. A mapping of names in `parameters` to numbers also sets these numbers.
     initial
         Initial values of kinematic quantities; see `mbdkit.prepare`.
     **sections
