@@ -176,8 +176,8 @@ class Trace:
         for number in results:
             if isinstance(number, TracedNumber):
                 self.condition(f"({number.name} != 0.0)", number.value != 0.0)
-        total = " + ".join(f"abs({name})" for name in dict.fromkeys(names)) or "0.0"
-        kept = (*self._lines[count:], f" if not ({total} < inf): return None")
+        sizes = ", ".join([*(f"abs({name})" for name in dict.fromkeys(names)), ""])
+        kept = (*self._lines[count:], f" if not (sum(({sizes})) < inf): return None")
         return Formulas(tuple(self._inputs), tuple(self._lines[:count]), kept, names)
 
 
@@ -379,7 +379,8 @@ def _cubic_pieces(arguments: Sequence[float], values: Any) -> Any:
     """
     from scipy.interpolate import CubicSpline
 
-    with np.errstate(all="raise"):
+    # the influence of a point fades along the spline, down to zero
+    with np.errstate(all="raise", under="raise" if np.ndim(values) == 1 else "ignore"):
         coefficients = np.moveaxis(CubicSpline(np.array(arguments), np.array(values)).c[::-1], 0, -1)
         h = np.diff(np.array(arguments)).reshape(-1, *[1] * (coefficients.ndim - 1))
         areas = np.sum(coefficients * elementary.pow(h, np.arange(1, 5)) / np.arange(1, 5), axis=-1)
