@@ -610,6 +610,7 @@ def _iterate_derivatives(h, g, s, n):
     stages, size, before = len(s.b), s.size[n], np.inf
     fill_rows(s.by_q, 0.0)
     fill_rows(s.by_v, 0.0)
+    fill_rows(s.kept, 0.0)
     for i in range(stages):
         t = s.time[n] + s.c[i] * size
         status = _take_factors(h, s, i, t)
