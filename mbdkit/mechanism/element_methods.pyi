@@ -661,7 +661,7 @@ class ElementMethods(NamedElements):
         patella
             For a muscle of the quadriceps, whose path ends at the patella on the thigh: the patella and its
             ligament, which pulls the shank; ``{}`` in a model `leg`. None by default. Keys of `Patella`: joint,
-            flexion, scale.
+            flexion, scale, deviations.
         damping
             Damping of the fibres: the damping force at the velocity `max_velocity`, as a share of `max_force`.
         activation

@@ -139,7 +139,8 @@ def test_peaks_between_coarse_steps_are_covered_and_count_in_the_verdict() -> No
         assert one.bar.upper <= 1.01 * (true - one.recorded)
         assert_within(one.value - true, one.bar.upper)
     assert run.verdict == "doubtful"
-    assert "use smaller steps" in run.verdict_reasons[0]
+    assert run.verdict_reasons[0].startswith("The step of 0.142857 s is 0.14 of the period of 1 s")
+    assert "use smaller steps" in run.verdict_reasons[1]
     told = next(text for label, text in summary_lines(run) if label == "drivers")
     assert told.startswith(f"largest torque of motor {torque.recorded:.4g} N m in the recorded rows, 9.8 +- 0.25 N m")
     peak = mbdkit.workload(run)["motor"].load

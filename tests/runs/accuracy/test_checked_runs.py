@@ -155,7 +155,8 @@ def test_wrong_angles_of_discs_whose_centres_rest_are_not_good():
     known = next(one for one in known_motions() if one.name == "spinning discs")
     result = run({"name": "gauss", "stages": 2}, known.model, time={"end": known.end, "step": 4 * known.step})
     assert result.verdict == "doubtful"
-    assert result.verdict_reasons[0].startswith("The estimated error of positions is 0.046 of the mechanism's size")
+    assert result.verdict_reasons[0].startswith("The step of 0.04 s is 0.13 of the period of 0.314 s")
+    assert result.verdict_reasons[1].startswith("The estimated error of positions is 0.046 of the mechanism's size")
     assert result.accuracy.position_error_max < 1e-20
     true = np.max(np.abs(result.array("trajectory/position") - known.solve(result.time)[0]))
     assert result.accuracy.angle_error_max == pytest.approx(true, rel=0.5)

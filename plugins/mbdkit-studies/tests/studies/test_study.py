@@ -223,7 +223,7 @@ def test_a_full_disk_leaves_the_previous_index(tmp_path: Path) -> None:
 
 
 def test_reasons_do_not_add_lines() -> None:
-    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False, verdict="")
+    spec = SimpleNamespace(title="", defined_measures=tuple, has_table=False, verdict="", tolerances={})
     study: Any = SimpleNamespace(points=(), references=(), failures=(), spec=spec, computed=0, folder="out")
     study.unfinished, study.statuses, study.verdicts = ("x\nall is well",), list, list
     study.columns = lambda: dict.fromkeys(("status", "status_reason", "verdict", "verdict_reasons"), ())

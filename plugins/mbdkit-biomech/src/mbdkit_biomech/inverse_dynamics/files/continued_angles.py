@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from mbdkit.base.errors import SpecError
 from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
 
 #: Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
 #: would have a greater effect.
@@ -13,7 +15,7 @@ RATE_SAMPLES = 5
 
 
 def continued(
-    time: np.ndarray, values: np.ndarray, period: float, where: tuple[MeasuredTable, str, np.ndarray]
+    time: np.ndarray, values: np.ndarray, period: float, where: tuple[Callable[..., SpecError], str, np.ndarray]
 ) -> np.ndarray:
     """Return an angle (T,) continued over full turns, from sample to sample and across gaps, which remain nan.
 
@@ -38,8 +40,8 @@ def continued(
             turns = np.round(off / period)
             turned[place + 1 :] += period * turns
             if not expected or abs(off - period * turns) > period / 4 or np.ptp(expected) > period / 2:
-                table, heading, rows = where
-                raise table.error(
+                error, heading, rows = where
+                raise error(
                     f"column '{cited(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
                     "certain; fill the gap, or cut the motion with `time.start` and `time.end`",
                     row=int(rows[known[place] + 1]),

@@ -17,6 +17,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import Unit, read_quantity, read_unit
 from mbdkit_biomech.cited_text import cited
+from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
 
 #: Texts, in lower case, of cells without a value.
 GAPS = (
@@ -243,9 +244,7 @@ class MeasuredTable:
 
     def continued(self, time: np.ndarray, values: np.ndarray, period: float, heading: str) -> np.ndarray:
         """Return a column (T,) of an angle, continued over full turns; see `continued_angles`."""
-        from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
-
-        return continued(time, values, period, (self, heading, np.arange(len(values))))
+        return continued(time, values, period, (self.error, heading, np.arange(len(values))))
 
     def function(self, x: str, y: str, unit: Unit | None) -> tuple[list[float], list[float]]:
         """Return times [s] and values in two columns, in SI units; `unit` is that of the values, by default as in the

@@ -149,7 +149,7 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Meas
         period, given = 2 * np.pi * quantities.scale[index], every[kept]
         as_given[:, index], may_turn[index] = given, unit == "rad" and _range(every) <= period * (1 + ROUNDED)
         has_unit[index] = (column.unit or table.unit(column.column)) is not None or (unit == "rad" and table.in_degrees)
-        raw[:, index] = given if unit == "m" else continued(time, given, period, where)
+        raw[:, index] = given if unit == "m" else continued(time, given, period, (table.error, *where[1:]))
         values[:, index] = with_gaps_bridged(time, raw[:, index], motion.gaps_of(name), where)
         if column.deviation is not None:
             deviation[index] = abs(factor) * column.deviation
