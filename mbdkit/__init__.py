@@ -45,7 +45,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_biomech.inverse_dynamics.results.workload import workload as workload
     from mbdkit_design.solve_design import design as design, load_design as load_design
     from mbdkit_explore.server import explore as explore
-    from mbdkit_gradients.gradient import gradient as gradient
+    from mbdkit_gradients.measure_gradients import gradient as gradient
     from mbdkit_gradients.sensitivities import sensitivities as sensitivities
     from mbdkit_identify.archive import load_identification as load_identification
     from mbdkit_identify.identify import identify as identify
@@ -99,9 +99,15 @@ higher_layers.symbolic_system = _of_higher_layer(
 )
 higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
 higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
-higher_layers.check_gradients = _of_higher_layer("mbdkit_gradients.gradient", "check_gradients", "the key gradients")
-higher_layers.gradients_json = _of_higher_layer("mbdkit_gradients.gradient", "gradients_json", "the key gradients")
-higher_layers.gradient_of_run = _of_higher_layer("mbdkit_gradients.gradient", "gradient_of_run_spec", "a gradient")
+higher_layers.check_gradients = _of_higher_layer(
+    "mbdkit_gradients.measure_gradients", "check_gradients", "the key gradients"
+)
+higher_layers.gradients_json = _of_higher_layer(
+    "mbdkit_gradients.measure_gradients", "gradients_json", "the key gradients"
+)
+higher_layers.gradient_of_run = _of_higher_layer(
+    "mbdkit_gradients.measure_gradients", "gradient_of_run_spec", "a gradient"
+)
 higher_layers.run_errors = _of_higher_layer("mbdkit.archive.accuracy_summary", "RunErrors")
 higher_layers.write_answers = _of_higher_layer("mbdkit.archive.headlines", "write_answers")
 higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")

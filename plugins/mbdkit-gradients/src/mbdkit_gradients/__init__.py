@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
-    from mbdkit_gradients.gradient import Gradient as Gradient
-    from mbdkit_gradients.gradient import gradient as gradient
     from mbdkit_gradients.gradient_parameters import resolved as resolved
+    from mbdkit_gradients.measure_gradients import Gradient as Gradient
+    from mbdkit_gradients.measure_gradients import gradient as gradient
 else:
     __getattr__, __dir__ = door(globals())

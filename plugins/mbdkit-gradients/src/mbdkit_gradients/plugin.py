@@ -18,8 +18,8 @@ def mbdkit_items() -> Iterable[Item]:
         ViewItem(
             name="gradient",
             summary="Measures of a run and their derivatives.",
-            of="mbdkit_gradients.gradient:Gradient",
-            make=Target("mbdkit_gradients.gradient:gradient_view"),
+            of="mbdkit_gradients.measure_gradients:Gradient",
+            make=Target("mbdkit_gradients.measure_gradients:gradient_view"),
         ),
         *GuidePage.folder(Path(__file__).parent / "guide", "Analyse"),
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbdkit_gradients.gradient import Gradient
+from mbdkit_gradients.measure_gradients import Gradient
 
 
 def assert_passed(found: Gradient) -> None:

@@ -12,7 +12,7 @@ from tests.gradients.checks import assert_passed
 
 import mbdkit
 from mbdkit import Mechanism, SpecError
-from mbdkit_gradients.gradient import Gradient
+from mbdkit_gradients.measure_gradients import Gradient
 
 INERTIA, GRAVITY, END = 0.05 + 3.0 * 0.2**2, 3.0 * 9.81 * 0.2, 0.5
 VALUES = {"Kp": 40.0, "Kd": 3.0, "lag": 0.05, "start": 0.1}

@@ -47,9 +47,9 @@ from mbdkit_biomech.muscles.muscle_values import Muscles
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states
-from mbdkit_gradients.gradient import Gradient, GradientProblem
 from mbdkit_gradients.gradient_check import Settings
 from mbdkit_gradients.gradient_parameters import Names, Parameter
+from mbdkit_gradients.measure_gradients import Gradient, GradientProblem
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 
