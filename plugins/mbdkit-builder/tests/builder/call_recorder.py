@@ -307,7 +307,8 @@ def main() -> None:
             mbdkit.ensemble(spec, {"model.angles.0": np.linspace(0.0, 0.7, 8)}, out=out)
             compute_block(out, 0)  # again, in this process
             if "adaptive" not in integrator:
-                mbdkit.gradient(spec, "final(rod2.angle)", ["model.masses.1"])
+                for mode in ("forward", "adjoint"):
+                    mbdkit.gradient(spec, "final(rod2.angle)", ["model.masses.1"], mode=mode)
         recorder.counts.clear()
         touching = load_spec(
             "bouncing-ball",
