@@ -22,7 +22,7 @@ from tests.slow_cases import slow_but
 
 pytestmark = pytest.mark.end_to_end
 PROJECTS = sorted(path.parent for path in Path(__file__).with_name("outside_plugins").glob("*/pyproject.toml"))
-ORDERS = {"adams-two": 2, "backward-euler": 1, "kick-drift": 1, "ralston-kit": 3, "rosenbrock-two": 2, "sdirk-kit": 3}
+ORDERS = {"adams-two": 2, "kick-drift": 1, "ralston-kit": 3, "rosenbrock-two": 2}
 """Orders of the methods with fixed steps, from the literature that they cite."""
 OTHERS = (
     "fung-tissue", "heun-euler", "maxwell-strut", "parabola-pin", "path-length", "scipy-rk23", "trammel",
