@@ -25,7 +25,7 @@ PROJECTS = sorted(path.parent for path in Path(__file__).with_name("outside_plug
 ORDERS = {"adams-two": 2, "kick-drift": 1, "ralston-kit": 3, "rosenbrock-two": 2}
 """Orders of the methods with fixed steps, from the literature that they cite."""
 OTHERS = (
-    "fung-tissue", "heun-euler", "maxwell-strut", "parabola-pin", "path-length", "scipy-rk23", "trammel",
+    "fung-tissue", "maxwell-strut", "parabola-pin", "path-length", "scipy-rk23", "trammel",
 )  # fmt: skip
 """Other projects with items whose evidence is recorded."""
 WRONG = {"wrong-weight": ("order: forced pendulum", 4), "wrong-inside": ("order of dense output", 2)}
