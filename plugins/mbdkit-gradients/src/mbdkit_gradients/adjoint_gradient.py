@@ -355,7 +355,10 @@ class _Adjoint:
                     raise SingularSystemError
                 self.workspace.use_pivots()
             except SingularSystemError:
-                raise RunError("the equations of motion of a state have no derivatives") from None
+                raise NotByAdjointError(
+                    "the equations at a stage of a step have no solution, because their system is singular or the "
+                    "iteration for the stages diverges"
+                ) from None
             failed = int(place)
 
     def pulled(self, one: Bars) -> tuple[np.ndarray, np.ndarray]:

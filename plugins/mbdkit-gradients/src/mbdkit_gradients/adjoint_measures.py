@@ -215,6 +215,11 @@ class AdjointMeasure(MeasureEvaluation):
             raise NotByAdjointError(f"'{self.expression.text}' needs the recorded rows")
         return super()._reduction(index, name, number, operands)
 
+    def _root(self, mean: DerivedValue, rows: DerivedValue) -> DerivedValue:
+        if not np.any(mean.value != 0.0):
+            raise NotByAdjointError("the operand of 'rms' is zero over the whole run")
+        return super()._root(mean, rows)
+
     def _of_stages(self, index: int, square: bool) -> DerivedValue:
         nodes: Any = self.run.nodes
         values = self._of_operand(index, nodes.states, square=square)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
-from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, seed, settings
 
 import mbdkit
-from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.laws.tabulated import LAW as TABLE
@@ -71,11 +72,11 @@ def measures_of(spec: RunSpec) -> dict[str, str]:
     return {text: text for text in wanted}
 
 
-def compare(spec: RunSpec, draw: np.random.Generator) -> None:
-    """Compare both ways to differentiate in a random direction; skip runs that the adjoint does not take."""
+def compare(spec: RunSpec, draw: np.random.Generator) -> str:
+    """Compare both ways to differentiate in a random direction; return why the adjoint does not take the run, if so."""
     seeds = random_seeds(spec, draw)
     if why := why_forward(spec, make_method(spec), seeds):
-        pytest.skip(why)
+        return why
     count = 0
     for text in measures_of(spec):
         try:
@@ -88,41 +89,64 @@ def compare(spec: RunSpec, draw: np.random.Generator) -> None:
             run = AdjointRun(spec, seeds, needs)
             found = run.measures(expressions)[text]
         except NotByAdjointError as error:
-            if str(error).startswith(("the mechanism", "force laws")):
-                pytest.skip(str(error))
-            continue
-        except (SpecError, RunError) as error:
-            pytest.skip(str(error))
+            if str(error).startswith(("an extremum", "the operand of 'rms'")):  # not smooth in this motion
+                continue
+            return str(error)
         known = derived_measures(differentiated_run(spec, seeds, needs, sizes=run.sizes), expressions, seeds)[text]
         size = max(abs(known.value), known.size, abs(float(known.slope[0])), 1e-3)
         assert_within(found.value - known.value, 1e-11 * size, text)
         assert_within(found.slope - known.slope, 3e-11 * max(abs(float(known.slope[0])), known.size, 1e-3), text)
         count += 1
     assert count
+    return ""
 
 
-def example(name: str, method: dict[str, Any]) -> RunSpec:
+def example(name: str, method: dict[str, Any], share: float = 1.0) -> RunSpec:
+    """Return 40 steps of an example with another method, in a share of its steps."""
     path = _examples()[name]
     spec = load_spec(str(path), ())
-    step = spec.time.step or (spec.time.final - spec.time.start) / 1000
+    step = share * (spec.time.step or (spec.time.final - spec.time.start) / 1000)
     time = {"start": spec.time.start, "end": spec.time.start + 40 * step, "step": step}
     if "rtol" in method:
         time.pop("step")
     sections: dict[str, Any] = {"integrator": method, "time": time, "check": False, "measures": {}, "gradients": []}
-    return load_spec(str(path), (), **sections)
+    return load_spec(str(path), (), output={"every": 1}, **sections)
 
 
-EXAMPLES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in sorted(_examples())]
+def is_run(name: str) -> bool:
+    """Return whether a packaged example is a run of which there are gradients."""
+    text = Path(_examples()[name]).read_text("utf-8")
+    return "mbdkit: 1" in text.splitlines() and not re.search("^motion:", text, re.MULTILINE)
+
+
+REFUSED = {
+    "belt": "events", "bouncing-ball": "events", "cam-follower": "events", "jump": "events", "limit-stop": "events",
+    "sit-down": "events", "delayed-balance": "states", "pd-leg": "states", "series-elastic-knee": "states",
+    "flexible-slider-crank": "beams", "flying-spaghetti": "beams", "roll-up": "beams", "spin-up-beam": "beams",
+    "geared-five-bar": "friction", "geared-knee-orthosis": "friction", "planetary-gear": "friction",
+    "knee-orthosis": "kinds of plugins", "squat-orthosis": "kinds of plugins", "light-cart-pole": "projected",
+    "slider-crank-clearance": "forces between bodies",
+}  # fmt: skip
+"""Examples that the adjoint does not take, and a word of the reason."""
+NO_GRADIENTS = ("elbow-curl", "leaf-spring", "slider-crank-guide", "walker")
+"""Examples that have no gradients with these methods, or none at all: muscles, index 2, rigid contacts."""
+RUNS = [name for name in sorted(_examples()) if name not in NO_GRADIENTS and is_run(name)]
+EXAMPLES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in RUNS]
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_adjoint_agrees_with_a_dual_direction_on_packaged_examples(name: str) -> None:
     # expected: the derivative in a random direction by dual numbers, from the kernels of the run itself
-    try:
-        spec = example(name, METHODS[len(name) % 2])
-    except (SpecError, KeyError, TypeError) as error:
-        pytest.skip(str(error))
-    compare(spec, np.random.default_rng(len(name)))
+    is_stiff = name == "hinged-beam"  # whose stages a fixed-point iteration does not find
+    spec = example(name, METHODS[0 if is_stiff else len(name) % 2], share=0.01 if is_stiff else 1.0)
+    assert REFUSED.get(name, "") in (why := compare(spec, np.random.default_rng(len(name))))
+    assert bool(why) == (name in REFUSED)
+
+
+def test_a_run_whose_stages_a_fixed_point_iteration_does_not_find_is_refused_with_the_reason() -> None:
+    # expected: gauss on a chain of stiff links, whose stages need Newton's method
+    why = compare(example("hinged-beam", METHODS[1]), np.random.default_rng(11))
+    assert why.endswith("the iteration for the stages diverges")
 
 
 def test_adjoint_agrees_with_a_dual_direction_for_adaptive_steps() -> None:
@@ -137,22 +161,43 @@ def test_adjoint_agrees_with_a_dual_direction_with_baumgarte_terms() -> None:
     compare(spec, np.random.default_rng(2))
 
 
-def compare_drawn(drawn: Drawn, index: int) -> None:
-    time = {"start": drawn.start, "end": drawn.start + 0.15, "step": 0.025}
-    spec = load_spec(drawn.mechanism, (), integrator=METHODS[index % 2], time=time)
-    with suppress(pytest.skip.Exception):
-        compare(spec, np.random.default_rng(index))
+@pytest.mark.parametrize("method", METHODS[:2])
+def test_steps_with_equal_derivatives_are_all_counted(method: dict[str, Any]) -> None:
+    # expected: dual numbers; a constant force on a slider adds the same derivative by the angle in every step
+    body = {"mass": 2.0, "inertia": 0.4, "position": [0.0, 0.0]}
+    slide = {"type": "prismatic", "bodies": ["ground", "b"], "points": [[0, 0], [0, 0]], "axis": [0.8, -0.6]}
+    push = {"type": "force", "body": "b", "point": [0.1, -0.5], "value": [5.0, 1.2], "frame": "body"}
+    model = {
+        "name": "mechanism",
+        "gravity": [0, 0],
+        "bodies": {"b": body},
+        "joints": {"s": slide},
+        "forces": {"f": push},
+    }
+    spec = load_spec({"mbdkit": 1, "model": model, "integrator": method, "time": {"end": 0.15, "step": 0.025}})
+    assert compare(spec, np.random.default_rng(3)) == ""
+
+
+def compare_drawn(drawn: Drawn, compared: list[int]) -> None:
+    """Compare both ways for a drawn mechanism, until 25 have been compared."""
+    index, time = len(compared), {"start": drawn.start, "end": drawn.start + 0.15, "step": 0.025}
+    if index < 25:
+        spec = load_spec(drawn.mechanism, (), integrator=METHODS[index % 2], time=time)
+        why = compare(spec, np.random.default_rng(index))
+        assert why in ("", "the mechanism has beams", "force laws have, or may have, discontinuities")
+        compared += [] if why else [index]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("batch", range(8))
 def test_adjoint_agrees_with_a_dual_direction_on_drawn_mechanisms(batch: int) -> None:
     # expected: dual numbers
-    count = iter(range(10**6))
+    compared = list[int]()
     chosen = settings(
-        max_examples=25, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
+        max_examples=80, database=None, deadline=None, phases=[Phase.generate], suppress_health_check=list(HealthCheck)
     )
-    seed(batch)(chosen(given(mechanisms())(lambda drawn: compare_drawn(drawn, next(count)))))()
+    seed(batch)(chosen(given(mechanisms())(lambda drawn: compare_drawn(drawn, compared))))()
+    assert len(compared) == 25
 
 
 def pendulum_by_complex_steps(measure: Callable[[np.ndarray], Any], values: list[float]) -> list[float]:
