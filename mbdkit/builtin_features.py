@@ -28,7 +28,7 @@ _PAGES = {
     "Start": "first-steps mini spec glossary",
     "Model": "mechanism beams events control",
     "Analyse": "methods measures environments coupling",
-    "Trust and extend": "trust reliability performance files plugins joints elements kernels changes",
+    "Trust and extend": "trust reliability promises performance files plugins joints elements kernels changes",
 }
 
 

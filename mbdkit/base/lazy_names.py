@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib
 import sys
+import warnings
 from collections.abc import Callable, Mapping, MutableMapping
 from pathlib import Path
 from types import ModuleType
@@ -28,10 +29,14 @@ def import_part(module: str, wanted: str) -> ModuleType:
 
 
 class Moved(NamedTuple):
-    """A name that a door had. `since`: version of mbdkit. `instead`: what replaces it, as a noun phrase."""
+    """A name that a door had, or still has, with a warning, until the version `until`.
+
+    `since`: version of mbdkit in which it went or was deprecated. `instead`: what replaces it, as a noun phrase.
+    """
 
     since: str
     instead: str
+    until: str = ""
 
 
 def lazy(
@@ -39,12 +44,18 @@ def lazy(
 ) -> Callable[[str], object]:
     """Return the ``__getattr__`` of a package.
 
-    `package`: the ``globals()`` of the package. `homes`: module of each name. `moved`: names that are gone.
+    `package`: the ``globals()`` of the package. `homes`: module of each name. `moved`: names that are gone, or that are in
+    `homes` and cause a DeprecationWarning when they are first used.
     """
 
     def __getattr__(name: str) -> object:  # noqa: N807
-        if moved and name in moved:
-            gone = f"{package['__name__']}.{name} is gone since mbdkit {moved[name].since}: use {moved[name].instead}"
+        full_name = f"{package['__name__']}.{name}"
+        if moved and name in moved and name in homes:
+            since, instead, until = moved[name]
+            text = f"{full_name} is deprecated since mbdkit {since}, and ends with {until}: use {instead}"
+            warnings.warn(text, DeprecationWarning, stacklevel=2)
+        elif moved and name in moved:
+            gone = f"{full_name} is gone since mbdkit {moved[name].since}: use {moved[name].instead}"
             import dis
 
             caller = sys._getframe(1)
@@ -52,10 +63,10 @@ def lazy(
             raise ImportError(gone) if is_import else AttributeError(gone)  # an import drops words of AttributeError
         if name not in homes:
             raise AttributeError(f"module {package['__name__']!r} has no attribute {name!r}")
-        home, wanted = homes[name], f"{package['__name__']}.{name}"
-        module = None if home == package["__name__"] else import_part(home, wanted)
+        home = homes[name]
+        module = None if home == package["__name__"] else import_part(home, full_name)
         is_module = module is None or not hasattr(module, name)
-        package[name] = value = import_part(f"{home}.{name}", wanted) if is_module else getattr(module, name)
+        package[name] = value = import_part(f"{home}.{name}", full_name) if is_module else getattr(module, name)
         return value
 
     return __getattr__
@@ -81,7 +92,7 @@ def door(
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
-    `package`: the ``globals()`` of the module. `moved`: names that the module had, for what is said of them.
+    `package`: the ``globals()`` of the module. `moved`: names that the module had, or will lose, for what is said of them.
     """
     homes = homes_of(package["__file__"])
     package["__all__"] = sorted(homes)

@@ -78,8 +78,9 @@ def test_whatever_a_plugin_does_the_commands_live_and_say_so_in_one_line(tmp_pat
 
 
 def test_what_doctor_refuses_is_said_by_list_too(tmp_path):
-    """Another version of mbdkit or of a family, and a function that asks for what is not passed."""
+    """Another version of mbdkit or of a family, a name that is on no door, and a function that does not exist."""
     refused = {
+        "later-kit": (f"from mbdkit.plugin import Later\n{GOOD}", "cannot import name 'Later' from 'mbdkit.plugin'"),
         "old-kit": (GOOD, "it requires mbdkit<0.2, and mbdkit "),
         "next-kit": (GOOD.replace("@mbdkit", "mbdkit_api = {'models': 99}\n@mbdkit"), "version 99 of models"),
         "wheel-kit": (

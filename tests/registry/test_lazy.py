@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import math
 import re
 import sys
 from pathlib import Path
@@ -261,3 +262,20 @@ def test_a_name_that_is_gone_from_a_door_says_since_when_and_what_replaces_it(tm
         from wear_door import tau  # noqa: F401
     assert not hasattr(wear_door, "tau")
     assert dir(wear_door) == ["pi"]
+
+
+def test_a_deprecated_name_of_a_door_works_and_says_once_when_it_ends_and_what_replaces_it(tmp_path, monkeypatch):
+    file = tmp_path / "worn_door.py"
+    code = "from mbdkit.base.lazy_names import Moved, door\nTYPE_CHECKING = False\nif TYPE_CHECKING:\n    "
+    code += "from math import pi as pi, tau as tau\nelse:\n"
+    code += "    __getattr__, __dir__ = door(globals(), moved={'tau': Moved('1.1', '2*pi', until='2.0')})\n"
+    file.write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import worn_door
+
+    words = r"^worn_door\.tau is deprecated since mbdkit 1\.1, and ends with 2\.0: use 2\*pi$"
+    with pytest.warns(DeprecationWarning, match=words) as warned:
+        from worn_door import tau
+    assert (tau, worn_door.tau) == (math.tau, math.tau)
+    assert [Path(one.filename).name for one in warned] == ["test_lazy.py"]
+    assert "pi" in dir(worn_door)
