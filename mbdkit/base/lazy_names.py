@@ -44,8 +44,8 @@ def lazy(
 ) -> Callable[[str], object]:
     """Return the ``__getattr__`` of a package.
 
-    `package`: the ``globals()`` of the package. `homes`: module of each name. `moved`: names that are gone, or that are in
-    `homes` and cause a DeprecationWarning when they are first used.
+    `package`: the ``globals()`` of the package. `homes`: module of each name. `moved`: names that are gone, or that
+    are in `homes` and cause a DeprecationWarning when they are first used.
     """
 
     def __getattr__(name: str) -> object:  # noqa: N807
@@ -92,7 +92,8 @@ def door(
 
     Each name is thus written once, in the block ``if TYPE_CHECKING`` of the module.
 
-    `package`: the ``globals()`` of the module. `moved`: names that the module had, or will lose, for what is said of them.
+    `package`: the ``globals()`` of the module. `moved`: names that the module had, or will
+    lose, for what is said of them.
     """
     homes = homes_of(package["__file__"])
     package["__all__"] = sorted(homes)
