@@ -10,7 +10,7 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from types import TracebackType
@@ -63,7 +63,7 @@ class Exploration:
             raise MbdkitError(f"port {port!r} of this machine cannot be used ({why})") from None
         self.url = f"http://{HOST}:{self._socket.getsockname()[1]}/?token={token}"
         config = uvicorn.Config(
-            application(explorer, token),
+            application(explorer, token, lambda: self._server.should_exit),
             log_level="error",
             access_log=False,
             lifespan="off",
@@ -125,8 +125,12 @@ def explore(spec: object, parameters: Sequence[str] | None = None, *, port: int 
     return Exploration(explorer_of(spec, parameters), port)
 
 
-def application(explorer: Explorer, token: str) -> Starlette:
-    """Return the application that serves one page, only to requests from this machine with the token."""
+def application(explorer: Explorer, token: str, is_ending: Callable[[], bool]) -> Starlette:
+    """Return the application that serves one page, only to requests from this machine with the token.
+
+    Once `is_ending` returns true, it refuses requests, also those whose answer is being computed: from Python 3.12 on,
+    a server waits for its connections.
+    """
     from starlette.applications import Starlette
     from starlette.middleware import Middleware
     from starlette.middleware.trustedhost import TrustedHostMiddleware
@@ -144,7 +148,13 @@ def application(explorer: Explorer, token: str) -> Starlette:
         try:
             async with turn:
                 # A page sends one request at a time. Its connection is closed if it was left or loaded again.
-                return None if await request.is_disconnected() else await _in_thread(explorer, values)
+                if is_ending() or await request.is_disconnected():
+                    return None
+                result = _in_thread(explorer, values)
+                while not (await asyncio.wait([result], timeout=0.1))[0]:
+                    if is_ending():
+                        return None
+                return result.result()
         except asyncio.CancelledError:  # the server has ended; uvicorn would log this exception
             return None
 
