@@ -54,15 +54,18 @@ def open_archive(path: Path) -> h5py.File:
 def _check_format(file: h5py.File, path: Path) -> None:
     with reading("its format", path):
         kind, version = file.attrs.get("format"), file.attrs.get("format_version")
-    if kind != FORMAT:
-        raise ArchiveError(f"this is not a run archive but {_words(kind)}", file=path)
     ours = FORMAT_VERSION.partition(".")[0]
-    if not isinstance(version, str) or version.partition(".")[0] != ours:
+    is_read = isinstance(version, str) and version.partition(".")[0] == ours
+    # also files of our other formats, so that a later version is not taken for a damaged file or for one of others
+    if not is_read and (kind == FORMAT or (str(kind).startswith("mbdkit-") and isinstance(version, str))):
+        what = "archive" if kind == FORMAT else f"file of the format {shown(kind)}"
         raise ArchiveError(
-            f"this archive has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
+            f"this {what} has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
             "version that matches",
             file=path,
         )
+    if kind != FORMAT:
+        raise ArchiveError(f"this is not a run archive but {_words(kind)}", file=path)
 
 
 def _words(kind: object) -> str:

@@ -23,6 +23,8 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticKnownError
 
+from mbdkit.base.errors import SpecError
+
 if TYPE_CHECKING:
     from pydantic.json_schema import JsonSchemaValue
 
@@ -54,14 +56,20 @@ def _accept_lists(schema: object, owner: type[BaseModel]) -> None:
             _accept_lists(part, owner)
 
 
-def _not_a_truth_value(value: object) -> object:
+def _readable_version(value: object) -> object:
     if isinstance(value, bool):
         raise PydanticKnownError("literal_error", {"expected": "1"})
+    if isinstance(value, int | float) and value > 1:
+        raise LaterVersionError(f"should be 1, not {value}: a later mbdkit reads specs of this version")
     return value
 
 
+class LaterVersionError(SpecError):
+    """A spec of a later version, of which other problems say nothing."""
+
+
 #: Version of the format of specs. Pydantic's ``Literal[1]`` alone also accepts True, which equals 1.
-FormatVersion = Annotated[Literal[1], BeforeValidator(_not_a_truth_value)]
+FormatVersion = Annotated[Literal[1], BeforeValidator(_readable_version)]
 
 
 class StrictModel(BaseModel):

@@ -15,7 +15,7 @@ from pydantic_core.core_schema import ErrorType
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
-from mbdkit.base.strict_model import StrictModel, description
+from mbdkit.base.strict_model import LaterVersionError, StrictModel, description
 from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
 from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.law_element import Law, PluginLookup
@@ -98,6 +98,8 @@ def spec_error(
     problems: dict[Path, list[tuple[ErrorDetails, Path, type[BaseModel] | None]]] = {}
     for details in error.errors(include_url=False):
         path, owner = walk(details["loc"], root, lookup)
+        if isinstance(later := details.get("ctx", {}).get("error"), LaterVersionError):
+            return SpecError(later.message, key=path_text((*parse_path(prefix), *path)))
         problems.setdefault(_place(details, path), []).append((details, path, owner))
     # If no alternative of a union accepts a value, there may also be an error inside the value, which is more specific.
     above = {path[:length] for path in problems for length in range(len(path))}
@@ -210,7 +212,8 @@ def _unknown_key(key: str, owner: type[BaseModel] | None, plugins: PluginLookup)
     meant, kind = ELEMENTS.get(key.lower().removesuffix("s"), ("", ""))
     if meant in fields and "bodies" in fields:
         message = f"unknown key; write its elements under '{meant}'{f' with `type: {kind}`' if kind else ''}"
-    return f"{message}; known here: {listed(known)}"
+    later = "; a later version may know it" if message == "unknown key" else ""
+    return f"{message}; known here: {listed(known)}{later}"
 
 
 def _purpose(owner: type[BaseModel] | None, key: str) -> str:

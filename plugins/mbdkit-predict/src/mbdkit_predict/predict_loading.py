@@ -48,12 +48,15 @@ spec_loader(load_predict_spec)
 
 def _with_base(data: Mapping[str, object], document: Document) -> dict[str, object]:
     sections = dict(data)
+    if isinstance(version := sections.get("mbdkit_predict"), int) and version > 1:
+        return sections  # which the spec refuses for this reason alone
     if {"mbdkit", "integrator", "time"} <= sections.keys():
         wanted = "a spec of a prediction can name it as its `base`, and has `controls` and `minimize`"
         raise SpecError(f"this is a run spec: run it with `mbdkit run`; {wanted}", key="integrator")
     for key in sections:
         if key not in PredictSpec.model_fields and key not in OF_BASE:
-            raise SpecError(f"unknown key{did_you_mean(key, KEYS)}; known here: {listed(KEYS)}", key=key)
+            hint, later = did_you_mean(key, KEYS), "; a later version may know it"
+            raise SpecError(f"unknown key{hint}; known here: {listed(KEYS)}{'' if hint else later}", key=key)
     if "base" not in sections:
         if "model" not in sections:
             raise SpecError("is missing: a file or an example, whose model is used, or a run spec", key="base")
@@ -76,7 +79,7 @@ def _with_base(data: Mapping[str, object], document: Document) -> dict[str, obje
         put(base, path, value)
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
-    return {"mbdkit": 1, **{key: base[key] for key in (*USED, "estimates") if key in base}, **sections}
+    return {"mbdkit": base.get("mbdkit", 1), **{key: base[key] for key in (*USED, "estimates") if key in base}, **sections}
 
 
 def compared_spec(spec: PredictSpec) -> PredictSpec:

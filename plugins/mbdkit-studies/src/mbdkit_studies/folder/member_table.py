@@ -19,7 +19,7 @@ from mbdkit_studies.spec.study_spec import StudySpec
 
 FILE = "members.h5"  #: Name of the table in the folder of a study; see `StudySpec.members`.
 
-_FORMAT = "mbdkit-members"
+_FORMAT, _VERSION = "mbdkit-members", "1.0"
 
 
 def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
@@ -31,7 +31,10 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
         (N,) numbers or strings by dotted key.
     """
     with hdf5_in_memory() as file:
-        set_text(file, "format", _FORMAT)
+        texts = {"title": "Values of a study", "description": "Table of the values that vary, one row for each run."}
+        texts |= {"format": _FORMAT, "format_version": _VERSION, "Conventions": f"{_FORMAT}-{_VERSION}"}
+        for name, text in texts.items():
+            set_text(file, name, text)
         file.create_group("members")
         count = len(next(iter(columns.values())))
         create(file, Array("members/run", ("run",), "1", "number of the run", INTEGER), np.arange(1, count + 1))
@@ -65,6 +68,9 @@ def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
     with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
         if file.attrs.get("format") != _FORMAT:
             raise SpecError("this is not a table of members", file=path)
+        written = str(file.attrs["format_version"])
+        if written.partition(".")[0] != _VERSION.partition(".")[0]:
+            raise SpecError(f"this table of members has format version {written}, this mbdkit reads 1.x", file=path)
         StoredHashes(file).verify()
         if file.attrs["data_sha256"] != sha256:
             raise SpecError("this is not the table of this study: its hash differs", file=path)
