@@ -34,7 +34,8 @@ class Canvas:
     def fitted(cls, points: Array, width: float) -> Canvas:
         """Return an empty canvas for global points (P, 2) [m]."""
         low, high = points.min(axis=0), points.max(axis=0)
-        size = np.maximum(high - low, 1e-3 * float(np.max(high - low, initial=0.0)) or 1e-9)
+        most = float(np.max(high - low))
+        size = np.maximum(high - low, 1e-3 * most) if most else np.array([1.0, 1e-3])
         room = np.array(_ROOM) * (1.0 if width > 500 else 0.7)
         highest = 0.55 * width if width > 500 else 1.1 * width
         scale = float(np.min((np.array([width, highest]) - 2 * room) / size))
