@@ -7,6 +7,7 @@ move to `pictures`, because hosts of static pages leave out folders with a dot.
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files, InclusionLevel
 
 import mbdkit
+from mbdkit.guide.pages import QUESTION_WORDS
 from mbdkit.runs.method_evidence import FILE
 from mbdkit_testing import matrix
 
@@ -73,6 +75,22 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri == f"{EXAMPLES}/README.md":
         markdown = re.sub(r"\* Run: (`[^`]+`).*?\[([\w-]+\.yaml)\]\(([\w./-]+)\).*", _with_spec, markdown)
     return markdown
+
+
+def on_post_build(config: MkDocsConfig) -> None:
+    """Make the search split texts into the words of `mbdkit guide WORDS`: without words of questions, in the singular.
+
+    The theme multiplies a word of a heading by 1000, and a page with its heading by 2.5; these numbers undo most of it.
+    """
+    path = Path(config.site_dir, "search/search_index.json")
+    index = json.loads(path.read_text(encoding="utf-8"))
+    words = "|".join(f"[{word[0]}{word[0].upper()}]{word[1:]}" for word in sorted(QUESTION_WORDS))
+    index["config"]["separator"] = rf"[\W_]+|\b(?:{words})\b|(?<=ss)es\b|(?<=[^isu])s\b"
+    index["config"]["fields"]["title"]["boost"] = 20.0
+    for section in index["docs"]:
+        if "#" not in section["location"]:
+            section["boost"] = 0.4 * section.get("boost", 1.0)
+    path.write_text(json.dumps(index), encoding="utf-8")
 
 
 def _moved(uri: str) -> str:

@@ -39,7 +39,8 @@ def open_archive(path: Path) -> h5py.File:
         raise SpecError("this is a folder; name a run archive in it", file=path)
     if not os.path.exists(path):
         left = part_path(path)
-        hint = f"; {left} holds the data of an unfinished run" if left.exists() else ""
+        hint = "" if path.suffix else f"; the archive of a run is a file such as {path.name}.h5"
+        hint = f"; {left} holds the data of an unfinished run" if left.exists() else hint
         raise SpecError(f"there is no such file{hint}", file=path)
     is_empty = path.suffix == PART and not os.path.getsize(path)
     file = open_hdf5(path, "run archive", hint="the run was killed before it wrote any rows" if is_empty else "")

@@ -34,7 +34,7 @@ SYNONYMS = {
         "m": "mass",
         "j izz moment_of_inertia": "inertia",
         "dt h timestep step_size": "step",
-        "duration t_end tend tfinal": "end",
+        "duration stop t_end tend tfinal": "end",
         "rk45 ode45": "dopri5",
         "lsoda": "scipy-lsoda",
     }.items()

@@ -57,6 +57,9 @@ _WITH_UNIT = re.compile(
     r"(?<![\w.])(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?\s*((?!e\d)[A-Za-z%](?:[A-Za-z%*/^ ]*[A-Za-z%])?)"
 )
 
+#: Pattern of two factors without a sign between them.
+_WITHOUT_SIGN = re.compile(r"(?<![\w.])[\d.]+(?!e[-+\d])[A-Za-z]|[\w.)]\s+\w|\)\w")
+
 
 def _number_with_unit(match: re.Match[str]) -> str:
     """Return the beginning of a match that is a number with a unit; empty if there is none."""
@@ -195,6 +198,8 @@ class Compiler:
                 if quantity := _number_with_unit(match):
                     how = f"make '{quantity}' a parameter and write its name, or convert it to SI units"
                     self.refuse(f"numbers in expressions have no units; {how}", match.start())
+            if match := _WITHOUT_SIGN.search(self.unquoted()):
+                self.refuse(f"the expression cannot be parsed: write * between factors{self.hint}", match.end() - 1)
             self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested") from None

@@ -10,11 +10,12 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.export import export as export
     from mbdkit_report.figures.curves import band_over_time as band_over_time, bands as bands
     from mbdkit_report.figures.page_model import (
-        Axis as Axis, Band as Band, Cell as Cell, Column as Column, columns_of as columns_of, Figure as Figure,
+        Axis as Axis, Band as Band, Column as Column, columns_of as columns_of, Figure as Figure,
         Guide as Guide, Line as Line, Mark as Mark, Section as Section, Table as Table,
     )
     from mbdkit_report.notebook.result_views import object_view as object_view, View as View
     from mbdkit_report.pages.methods_used import methods as methods
+    from mbdkit_report.pages.model_section import glance as glance
     from mbdkit_report.pages.report import report as report
     from mbdkit_report.pages.report_page import ReportPage as ReportPage
     from mbdkit_report.pages.run_report import environment as environment, run_report as run_report, TONES as TONES

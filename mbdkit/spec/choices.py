@@ -216,16 +216,20 @@ class RegistryLookup:
         return None
 
     def owners_of(self, key: str, options: type[BaseModel]) -> str:
-        """Return a phrase that names the other items of the same kind with an option `key`; empty if there are none."""
-        if not is_of_item(options):
+        """Return a phrase that names the other items of the same kind with an option `key`, or the section `model` if
+        models have it; empty if there are none.
+        """
+        is_root = not is_of_item(options) and "model" in options.model_fields
+        if not is_root and not is_of_item(options):
             return ""
-        item = item_of(options)
-        items = self.registry().of_kind(item.kind)
         others = []
-        for other in items:
+        for other in self.registry().of_kind("model" if is_root else item_of(options).kind):
             with suppress(PluginError):  # the options of another plugin cannot be imported
-                others += [f"'{other.name}'"] * (key in other.plugin.options.model_fields)
-        if not others:
-            return ""
+                given = other.plugin.options
+                keys = [*given.model_fields, *getattr(given, "further_keys", list)()]
+                others += [f"'{other.name}'"] * (key in keys)
+        if is_root or not others:
+            return f"unknown key: '{key}' belongs under 'model'" if others else ""
+        item = item_of(options)
         message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
         return message + (ADD_IN_PYTHON if item.kind == "model" and "'mechanism'" in others else "")

@@ -27,7 +27,7 @@ from mbdkit.base.plain_data import (
     value_text,
     without_collection,
 )
-from mbdkit.base.text import did_you_mean
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.yaml_reader import LARGEST, read_data, read_yaml
 
 
@@ -289,9 +289,10 @@ def _refuse_other_element(elements: Mapping[str, object], path: Path, index: int
     is_named = (index == 2 and path[0] == "model") or path[:index] in (("events",), ("loads",), ("motion", "columns"))
     if is_named and elements and all(isinstance(element, Mapping) for element in elements.values()):
         name, here = str(path[index]), path_text(path[:index])
+        known = did_you_mean(name, map(str, elements)) or f" (it has {listed(map(str, elements), most=12)})"
         raise SpecError(
-            f"{here} has no '{name}'{did_you_mean(name, map(str, elements))}; to add it, give all its keys at once, as "
-            f"in {path_text(path[: index + 1])}={{...}}",
+            f"{here} has no '{name}'{known}; to add it, give all its keys at once, as in "
+            f"{path_text(path[: index + 1])}={{...}}",
             key=path_text(path),
         )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,7 @@ REFUSALS = re.findall(r"^    mbdkit (.+)\n    (.+)$", PAGE, re.MULTILINE)
 
 @pytest.mark.parametrize(("command", "message"), REFUSALS)
 def test_commands_refuse_wrong_input_in_the_words_of_the_page(command, message, mbdkit, in_tmp_path):
-    result = mbdkit(*command.split())
+    result = mbdkit(*shlex.split(command))
     assert result.exit_code == 2
     assert result.stdout == ""
     pattern = re.escape(message).replace(re.escape("..."), ".+")

@@ -81,6 +81,8 @@ def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:
     data: dict[str, Any] = {"model": {"name": "mechanism", "bodies": {"shank": {"mass": 3.0}}, "limits": {"low": 1.0}}}
     with pytest.raises(SpecError, match=r"model\.bodies has no 'shnk' \(did you mean 'shank'\?\); to add it, give all"):
         put(data, ("model", "bodies", "shnk", "mass"), 5.0)
+    with pytest.raises(SpecError, match=r"has no .wheel. \(it has shank\); to add"):
+        put(data, ("model", "bodies", "wheel", "mass"), 5.0)
     assert data["model"]["bodies"] == {"shank": {"mass": 3.0}}
     put(data, ("model", "bodies", "foot"), {"mass": 1.0})
     put(data, ("model", "springs", "cuff", "stiffness"), 100.0)  # the first of its kind

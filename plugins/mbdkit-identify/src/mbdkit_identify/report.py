@@ -16,7 +16,6 @@ from mbdkit.plugin.reports import (
     TONES,
     Axis,
     Band,
-    Cell,
     Figure,
     Guide,
     Line,
@@ -30,6 +29,7 @@ from mbdkit.plugin.reports import (
     bands,
     columns_of,
     environment,
+    glance,
     methods,
     object_view,
     report_of_folder,
@@ -115,11 +115,9 @@ def identification_view(result: Identification) -> View:
 
 
 def _glance(result: Identification) -> Section:
-    """Return what was asked, and the verdict with its first reason."""
     signals = dict.fromkeys(one.quantity for one in result.residuals)
-    asked = f"Asked: {listed(list(result.estimates), 'and')}, from measured {listed(list(signals), 'and')}."
-    first = f" {result.doubts[0].text}" if result.doubts else ""
-    return Section("glance", "At a glance", (asked, f"Verdict: {result.verdict}.{first}"))
+    asked = f"{listed(list(result.estimates), 'and')}, from measured {listed(list(signals), 'and')}"
+    return glance(asked, result.verdict, [doubt.text for doubt in result.doubts], result.base)
 
 
 def _verdict(result: Identification) -> Verdict:
@@ -166,11 +164,11 @@ def _sections(result: Identification) -> tuple[Section, ...]:
         known = result.estimates
         names = [f"{name} [{known[name].unit}]" if name in known else name for name in following.half_widths[""]]
         headings = "; ".join(["candidate", *names])
-        rows: list[tuple[Cell, ...]] = [
+        rows = tuple(
             (name or "present", *(width if np.isfinite(width) else "no limit" for width in widths.values()))
             for name, widths in following.half_widths.items()
-        ]
-        table = Table("next", "Expected half widths of the intervals", columns_of(headings), tuple(rows))
+        )
+        table = Table("next", "Expected half widths of the intervals", columns_of(headings), rows)
         sentence = f"The experiment '{following.best}' narrows the interval of {following.narrows} most."
         sections.append(Section("following", "The next experiment", (sentence,), tables=(table,)))
     return tuple(sections)

@@ -13,6 +13,13 @@ NOISE = 0.02
 COVARIANCE = np.array([[0.04, -0.001, np.nan], [-0.001, 0.0025, np.nan], [np.nan, np.nan, np.nan]])
 """Covariance of stiffness and damping; the third parameter is not determined."""
 
+BASE = {
+    "name": "mechanism",
+    "bodies": {"leg": {"mass": 1.0, "inertia": 0.1, "position": [0.0, -0.4]}},
+    "joints": {"hip": {"type": "revolute", "bodies": ["ground", "leg"], "at": [0.0, 0.0]}},
+    "forces": {"coil": {"type": "torsion-spring", "bodies": ["ground", "leg"], "stiffness": "stiffness"}},
+}
+
 
 def signal(experiment: str, *, is_hold_out: bool = False, samples: int = 200) -> Residuals:
     """Return a signal with white noise."""
@@ -43,7 +50,7 @@ def result(**changes: Any) -> Identification:
     )
     whole = Identification(
         spec={"mbdkit_identify": 1, "base": "pendulum", "parameters": {"stiffness": {"start": 10.0}}},
-        base={"mbdkit": 1, "parameters": {"stiffness": 12.0}},
+        base={"mbdkit": 1, "parameters": {"stiffness": 12.0}, "model": BASE},
         level=0.95,
         estimates={one.name: one for one in estimates},
         parameters=("stiffness", "damping", "mass"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from pathlib import Path
 
 import numpy as np
@@ -51,6 +52,14 @@ def test_no_limit_is_shown_of_what_the_data_do_not_determine(page: ReportPage) -
     assert rows["ratio"][2:4] == ("5.8", "no limit")
     assert ("mass", "not determined by the data") in page.headline
     assert ("damping", "0.00 \u00b1 0.05 N m s/rad") in page.headline
+
+
+def test_the_first_page_has_what_was_asked_the_main_doubt_and_the_mechanism_with_names(page: ReportPage) -> None:
+    assert page.glance is not None
+    asked, doubt = page.glance.sentences
+    assert asked.startswith("Asked: stiffness")
+    assert "residuals depend on the direction of motion" in doubt.lower()
+    assert {">leg<", ">hip<", ">coil<"} <= set(re.findall(">[a-z]+<", page.glance.drawing.narrow))
 
 
 def test_doubts_signals_combinations_and_candidates_are_shown(page: ReportPage) -> None:

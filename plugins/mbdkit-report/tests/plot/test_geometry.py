@@ -14,6 +14,7 @@ from mbdkit_report.figures.drawing_geometry import GROUND, choose_traces, draw_c
 from mbdkit_report.figures.element_places import contact_places
 from mbdkit_report.figures.plane_geometry import convex_hull, zigzag
 from mbdkit_report.figures.player_data import film_data, gaps
+from mbdkit_report.figures.svg_canvas import Canvas
 
 
 def rods(count: int) -> Mechanism:
@@ -196,6 +197,22 @@ def test_the_view_of_a_motion_that_flies_apart_is_that_of_what_went_before(rate)
     (x0, x1), (y0, y1), cut = view_box(paths, np.zeros((1, 2)))
     assert cut
     assert max(-x0, x1, -y0, y1) < 10.0
+
+
+def test_a_mechanism_that_a_growing_torque_moves_from_rest_does_not_fly_apart():
+    time = np.linspace(0.0, 1.0, 1001)
+    paths = np.stack([0.3 * time**4, 0.0 * time], axis=-1)[:, None]  # of a marker; 1e4 times less in its first tenth
+    (_, x1), _, cut = view_box(paths, np.array([[0.0, 0.0], [0.2, 0.1]]))
+    assert not cut
+    assert x1 > 0.3
+
+
+def test_names_need_no_points_of_lines_outside_of_the_drawing():
+    canvas = Canvas(200.0, 100.0, 1.0, np.zeros(2))
+    canvas.line(np.array([[50.0, 50.0], [1e300, 50.0]]), "body")
+    canvas.line(np.array([[50.0, 50.0], [60.0, 50.0]]), "body")
+    assert len(canvas.ink) == 1 + len(canvas.drawn[1])
+    assert canvas.ink.max() <= 60.0
 
 
 def test_the_view_of_nothing_finite_is_still_a_view():

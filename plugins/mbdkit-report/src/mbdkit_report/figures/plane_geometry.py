@@ -59,20 +59,22 @@ def view_box(paths: Array, poses: Array) -> tuple[tuple[float, float], tuple[flo
 
     The limits contain all finite points, unless the motion diverges. It diverges if it extends more than 300 times
     farther from its start than in its first tenth. The limits then contain only points that are at most three times as
-    far from the start as those of that tenth.
+    far from the start as those of that tenth and of the first pose: a motion from rest begins slowly, too.
 
     Parameters
     ----------
     paths
         Points [m] over time, shape (R, K, 2).
     poses
-        Other points [m] to contain, shape (..., 2).
+        Other points [m] to contain, of one pose or of several, shape (..., P, 2).
     """
     points = np.concatenate([paths.reshape(-1, 2), poses.reshape(-1, 2)])
     points = points[np.all(np.isfinite(points), axis=1)]
     if not len(points):
         return (-1.0, 1.0), (-1.0, 1.0), False
-    inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_divergence(paths - points[0])
+    first = poses.reshape(-1, *poses.shape[-2:])[0] - points[0]
+    extent = float(np.max(np.abs(first), initial=0.0, where=np.isfinite(first)))
+    inside = np.max(np.abs(points - points[0]), axis=1) <= _reach_before_divergence(paths - points[0], extent)
     low, high = points[inside].min(axis=0), points[inside].max(axis=0)
     size = float(np.max(high - low)) or 1.0
     lack = np.maximum(0.25 * size - (high - low), 0.0) / 2  # prevents the axes from collapsing for a straight path
@@ -80,13 +82,15 @@ def view_box(paths: Array, poses: Array) -> tuple[tuple[float, float], tuple[flo
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1])), not bool(np.all(inside))
 
 
-def _reach_before_divergence(paths: Array) -> float:
-    """Return the largest distance from the start to show [m]; infinite unless the motion diverges."""
+def _reach_before_divergence(paths: Array, size: float) -> float:
+    """Return the largest distance from the start to show [m], at least three times the `size` of the mechanism there;
+    infinite unless the motion diverges.
+    """
     far = np.max(np.abs(paths), axis=(1, 2), initial=0.0)
     far = np.where(np.isfinite(far), far, np.inf)
     rows, reach = len(far), np.inf
     while rows >= 100:
-        before = float(np.max(far[: rows // 10]))
+        before = max(size, float(np.max(far[: rows // 10])))
         if float(np.max(far[:rows])) > 300.0 * before > 0.0:
             reach = 3.0 * before
         rows //= 10

@@ -16,6 +16,7 @@ from mbdkit_report.figures.quantity_text import length
 
 _ROOM = (80.0, 52.0)  # margin around the mechanism, for names and arrows [px]
 _INK_STEP = 5.0  # distance of the points that represent lines [px]
+_MOST_INK = 1000  # points of a line; a body of a run that diverged may be far outside
 
 
 @dataclass
@@ -33,7 +34,8 @@ class Canvas:
     def fitted(cls, points: Array, width: float) -> Canvas:
         """Return an empty canvas for global points (P, 2) [m]."""
         low, high = points.min(axis=0), points.max(axis=0)
-        size = np.maximum(high - low, 1e-3 * float(np.max(high - low, initial=0.0)) or 1e-9)
+        most = float(np.max(high - low))
+        size = np.maximum(high - low, 1e-3 * most) if most else np.array([1.0, 1e-3])
         room = np.array(_ROOM) * (1.0 if width > 500 else 0.7)
         highest = 0.55 * width if width > 500 else 1.1 * width
         scale = float(np.min((np.array([width, highest]) - 2 * room) / size))
@@ -41,8 +43,9 @@ class Canvas:
 
     @property
     def ink(self) -> Array:
-        """(N, 2) points on the lines [px]."""
-        return np.concatenate([np.empty((0, 2)), *self.drawn])
+        """(N, 2) points on the lines, within the canvas [px]."""
+        ink = np.concatenate([np.empty((0, 2)), *self.drawn])
+        return ink[np.all((ink >= 0.0) & (ink <= (self.width, self.height)), axis=1)]
 
     def svg(self) -> Markup:
         """Return the drawing."""
@@ -63,7 +66,7 @@ class Canvas:
         self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
         corners = np.vstack([points, points[:1]]) if closed else points
         for start, end in pairwise(corners):
-            count = 2 + int(math.dist(start, end) / _INK_STEP)
+            count = 2 + int(min(math.dist(start, end) / _INK_STEP, _MOST_INK))
             self.drawn.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
 
     def dot(self, point: Array, look: str, radius: float, color: str = "") -> None:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mbdkit.archive.stored_mechanism import built_mechanism
 from mbdkit.base.strict_model import description
-from mbdkit.base.text import counted, listed
+from mbdkit.base.text import listed
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
@@ -67,13 +68,21 @@ def _asked(run: Run) -> str:
     return f"{what}, from t = {start:.4g} s to {end:.4g} s"
 
 
-def glance(asked: str, verdict: str, reasons: Sequence[str], shown: Illustration | None, more: str = "") -> Section:
-    """Return the first section of a report: what was asked, the verdict with its first reason, and a drawing."""
+def glance(
+    asked: str, verdict: str, reasons: Sequence[str], shown: Illustration | Mapping[str, Any] | None, more: str = ""
+) -> Section:
+    """Return the first section of a report: what was asked, the verdict with its first reason, and a drawing.
+
+    In place of the drawing, it takes a run spec, unless its model is that of a plugin, which may read files.
+    """
+    if isinstance(shown, Mapping):
+        built = built_mechanism(shown).mechanism
+        shown = drawing(_start_of(built)) if built is not None else None
     text = f"Verdict: {verdict}."
     if reasons:
         text += f" {reasons[0][:1].upper()}{reasons[0][1:].rstrip('.')}."
     if others := len(reasons[1:]):
-        text += f" {counted(others, 'more reason')}: section Verdict."
+        text += f" {count(others, 'more reason')}: section Verdict."
     return Section("glance", "At a glance", (f"Asked: {asked}.", f"{text} {more}".rstrip()), shown)
 
 
@@ -103,6 +112,11 @@ def composition(mechanism: Mechanism) -> str:
     return f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
 
 
+def _start_of(mechanism: Mechanism) -> NamedPose:
+    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
+    return NamedPose.of(mechanism, list(mechanism.bodies), pose, np.zeros(1))
+
+
 def drawing(shown: NamedPose) -> Illustration:
     """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
     names = [name.text for name in shown.drawing.names]
@@ -110,7 +124,7 @@ def drawing(shown: NamedPose) -> Illustration:
     caption = f"The mechanism at t = {shown.times[0]:.6g} s."
     if names_shown(shown):
         description += f" with the names {listed(names, 'and')}"
-        caption += " Bodies have the colours that they have in the animation."
+        caption += " Bodies have the same colours in animations."
     else:
         caption += " It has too many elements to name them all here; the tables list them."
     return illustration(shown, description, caption)

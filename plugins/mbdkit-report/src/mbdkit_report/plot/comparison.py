@@ -16,10 +16,11 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path as SpecPath
 from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import counted, did_you_mean, listed
+from mbdkit.base.text import did_you_mean, listed
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.page_model import Figure, Line
+from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module
@@ -126,7 +127,7 @@ def comparison(
         require_rows(run)
     names = list(labels) if labels is not None else differences(runs)
     if len(names) != len(runs):
-        raise SpecError(f"there are {counted(len(runs), 'run')}, but {counted(len(names), 'label')}")
+        raise SpecError(f"there are {count(len(runs), 'run')}, but {count(len(names), 'label')}")
     if len(runs) == 1:
         return module.chart(runs[0], **options), ""
     few = max(1, _LINES // len(runs))
