@@ -19,7 +19,7 @@ from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import PART, part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
 from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT, Kind
@@ -60,7 +60,7 @@ def _check_format(file: h5py.File, path: Path) -> None:
     # also files of our other formats, so that a later version is not taken for a damaged file or for one of others
     if not is_read and (kind == FORMAT or (str(kind).startswith("mbdkit-") and isinstance(version, str))):
         what = "archive" if kind == FORMAT else f"file of the format {shown(kind)}"
-        raise ArchiveError(
+        raise FormatVersionError(
             f"this {what} has format version {shortened(shown(version))}, this mbdkit reads {ours}.x; install a "
             "version that matches",
             file=path,

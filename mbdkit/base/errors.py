@@ -95,6 +95,14 @@ class ArchiveError(_FileError):
     another kind or version, or is refused because reading it could do harm.
     """
 
+    is_other_version = False
+
+
+class FormatVersionError(ArchiveError):
+    """A file has a version of its format that this mbdkit does not read, so that it is not damaged, nor replaced."""
+
+    is_other_version = True
+
 
 class ResourceError(_FileError):
     """A resource is not available: disk space, memory, a permission, or a file that another process uses.

@@ -40,7 +40,8 @@ def file(path: Path) -> Numbers:
             "mbdkit-members": members,
         }  # fmt: skip
         kind = opened.attrs["format"]
-        found = {name: read(path)[name] for name in ("title", "status", "verdict") if name in opened.attrs}
+        header = read(path)
+        found = {name: header[name] for name in ("title", "status", "verdict") if name in opened.attrs}
         return {"format": kind, **found, **of_format[kind](opened)}
 
 

@@ -90,7 +90,9 @@ def _validator(text: str, file: str) -> Draft202012Validator:
 def _absolute(part: Any, file: str) -> Any:
     if isinstance(part, dict):
         return {
-            key: f"{SCHEMAS[file]['$id']}{inner}" if key == "$ref" and str(inner).startswith("#") else _absolute(inner, file)
+            key: f"{SCHEMAS[file]['$id']}{inner}"
+            if key == "$ref" and str(inner).startswith("#")
+            else _absolute(inner, file)
             for key, inner in part.items()
         }
     return [_absolute(inner, file) for inner in part] if isinstance(part, list) else part

@@ -79,7 +79,11 @@ def _with_base(data: Mapping[str, object], document: Document) -> dict[str, obje
         put(base, path, value)
     if "parameters" in sections:
         sections["optimized"] = sections.pop("parameters")
-    return {"mbdkit": base.get("mbdkit", 1), **{key: base[key] for key in (*USED, "estimates") if key in base}, **sections}
+    return {
+        "mbdkit": base.get("mbdkit", 1),
+        **{key: base[key] for key in (*USED, "estimates") if key in base},
+        **sections,
+    }
 
 
 def compared_spec(spec: PredictSpec) -> PredictSpec:

@@ -21,7 +21,7 @@ from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.store.blocks import AnotherStudyError, Block
+from mbdkit_studies.store.blocks import Block, ForeignBlockError
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, NUMBERS, Index
 
 #: Columns of texts and hashes in the index of a study that is stored in blocks.
@@ -149,7 +149,7 @@ class RunBlocks(RunStore[int]):
                     return MISSING
                 self._sound[key] = state
                 return _ended(block.runs["status"], block.runs["status_reason"])
-        except AnotherStudyError:
+        except ForeignBlockError:
             raise
         except (SpecError, ArchiveError, ResourceError):
             return MISSING

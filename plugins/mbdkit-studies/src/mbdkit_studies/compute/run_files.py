@@ -248,7 +248,9 @@ class RunFiles(RunStore[str]):
         path = self.folder.archive(key)
         try:
             run = load(path)
-        except (SpecError, ArchiveError, ResourceError):
+        except (SpecError, ArchiveError, ResourceError) as error:
+            if isinstance(error, ArchiveError) and error.is_other_version:
+                raise
             return MISSING
         with run:
             if run.run_id != key or run.spec_sha256 != self._runs[key].sha256():

@@ -38,8 +38,8 @@ from mbdkit_studies.texts import ERROR
 OBJECTS = 100_000  #: Largest number of groups and arrays in a block, about 60 for each structure.
 
 
-class AnotherStudyError(SpecError):
-    """A block belongs to another study than its folder."""
+class ForeignBlockError(SpecError):
+    """A block of another study, or of a version that this mbdkit does not read; it is not replaced."""
 
 
 class Block:
@@ -56,8 +56,8 @@ class Block:
 
     Raises
     ------
-    AnotherStudyError
-        If the block belongs to another study.
+    ForeignBlockError
+        If the block belongs to another study, or has another version.
     SpecError
         If the file is not a block that this version can read.
     ResourceError
@@ -73,7 +73,7 @@ class Block:
                     raise ArchiveError("this is not a block of a study", file=path)
                 version = str(self.file.attrs["format_version"])
                 if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-                    raise ArchiveError(
+                    raise ForeignBlockError(
                         f"this block has format version {version}, but this version of mbdkit reads 1.x", file=path
                     )
                 self.study_sha256 = str(self.file.attrs["study_sha256"])
@@ -81,7 +81,7 @@ class Block:
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
                 self.numbers = np.asarray(self.file["runs/run"][:])
                 if of_study and self.study_sha256 != of_study:
-                    raise AnotherStudyError("this is a block of another study; move it to another folder", file=path)
+                    raise ForeignBlockError("this is a block of another study; move it to another folder", file=path)
             if is_verified:
                 with reading("its contents", path, hint=_HINT):
                     StoredHashes(self.file).verify()
