@@ -232,4 +232,6 @@ class RegistryLookup:
             return f"unknown key: '{key}' belongs under 'model'" if others else ""
         item = item_of(options)
         message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
+        if item.kind == "integrator":
+            return f"{message} (to change the method, replace the whole section by `{{name: {item.name}}}`)"
         return message + (ADD_IN_PYTHON if item.kind == "model" and "'mechanism'" in others else "")
