@@ -198,8 +198,8 @@ class Compiler:
                 if quantity := _number_with_unit(match):
                     how = f"make '{quantity}' a parameter and write its name, or convert it to SI units"
                     self.refuse(f"numbers in expressions have no units; {how}", match.start())
-            if match := _WITHOUT_SIGN.search(self.unquoted()):
-                self.refuse(f"the expression cannot be parsed: write * between factors{self.hint}", match.end() - 1)
+            if factors := _WITHOUT_SIGN.search(self.unquoted()):
+                self.refuse(f"the expression cannot be parsed: write * between factors{self.hint}", factors.end() - 1)
             self.refuse(f"the expression cannot be parsed ({error.msg}){self.hint}", place)
         except (RecursionError, MemoryError, ValueError):
             raise SpecError("the expression is too deeply nested") from None

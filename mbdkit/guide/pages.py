@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import heapq
 import math
 import re
 from collections import Counter
@@ -79,11 +78,16 @@ def search(words: str) -> list[Hit]:
         counts = {word: section.counts[word] for word in wanted}
         return sum(rarity[word] * count * (SATURATION + 1) / (count + damping) for word, count in counts.items())
 
-    found = [section for section in sections if wanted & section.counts.keys()]
-    return [section.hit(wanted) for section in heapq.nlargest(HITS, found, key=score)]
+    hits, numbers = list[Hit](), Counter[str]()
+    for section in sorted(sections, key=score, reverse=True):
+        numbers[section.topic] += 1
+        if wanted & section.counts.keys() and numbers[section.topic] <= PER_PAGE:
+            hits.append(section.hit(wanted))
+    return hits[:HITS]
 
 
 HITS = 12  #: Largest number of sections that a search returns.
+PER_PAGE = 3  #: Largest number of them from one page; the reference of keys has a section for each key.
 
 
 SATURATION, LENGTH = 1.2, 0.75

@@ -219,17 +219,18 @@ class RegistryLookup:
         """Return a phrase that names the other items of the same kind with an option `key`, or the section `model` if
         models have it; empty if there are none.
         """
-        is_root = not is_of_item(options) and "model" in options.model_fields
-        if not is_root and not is_of_item(options):
+        item = item_of(options) if is_of_item(options) else None
+        if item is None and "model" not in options.model_fields:
             return ""
         others = []
-        for other in self.registry().of_kind("model" if is_root else item_of(options).kind):
+        for other in self.registry().of_kind("model" if item is None else item.kind):
             with suppress(PluginError):  # the options of another plugin cannot be imported
                 given = other.plugin.options
                 keys = [*given.model_fields, *getattr(given, "further_keys", list)()]
                 others += [f"'{other.name}'"] * (key in keys)
-        if is_root or not others:
+        if item is None or not others:
             return f"unknown key: '{key}' belongs under 'model'" if others else ""
-        item = item_of(options)
         message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
+        if item.kind == "integrator":
+            return f"{message} (to change the method, replace the whole section by `{{name: {item.name}}}`)"
         return message + (ADD_IN_PYTHON if item.kind == "model" and "'mechanism'" in others else "")

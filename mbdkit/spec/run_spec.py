@@ -141,7 +141,7 @@ class RunSpec(ModelSpec):
     stabilization: StabilizationChoice = UNSTABILIZED
     """Method against constraint drift: a name, or a name and its options."""
     integrator: Annotated[BaseModel, Choice("integrator")]
-    """The integrator: its name and its options."""
+    """The integrator: its name and its options, such as `{name: dop853}`."""
     time: Time
     """Start time, end time and step."""
     output: Output = Field(default_factory=lambda: Output(every=1))

@@ -113,10 +113,8 @@ def equilibrium_figure(rest: Equilibrium, mechanism: Mechanism, title: str) -> F
     grid = figure.add_gridspec(1 + len(charts), 1, height_ratios=[1.6, *[1.0] * len(charts)])
     axes = dress(figure.add_subplot(grid[0]), "x [m]", "y [m]")
     axes.set_aspect("equal", adjustable="box")
-    edge = 0.03 * (x1 - x0)
-    axes.set(xlim=(x0 - edge, x1 + edge), ylim=(y0, y1))
-    size = max(float(x1 - x0), float(y1 - y0), 1e-300)
-    draw_pose(axes, drawing, points, size, alpha=0.85)
+    axes.set(xlim=(x0, x1), ylim=(y0, y1))
+    draw_pose(axes, drawing, points, max(x1 - x0, y1 - y0), alpha=0.85)
     for k, chart in enumerate(charts):
         draw_chart(figure.add_subplot(grid[k + 1]), chart, chart.title)
     return figure

@@ -77,7 +77,9 @@ def glance(
     """
     if isinstance(shown, Mapping):
         built = built_mechanism(shown).mechanism
-        shown = drawing(_start_of(built)) if built is not None else None
+        bodies = {} if built is None else built.bodies
+        pose = np.array([(*body.position, body.angle) for body in bodies.values()])
+        shown = drawing(NamedPose.of(built, list(bodies), pose, np.zeros(1))) if bodies else None
     text = f"Verdict: {verdict}."
     if reasons:
         text += f" {reasons[0][:1].upper()}{reasons[0][1:].rstrip('.')}."
@@ -110,11 +112,6 @@ def composition(mechanism: Mechanism) -> str:
     gravity = f"Gravity is ({x:g}, {y:g}) m/s²." if x or y else "There is no gravity."
     mass = sum(body.mass for body in mechanism.bodies.values())
     return f"A planar mechanism of {listed(parts, 'and')}, with a mass of {mass:.4g} kg. {gravity}"
-
-
-def _start_of(mechanism: Mechanism) -> NamedPose:
-    pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
-    return NamedPose.of(mechanism, list(mechanism.bodies), pose, np.zeros(1))
 
 
 def drawing(shown: NamedPose) -> Illustration:

@@ -27,15 +27,8 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
 
 #: Components to draw, by the value of the option `components`; none for the magnitude.
-COMPONENTS: dict[str, tuple[str, ...]] = {
-    "magnitude": (),
-    "global": ("x", "y"),
-    "body": ("axial", "shear"),
-    "x": ("x",),
-    "y": ("y",),
-    "axial": ("axial",),
-    "shear": ("shear",),
-}
+COMPONENTS: dict[str, tuple[str, ...]] = {"magnitude": (), "global": ("x", "y"), "body": ("axial", "shear")}
+COMPONENTS |= {component: (component,) for component in ("x", "y", "axial", "shear")}
 
 _AXIS = {"x": "joint force, x component", "y": "joint force, y component"}
 _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
