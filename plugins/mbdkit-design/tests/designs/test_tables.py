@@ -14,6 +14,9 @@ from tests.designs.design_command import command
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_design.design_loading import load_design_spec
+from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.problem import Problem
+from mbdkit_design.search import searches
 from mbdkit_design.store import DesignFolder, written_out
 
 MASS, CENTER, GRAVITY = 2.0, 0.3, 9.81
@@ -142,3 +145,29 @@ def test_a_folder_keeps_the_curve_and_its_report_draws_it(tmp_path: Path) -> Non
     page = (tmp_path / "rod" / "report.html").read_text("utf-8")
     assert 'id="figure-curve-1"' in page
     assert 'id="table-table-1"' in page
+
+
+@pytest.mark.slow
+def test_another_optimizer_finds_the_packaged_curve_from_three_starts() -> None:
+    # expected: a search by the interior-point method of SciPy, with its own linear constraints. The goal has kinks
+    # where muscles begin to pull, so that searches end up to 0.1 % apart.
+    spec = load_design_spec("knee-curve")
+    evaluator = Evaluator(spec)
+    problem = Problem(evaluator)
+    (table,) = spec.tables.values()
+    width, slopes = evaluator.widths[0], np.diff(np.eye(len(table.at)), axis=0) / (table.at[1] - table.at[0])
+    curvatures = np.diff(slopes, axis=0) / (table.at[1] - table.at[0])
+    rows = np.vstack([slopes * width / 120.0, curvatures * width / 1000.0])
+    options = {"maxiter": 40, "gtol": 1e-5, "xtol": 1e-5, "barrier_tol": 1e-5, "initial_barrier_parameter": 0.01}
+    best = searches(problem, spec.optimizer, evaluator.first)[0].cost
+    for share in (evaluator.first, np.full(40, 0.3), np.linspace(0.3, 0.8, 40)):
+        found = minimize(
+            problem.cost,
+            share,
+            jac=problem.slope,
+            method="trust-constr",
+            bounds=[(0.0, 1.0)] * 40,
+            constraints=LinearConstraint(rows, -1.0, 1.0),
+            options=options,
+        )
+        assert found.fun == pytest.approx(best, rel=5e-3)

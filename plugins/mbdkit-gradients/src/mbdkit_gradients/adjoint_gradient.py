@@ -26,7 +26,7 @@ from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import chosen_level
-from mbdkit.engine.native.number_arrays import new_duals
+from mbdkit.engine.native.number_arrays import ITEM, new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.duals.differentiated_stepper import dual_laws
@@ -328,6 +328,7 @@ class _Adjoint:
             jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
             tension=np.asarray(w.tension), values=np.asarray(w.law_values), rate=np.asarray(states.v)[0, :2],
         )  # fmt: skip
+        assert self.bundle.jac.shape[-1] == ITEM
         self._pinned = PinnedBundle(self.bundle)
 
     def clear(self) -> None:

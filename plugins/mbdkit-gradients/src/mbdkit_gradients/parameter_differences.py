@@ -17,10 +17,10 @@ from fractions import Fraction
 from functools import cache
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.base.traced_numbers import cubic_pieces
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
@@ -184,8 +184,12 @@ class Preparation(ABC):
             if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + count]):
                 points = int(top.law_parameters[begin + 2]) + 1
                 slopes = np.zeros((len(moved), points))
-                lengths = top.law_parameters[begin + 3 : begin + 3 + points].tolist()
-                slopes[begin + 3 + points : begin + 1 + count] = cubic_pieces(lengths, np.eye(points))
+                lengths = top.law_parameters[begin + 3 : begin + 3 + points]
+                unit = CubicSpline(lengths, np.eye(points)).c[::-1]
+                powers = np.arange(1, 5)[:, None, None]
+                areas = np.sum(unit * np.diff(lengths)[:, None] ** powers / powers, axis=0)
+                pieces = np.concatenate([unit, [np.cumsum(areas, axis=0) - areas]])
+                slopes[begin + 3 + points : begin + 1 + count] = np.swapaxes(pieces, 0, 1).reshape(-1, points)
                 return slopes
         return None
 
