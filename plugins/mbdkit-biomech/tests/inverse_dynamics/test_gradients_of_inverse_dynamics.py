@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit.base.errors import SpecError
@@ -55,6 +56,19 @@ def test_inverse_dynamics_takes_estimated_parameters(tmp_path: Path, monkeypatch
     assert spec.estimated.names == ("stiffness", "mass")
     with mbdkit.inverse(spec, measures={"torque": f"at({TORQUE}, 0.6)"}) as run:
         assert run.measures["torque"] == final_torque(stiffness=30.0, mass=1.5)
+
+
+def test_derivatives_by_values_of_a_table_are_unit_vectors_through_its_spline() -> None:
+    # expected: the spring supplies its value at the angle, the cubic spline through the values, in place of the hip
+    spec, lengths = pendulum(), np.linspace(-0.6, 0.6, 7)
+    spec["model"]["forces"]["stop"] = {
+        "type": "law", "law": "table", "table": [lengths.tolist(), (3.0 * lengths).tolist()],
+        "pathway": {"type": "relative-angle", "bodies": ["ground", "rod"]},
+    }  # fmt: skip
+    names = [f"model.forces.stop.table.1.{k}" for k in range(7)]
+    found = mbdkit.inverse_gradient(spec, {"t": f"at({TORQUE}, 0.6)"}, [*names, "mass"], check=False)
+    np.testing.assert_allclose(found.jacobian[0, :7], CubicSpline(lengths, np.eye(7))(0.5 * np.sin(1.8)), atol=1e-12)
+    assert not np.any(found.preparation_error[:7])
 
 
 def test_derivatives_of_a_torque_are_those_of_its_closed_form() -> None:

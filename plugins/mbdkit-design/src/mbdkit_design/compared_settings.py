@@ -107,15 +107,21 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
 def comparison_table(spec: DesignSpec, best: DesignPoint, compared: Sequence[Comparison]) -> str:
     """Return a table of the best points found with several settings, as text for a terminal."""
     (goal,) = best.goals
-    variables = (heading(name, variable_unit(spec, name)) for name in best.variables)
+    variables = (heading(name, variable_unit(spec, name)) for name in spec.single)
     goals = (heading(words, goal_units(spec)[goal]) for words in (f"{goal.upper()} IT HAS THERE", "IN FACT"))
     rows = [("BEST POINT WITH", *variables, *goals, "")]
     rows.append(
-        ("this design", *(f"{value:.6g}" for value in best.variables.values()), f"{best.goals[goal]:.6g}", "", "")
+        (
+            "this design",
+            *(f"{value:.6g}" for value in map(best.variables.get, spec.single)),
+            f"{best.goals[goal]:.6g}",
+            "",
+            "",
+        )
     )
     for comparison in compared:
         if comparison.believed is not None and comparison.actual is not None:
-            values = (f"{value:.6g}" for value in comparison.believed.variables.values())
+            values = (f"{value:.6g}" for value in map(comparison.believed.variables.get, spec.single))
             actual = "unknown" if comparison.fails else f"{comparison.actual.goals[goal]:.6g}"
             note = "a run fails" if comparison.fails else "" if comparison.is_feasible else "violates limits"
             rows.append((comparison.name, *values, f"{comparison.believed.goals[goal]:.6g}", actual, note))

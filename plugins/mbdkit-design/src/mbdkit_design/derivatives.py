@@ -18,7 +18,7 @@ from mbdkit_gradients.differentiated_expressions import definitions_of
 from mbdkit_gradients.gradient_check import GradientCheck, inaccurate_entries
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from mbdkit_design.evaluation import Evaluator
 
@@ -42,13 +42,16 @@ def derivatives(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
     return np.asarray(jacobians * evaluator.widths)
 
 
-def differences(evaluator: Evaluator, x: np.ndarray) -> np.ndarray:
-    """Return derivatives (S, K, n) by central differences, or by one-sided differences at a bound."""
+def differences(evaluator: Evaluator, x: np.ndarray, places: Sequence[int] | None = None) -> np.ndarray:
+    """Return derivatives (S, K, n) by central differences, or by one-sided differences at a bound; those with respect
+    to the variables at some `places` only, if they are given.
+    """
+    some = slice(None) if places is None else list(places)
     low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
-    sides = [np.where(np.eye(len(x), dtype=bool), side, x) for side in (low, high)]
+    sides = [np.where(np.eye(len(x), dtype=bool)[some], side, x) for side in (low, high)]
     values = evaluator.values(np.concatenate(sides))
-    below, above = values[: len(x)], values[len(x) :]
-    return np.asarray(np.moveaxis((above - below) / (high - low)[:, None, None], 0, -1))
+    below, above = np.split(values, 2)
+    return np.asarray(np.moveaxis((above - below) / (high - low)[some, None, None], 0, -1))
 
 
 def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:

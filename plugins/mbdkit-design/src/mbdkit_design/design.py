@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
@@ -109,7 +109,7 @@ class Design:
         searches = data["searches"]["at_best"], data["searches"]["all"]
         design = TypeAdapter(cls).validate_python({**data, "spec": spec, "searches": searches})
         for point in (design.start, design.best, *design.front):
-            if [*point.variables] != [*spec.variables] or [*point.goals] != [*spec.totals]:
+            if [*point.variables] != [*spec.chosen] or [*point.goals] != [*spec.totals]:
                 raise ValueError
         return design
 
@@ -121,9 +121,8 @@ class Design:
             measure_units(self.spec),
         )
         told = {name: "unknown" if np.isnan(error) else f"{error:.1g}" for name, error in self.trust.errors.items()}
-        for name, value in self.best.variables.items():
-            rows.append((name, f"{self.start.variables[name]:.6g}", f"{value:.6g}", "",
-                         variable_unit(self.spec, name)))  # fmt: skip
+        for name, start, best in self.both_points("{:.6g}"):
+            rows.append((name, start, best, "", variable_unit(self.spec, name)))
         for name, value in self.best.goals.items():
             rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told[name], goals[name]))
         for name in self.spec.subject_to:
@@ -148,6 +147,20 @@ class Design:
             )
             lines += [comparison_table(self.spec, self.best, self.compared), *remarks]
         return "\n".join([*lines, *self.warnings])
+
+    def both_points(self, form: str = "{:.4g}") -> Iterator[tuple[str, str, str]]:
+        """Yield the variables by name, with their values at both points as text; for tables, the range of values."""
+        for name in self.spec.variables:
+            table = self.spec.tables.get(name)
+            points = (self.start.variables, self.best.variables)
+            ends = [(one[name],) if table is None else (min(x := table.values(one)), max(x)) for one in points]
+            start, best = (" to ".join(map(form.format, some)) for some in ends)
+            yield name, start, best
+
+    @property
+    def tables(self) -> dict[str, np.ndarray]:
+        """Arguments and values (2, N) of the tables at the best point, by name of the variable."""
+        return {name: np.array([one.at, one.values(self.best.variables)]) for name, one in self.spec.tables.items()}
 
     @property
     def doubt(self) -> str:
@@ -179,16 +192,18 @@ class Design:
     @property
     def warnings(self) -> list[str]:
         """Remarks on the best point for the user, as sentences."""
-        sides = {name: self.side(name) for name in self.best.variables}
+        sides = {name: self.side(name) for name in self.spec.single}
         at_bounds = [f"{name} is at its {side} bound." for name, side in sides.items() if side]
         held = [
             f"{name} has not moved from its start."
             for name, side in sides.items()
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
+        remarks = ((name, one.remark(self.best.variables)) for name, one in self.spec.tables.items())
         told = [
             *at_bounds,
             *held,
+            *(f"In {name}, {remark}." for name, remark in remarks if remark),
             *(sentence(self.spec, one) for one in self.undetermined),
             *self.unconfirmed,
             *self.changed_starts,
@@ -216,11 +231,11 @@ class Design:
 
     def _slack(self, variable: str) -> float:
         """Return the difference below which two values of a variable count as equal."""
-        return 1e-6 * self.spec.variables[variable].width
+        return 1e-6 * self.spec.chosen[variable].width
 
     def side(self, variable: str) -> str:
         """Return ``lower`` or ``upper`` if the best value of a variable is at this bound; otherwise an empty text."""
-        (low, high), best = self.spec.variables[variable].bounds, self.best.variables[variable]
+        (low, high), best = self.spec.chosen[variable].bounds, self.best.variables[variable]
         slack = self._slack(variable)
         return "lower" if best <= low + slack else "upper" if best >= high - slack else ""
 
@@ -233,11 +248,12 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
     stages.begin("optimisation", evaluator)
     problem = Problem(evaluator)
     result = searches(problem, spec.optimizer, first)
-    at = ", ".join(f"{name} {with_unit(value, variable_unit(spec, name))}"
-                   for name, value in evaluator.variables(result[0].end).items())  # fmt: skip
+    end = evaluator.variables(result[0].end)
+    at = ", ".join(f"{name} {with_unit(end[name], variable_unit(spec, name))}" for name in spec.single)
     least, before = evaluator.totals(result[0].end)[0], evaluator.totals(first)[0]
     unit = goal_units(spec)[spec.totals[0]]
-    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {with_unit(least, unit)} at {at}; "
+    where = f" at {at}" if at else ""
+    stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {with_unit(least, unit)}{where}; "
                   f"at the start it is {with_unit(before, unit)}")  # fmt: skip
     front = [result[0]] if len(spec.totals) == 1 else pareto_front(evaluator, result[0], stages.notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)

@@ -51,6 +51,18 @@ _JOINT_ERRORS = {"torque": "torque_error"} | dict.fromkeys(("force", "force_x", 
 Pair = dict[str, "Run"]  #: The runs of one scenario, at the ``start`` and at the ``best`` point.
 
 
+def table_charts(design: Design) -> Iterator[Figure]:
+    """Yield a chart of each table that is a variable, with the values at the start and at the best point."""
+    for number, (name, table) in enumerate(design.spec.tables.items(), start=1):
+        lines = tuple(
+            Line(POINT_WORDS[which], table.at, table.values(point.variables), "both")
+            for which, point in (("start", design.start), ("best", design.best))
+        )
+        argument, value = table.units
+        axes = Axis("angle" if argument == "rad" else "length", argument), Axis("value", value)
+        yield Figure(f"curve-{number}", f"Values of {key_words(name)}", "Before and after the design.", *axes, lines)
+
+
 def load_charts(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Figure]:
     """Yield a chart over time for each scenario and each quantity in its goals and limits. Each chart has one curve for
     the start and one for the best point.

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path as FilePath
-from typing import cast
+from typing import Any, cast
+
+import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, copied, parse_path, path_text
@@ -17,7 +21,8 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.schema import schema_with_bases
 from mbdkit.spec.spec_kinds import kind_of, spec_loader, spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
-from mbdkit_design.design_spec import DesignSpec, Scenario
+from mbdkit_design.design_spec import ChosenTable, DesignSpec, Scenario, TableVariable
+from mbdkit_design.gains import table_units
 from mbdkit_report import stated_units
 from mbdkit_studies import base_document, document_of
 
@@ -112,8 +117,19 @@ def _scenario_spec(
     units = stated_units(data)
     for key, variable in design.variables.items():
         _check_variable(key, data)
+        where = path_text(("variables", key))
+        if isinstance(variable, TableVariable):
+            with SpecError.locate(where):
+                table = _table_of(design, key, variable, data)
+            values: list[float | str] = table.start.tolist()
+            if table.is_closed:
+                parameter = variable_path(table.keys[0])
+                chosen[path_text(("variables", key, "start"))] = (parameter, values[0])
+                values[0] = values[-1] = str(parameter[1])
+            chosen[where] = (variable_path(key), [table.at.tolist(), values])
+            continue
         variable.take_unit(units.get(path_text(variable_path(key)), ""))
-        chosen[path_text(("variables", key))] = (variable_path(key), variable.written)
+        chosen[where] = (variable_path(key), variable.written)
     chosen |= changes or {}
     _put_all(data, chosen)
     given |= chosen
@@ -124,9 +140,64 @@ def _scenario_spec(
     with SpecError.place_by(lambda error: _located(error, given, document, path_text(place))):
         spec = spec_class(data)(**data)
         spec.mechanism()
+    for key, table in design.tables.items():
+        if not table.units[1]:
+            units_of = table_units(key, spec)
+            with SpecError.locate(path_text(("variables", key))):
+                table.variable.check_units(*reversed(units_of))
+            design._tables[key] = replace(table, units=units_of)
     own_file = document.file or (design._document.file if design._document is not None else "")
     spec._document = Document(data, own_file, folder=document.folder)
     return spec
+
+
+def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mapping[str, Any]) -> ChosenTable:
+    """Return the arguments and start values of a table of a base that is a variable, after noting them in the design.
+
+    One parameter sets both ends of a periodic table.
+    """
+    *above, last = variable_path(key)
+    holder: Any = data
+    for part in above:
+        holder = holder[part] if isinstance(holder, Mapping) and part in holder else {}
+    is_law = len(above) == 3 and above[1] == "forces" and isinstance(holder, Mapping) and holder.get("law") == "table"
+    is_profile = len(above) == 4 and above[1] == "joints" and above[3] == "profile" and isinstance(holder, Mapping)
+    if last != "table" or not (is_law or is_profile):
+        raise SpecError(
+            "only tables have `points`: those of laws `table`, such as model.forces.spring.table, and those of "
+            "profiles of cams, such as model.joints.cam.profile.table"
+        )
+    table, parameters = holder.get("table"), data.get("parameters") or {}
+    try:
+        at, values = np.array([[parameters.get(x, x) for x in column] for column in table], dtype=float)
+        evenly = np.linspace(at[0], at[-1], variable.points)
+        if not (np.all(np.diff(at) > 0.0) and np.all(np.isfinite(values))):
+            raise ValueError
+    except (TypeError, ValueError, IndexError):
+        message = "the table of the base should be two columns of numbers, of which the first one increases"
+        raise SpecError(message) from None
+    start = np.interp(evenly, at, values)
+    if variable.start is not None:
+        given = np.atleast_1d(variable.start)
+        start = (
+            np.interp(evenly, np.linspace(at[0], at[-1], len(given)), given) if len(given) > 1 else start * 0 + given
+        )
+    elif wrong := [x for x in start.tolist() if not variable.bounds[0] <= x <= variable.bounds[1]]:
+        raise SpecError(f"the table of the base has the value {wrong[0]:g} outside; give `start`", key="bounds")
+    keys = [f"{key}.1.{index}" for index in range(variable.points)]
+    if holder.get("ends") == "periodic":
+        if start[0] != start[-1]:
+            raise SpecError(
+                f"a periodic table begins and ends at one value, not {start[0]:g} and {start[-1]:g}", key="start"
+            )
+        keys[0] = keys[-1] = "parameters." + re.sub(r"\W", "_", str(above[2])) + "_at_ends"
+    known = design._tables.setdefault(key, ChosenTable(variable, tuple(keys), evenly, start, ("", "")))
+    if not np.array_equal(known.at, evenly):
+        raise SpecError(
+            f"the tables of the scenarios have different arguments, {known.at[0]:g} to {known.at[-1]:g} and {at[0]:g} "
+            f"to {at[-1]:g}"
+        )
+    return known
 
 
 def spec_class(data: Mapping[str, object]) -> type[RunSpec] | type[InverseSpec]:
@@ -183,4 +254,6 @@ def design_schema(installed: Registry | None = None) -> dict[str, object]:
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
     bases = {"RunBase": "run", "InverseBase": "inverse"}
-    return schema_with_bases(DesignSpec, bases, installed, holder="Scenario", units={"Variable", "Limit"})
+    return schema_with_bases(
+        DesignSpec, bases, installed, holder="Scenario", units={"Variable", "TableVariable", "Limit"}
+    )

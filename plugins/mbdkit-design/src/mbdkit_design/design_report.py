@@ -24,11 +24,11 @@ from mbdkit_design.design_charts import (
     landscape_charts,
     load_charts,
     sensitivity_section,
+    table_charts,
 )
 from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
 from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
-from mbdkit_design.known_points import DesignPoint
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
 from mbdkit_design.solve_design import WORKER, evaluating
@@ -103,16 +103,21 @@ def _page(
     document = design.spec._document
     data = {} if document is None else dict(document.data)
     units = goal_units(design.spec)
-    words = {name: key_words(name) for name in design.spec.variables}
+    words = {name: key_words(name) for name in design.spec.single}
     verdict = design_verdict(design)
-    figures = (*load_charts(design, pairs), *front_charts(design, units), *landscape_charts(design, around, units))
+    figures = (
+        *table_charts(design),
+        *load_charts(design, pairs),
+        *front_charts(design, units),
+        *landscape_charts(design, around, units),
+    )
     return ReportPage(
         title=design.spec.title or path.resolve().name,
         settings=f"{design.counted_runs} \u00b7 {design.spec.optimizer.name} \u00b7 {design.message}",
         headline=(
             ("verdict", design.trust.level),
             *((goal_words(gain.name), gain.text()) for gain in design.gains),
-            *((key_words(name), _value(design, design.best, name)) for name in design.best.variables),
+            *((key_words(name), text) for name, _, text in _points(design)),
             *(("it costs elsewhere", cost.text()) for cost in elsewhere[:COSTS] if cost.share > 0),
         ),
         tone=TONES.get(design.trust.level, ""),
@@ -126,8 +131,18 @@ def _page(
         spec_file="design.yaml",
         alarm=_alarm(design),
         glance=_glance(design, pairs),
-        sections=(*_devices(design, pairs), sensitivity_section(changes, words, measure_units(design.spec))),
-        beside_verdict=("goals", "variables", "compared", "costs", "robustness"),
+        sections=(
+            *_devices(design, pairs),
+            *((sensitivity_section(changes, words, measure_units(design.spec)),) if words else ()),
+        ),
+        beside_verdict=(
+            "goals",
+            *(f"table-{n}" for n, _ in enumerate(design.spec.tables, start=1)),
+            "variables",
+            "compared",
+            "costs",
+            "robustness",
+        ),
     )
 
 
@@ -142,7 +157,7 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
     """Yield sections with drawings: the mechanism at the start, in the first scenario, and the forces at the best point
     in each scenario.
     """
-    values = ", ".join(f"{key_words(key)} {_value(design, design.start, key)}" for key in design.start.variables)
+    values = ", ".join(f"{key_words(name)} {text}" for name, text, _ in _points(design))
     yield Section("device-start", f"The device {POINT_WORDS['start']}", (f"With {values}.",), _drawn(pairs, "start"))
     for index, (scenario, runs) in enumerate(pairs.items()):
         frames = load_drawing(runs["best"], mechanism_of(runs["best"]))
@@ -178,9 +193,11 @@ def _bounds(spec: DesignSpec, name: str) -> str:
     return f"{low:.4g} to {with_unit(high, variable_unit(spec, name))}"
 
 
-def _value(design: Design, point: DesignPoint, name: str) -> str:
-    """Return the value of a variable at a point, with its unit, as text."""
-    return with_unit(point.variables[name], variable_unit(design.spec, name))
+def _points(design: Design) -> Iterator[tuple[str, str, str]]:
+    """Yield the variables by name, with their values at both points and their units as text."""
+    for name, start, best in design.both_points("{:.6g}"):
+        unit = variable_unit(design.spec, name)
+        yield name, f"{start} {unit}".rstrip(), f"{best} {unit}".rstrip()
 
 
 def _films(pairs: Mapping[str, Pair]) -> Iterator[dict[str, object]]:

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BeforeValidator,
     ConfigDict,
+    Discriminator,
     Field,
     ModelWrapValidatorHandler,
     PrivateAttr,
     SerializerFunctionWrapHandler,
+    Tag,
     model_serializer,
     model_validator,
 )
@@ -22,6 +26,7 @@ from pydantic import (
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, path_text, value_text
 from mbdkit.base.strict_model import FormatVersion
+from mbdkit.base.text import counted, listed
 from mbdkit.base.units import Unit, read_quantity, read_unit
 from mbdkit.mechanism.checks import check_name
 from mbdkit.mechanism.values import Number, Positive, pair
@@ -42,14 +47,14 @@ class _WithUnit(Section):
     Whether a unit fits the key that a number sets is checked by the spec of the run.
     """
 
-    _unit: Unit | None = PrivateAttr(default=None)
+    _units: dict[str, Unit] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="wrap")
     @classmethod
     def _without_unit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
         if not isinstance(data, Mapping):
             return handler(data)
-        values, units = copied(data), []  # type: dict[str, Any], list[Unit]
+        values, units = copied(data), {}  # type: dict[str, Any], dict[str, Unit]
         for key, value in values.items():
             numbers = value if isinstance(value, list) else [value]
             for index, number in enumerate(numbers if key in cls.NUMBERS else ()):
@@ -58,33 +63,35 @@ class _WithUnit(Section):
                 if quantity is None:
                     continue
                 numbers[index] = quantity[0]
-                units.append(quantity[1])
-                if not (quantity[1].fits(units[0]) or units[0].fits(quantity[1])):
-                    raise SpecError(f"has the unit {quantity[1]}, which does not fit the unit {units[0]}", key=key)
+                unit = units.setdefault(key if key in cls.APART else "", quantity[1])
+                if not (quantity[1].fits(unit) or unit.fits(quantity[1])):
+                    raise SpecError(f"has the unit {quantity[1]}, which does not fit the unit {unit}", key=key)
             values[key] = numbers if isinstance(value, list) else numbers[0]
         section = handler(values)
-        section._unit = units[0] if units else None
+        section._units = units
         return section
 
     @model_serializer(mode="wrap")
     def _with_unit(self, serialize: SerializerFunctionWrapHandler) -> Any:
         """Write numbers with their SI unit, so that a spec that is read again writes the same values into its bases."""
         data = serialize(self)
-        if self._unit is not None:
-            for key in self.NUMBERS:
-                match data.get(key):
-                    case list() | tuple() as numbers:
-                        data[key] = [self._text(number) for number in numbers]
-                    case float() as number:
-                        data[key] = self._text(number)
+        for key in self.NUMBERS:
+            match data.get(key):
+                case list() | tuple() as numbers:
+                    data[key] = [self._text(number, key) for number in numbers]
+                case float() as number:
+                    data[key] = self._text(number, key)
         return data
 
-    def _text(self, number: float) -> float | str:
+    def _text(self, number: float, key: str = "") -> float | str:
         """Return a number with its SI unit, if it has one."""
-        return number if self._unit is None else f"{number!r} {self._unit.si}"
+        unit = self._units.get(key if key in self.APART else "")
+        return number if unit is None else f"{number!r} {unit.si}"
 
     NUMBERS: ClassVar[tuple[str, ...]]
     """Keys that may have a unit."""
+    APART: ClassVar[tuple[str, ...]] = ()
+    """Those among them whose unit is not that of the others."""
 
 
 class Variable(_WithUnit):
@@ -92,7 +99,7 @@ class Variable(_WithUnit):
 
     NUMBERS: ClassVar[tuple[str, ...]] = ("bounds", "start")
 
-    bounds: Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
+    bounds: Pair
     """Smallest and largest value."""
     start: Number | None = None
     """Value at which the search begins, and with which the optimum is compared; by default, the middle of the
@@ -110,8 +117,8 @@ class Variable(_WithUnit):
 
     def take_unit(self, unit: str) -> None:
         """Use the unit of the parameter in the base, in SI, unless the variable has a unit of its own."""
-        if unit and self._unit is None:
-            self._unit = read_unit(unit)
+        if unit and not self._units:
+            self._units[""] = read_unit(unit)
 
     @property
     def first(self) -> float:
@@ -127,6 +134,56 @@ class Variable(_WithUnit):
     def written(self) -> float | str:
         """The first value, with its SI unit if the variable has one."""
         return self._text(self.first)
+
+
+Pair = Annotated[tuple[Number, Number], BeforeValidator(pair("two numbers [lower, upper]"))]
+
+
+class TableVariable(_WithUnit):
+    """The values of a table of the base, of a law `table` or of the profile of a cam, at equal distances.
+
+    The arguments of the table reach from the first to the last one in the base. Units are SI unless they are given.
+    """
+
+    NUMBERS: ClassVar[tuple[str, ...]] = ("bounds", "start", "slope", "curvature")
+    APART: ClassVar[tuple[str, ...]] = ("slope", "curvature")
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start", "slope", "curvature")
+
+    points: Annotated[int, Field(ge=4, le=1000)]
+    """Number of values."""
+    bounds: Pair
+    """Smallest and largest value."""
+    start: Number | Annotated[list[Number], Field(min_length=2)] | None = None
+    """Values at which the search begins, and with which the optimum is compared: one for all points, or several at
+    equal distances, between which lines are drawn; two make one straight line. By default, the table of the base."""
+    slope: Pair | None = None
+    """Smallest and largest slope of the lines between neighbouring values."""
+    curvature: Pair | None = None
+    """Smallest and largest curvature: difference of the slopes on both sides of a value, divided by the distance."""
+
+    @model_validator(mode="after")
+    def _ordered(self) -> TableVariable:
+        for key in ("bounds", "slope", "curvature"):
+            low, high = getattr(self, key) or (0.0, 1.0)
+            if low >= high:
+                raise SpecError(f"the lower limit {low:g} should be less than the upper limit {high:g}", key=key)
+        low, high = self.bounds
+        for value in np.ravel([] if self.start is None else self.start):
+            if not low <= value <= high:
+                raise SpecError(f"should be within the bounds {low:g} and {high:g}, not {value:g}", key="start")
+        return self
+
+    def check_units(self, of_values: str, of_arguments: str) -> None:
+        """Raise SpecError if a unit does not fit those of the values and arguments of the table."""
+        wanted = {"": of_values, "slope": f"{of_values}/{of_arguments}", "curvature": f"{of_values}/{of_arguments}^2"}
+        for key, unit in self._units.items():
+            if not unit.fits(read_unit(wanted[key])):
+                raise SpecError(f"has the unit {unit}, which does not fit {wanted[key]}", key=key or "bounds")
+
+
+def _kind_of_variable(value: object) -> str:
+    is_table = "points" in value if isinstance(value, Mapping) else isinstance(value, TableVariable)
+    return "table" if is_table else "number"
 
 
 class Limit(_WithUnit):
@@ -157,7 +214,59 @@ class Limit(_WithUnit):
     @property
     def measure(self) -> dict[str, str]:
         """The expression, with the SI unit of the limits if they have one."""
-        return {"value": self.value} | ({} if self._unit is None else {"unit": self._unit.si})
+        return {"value": self.value} | ({} if not self._units else {"unit": self._units[""].si})
+
+
+@dataclass(frozen=True, eq=False)
+class ChosenTable:
+    """A table that the optimiser chooses.
+
+    - `keys`: for each of the N values, the dotted key of the number that sets it.
+    - `at`: (N,) arguments.
+    - `start`: (N,) values at which the search begins.
+    - `units`: units of arguments and values.
+    """
+
+    variable: TableVariable
+    keys: tuple[str, ...]
+    at: np.ndarray
+    start: np.ndarray
+    units: tuple[str, str]
+
+    @cached_property
+    def numbers(self) -> dict[str, Variable]:
+        """The values as variables."""
+        bounds = self.variable.bounds
+        return {key: Variable(bounds=bounds, start=x) for key, x in zip(self.keys, self.start.tolist(), strict=True)}
+
+    def values(self, variables: Mapping[str, float]) -> np.ndarray:
+        """Return the values (N,) among those of all variables."""
+        return np.array([variables[key] for key in self.keys])
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the table is periodic, so that both ends are one number."""
+        return self.keys[0] == self.keys[-1]
+
+    @property
+    def rows(self) -> Iterator[tuple[str, np.ndarray, float, float]]:
+        """The limits of slope and curvature: name, combinations (L, N) of the values, and their limits."""
+        step, difference = self.at[1] - self.at[0], np.eye(len(self.at))
+        for name in ("slope", "curvature"):
+            difference = np.diff(difference, axis=0) / step
+            if limits := getattr(self.variable, name):
+                yield name, difference, *limits
+            if self.is_closed:
+                difference = np.vstack([difference, difference[:1]])
+
+    def remark(self, variables: Mapping[str, float]) -> str:
+        """Return how many values, slopes and curvatures are at their limits, in words; empty if none is."""
+        values, parts = self.values(variables), []
+        for name, rows, low, high in (("value", np.eye(len(self.at)), *self.variable.bounds), *self.rows):
+            found, slack = rows @ values, 1e-6 * (high - low)
+            if count := int(np.sum((found <= low + slack) | (found >= high - slack))):
+                parts.append(f"{count} of {counted(len(found), name)}")
+        return f"{listed(parts, 'and')} are at their limits" if parts else ""
 
 
 class Scenario(Section):
@@ -238,7 +347,7 @@ def _check_comparison(settings: dict[str, object]) -> dict[str, object]:
     return settings
 
 
-def _check_variables(variables: dict[str, Variable]) -> dict[str, Variable]:
+def _check_variables(variables: dict[str, Variable | TableVariable]) -> dict[str, Variable | TableVariable]:
     if not variables:
         raise SpecError("needs at least one variable, such as `stiffness: {bounds: [0, 100]}`")
     for name in variables:
@@ -286,8 +395,18 @@ class DesignSpec(StrictSpec):
     scenarios: Annotated[dict[str, Scenario], AfterValidator(_check_scenarios)] = Field(default_factory=dict)
     """Situations by name. Goals and limits are evaluated in each of them. By default, the base is the only situation.
     """
-    variables: Annotated[dict[str, Variable], AfterValidator(_check_variables)]
-    """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`."""
+    variables: Annotated[
+        dict[
+            str,
+            Annotated[
+                Annotated[Variable, Tag("number")] | Annotated[TableVariable, Tag("table")],
+                Discriminator(_kind_of_variable),
+            ],
+        ],
+        AfterValidator(_check_variables),
+    ]
+    """The numbers to choose, by the name of a parameter or a dotted key, such as `model.forces.spring.stiffness`, and
+    tables, such as `model.forces.spring.table`, by the number of their `points`."""
     minimize: Annotated[str | dict[str, str], BeforeValidator(_check_goals)]
     """What to minimise: an expression of a run, as in `measures`, or several by name, which give a Pareto front."""
     subject_to: dict[str, Limit] = Field(default_factory=dict)
@@ -304,6 +423,7 @@ class DesignSpec(StrictSpec):
     evaluated with the settings of the design."""
 
     _specs: dict[str, RunSpec | InverseSpec] = PrivateAttr(default_factory=dict)
+    _tables: dict[str, ChosenTable] = PrivateAttr(default_factory=dict)
     _compared_specs: dict[str, dict[str, RunSpec | InverseSpec]] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="after")
@@ -317,16 +437,18 @@ class DesignSpec(StrictSpec):
                     "is missing: give the spec to improve, here or at the top level of the design",
                     key=path_text(("scenarios", name, "base")),
                 )
-        if self.sums_squares and self.subject_to:
+        tables = [one for one in self.variables.values() if isinstance(one, TableVariable)]
+        if self.sums_squares and (self.subject_to or any(one.slope or one.curvature for one in tables)):
             raise SpecError(
-                "does not support limits (`subject_to`); use slsqp, bundle or trust-constr", key="optimizer.name"
+                "does not support limits (`subject_to`, `slope`, `curvature`); use slsqp, bundle or trust-constr",
+                key="optimizer.name",
             )
         if len(self.totals) > 3:
             raise SpecError(
                 f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",
                 key="minimize",
             )
-        if self.optimizer.name == "cma-es" and len(self.variables) == 1:
+        if self.optimizer.name == "cma-es" and len(self.variables) == 1 and not tables:
             raise SpecError(
                 "needs two variables or more; use slsqp or differential-evolution for one", key="optimizer.name"
             )
@@ -347,6 +469,24 @@ class DesignSpec(StrictSpec):
                 if parse_key(key) in map(variable_path, self.variables):
                     where = path_text(("compare", name, key))
                     raise SpecError("is a variable of the design, which the optimizer chooses", key=where)
+
+    @property
+    def single(self) -> dict[str, Variable]:
+        """The variables that are numbers."""
+        return {name: one for name, one in self.variables.items() if isinstance(one, Variable)}
+
+    @property
+    def tables(self) -> Mapping[str, ChosenTable]:
+        """The variables that are tables, with their arguments."""
+        return self._tables
+
+    @property
+    def chosen(self) -> dict[str, Variable]:
+        """All numbers that the optimiser chooses, by name or key: the single variables, and the values of tables."""
+        found: dict[str, Variable] = {}
+        for name, one in self.variables.items():
+            found |= {name: one} if isinstance(one, Variable) else self.tables[name].numbers
+        return found
 
     @property
     def goals(self) -> dict[str, str]:

@@ -81,7 +81,7 @@ def _compared(design: Design, comparison: Comparison) -> Claim:
     believed, actual, best = (point.goals[goal] for point in (comparison.believed, comparison.actual, design.best))
     moved = max(
         abs(comparison.believed.variables[key] - design.best.variables[key]) / variable.width
-        for key, variable in design.spec.variables.items()
+        for key, variable in design.spec.chosen.items()
     )
     size = max(abs(best), abs(design.start.goals[goal]))
     same = moved <= SAME and abs(believed - best) <= SAME * size and comparison.is_feasible
@@ -112,10 +112,16 @@ def _tables(design: Design) -> Iterator[Table]:
     rows: list[tuple[Cell, ...]] = [
         (key_words(name), variable.bounds[0], start[name], best[name], variable.bounds[1],
          variable_unit(design.spec, name), design.side(name))
-        for name, variable in design.spec.variables.items()
+        for name, variable in design.spec.single.items()
     ]  # fmt: skip
     names = ("variable", "lower bound", "start", "best", "upper bound", "unit", "at a bound")
-    yield Table("variables", "Variables", tuple(map(Column, names)), tuple(rows))
+    if rows:
+        yield Table("variables", "Variables", tuple(map(Column, names)), tuple(rows))
+    for number, (name, table) in enumerate(design.spec.tables.items(), start=1):
+        of_table = zip(table.at.tolist(), table.values(start).tolist(), table.values(best).tolist(), strict=True)
+        argument, value = table.units
+        heads = Column("at", argument), Column("start", value), Column("best", value)
+        yield Table(f"table-{number}", f"Values of {key_words(name)}", heads, tuple(of_table), table.remark(best))
     yield _goal_table(design)
     if design.compared:
         yield _comparison_table(design)
@@ -184,19 +190,19 @@ def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
 def _comparison_table(design: Design) -> Table:
     """Return the table of the best points of this design and of the searches with other settings of the runs."""
     (goal,) = design.best.goals
-    best = design.best
-    rows: list[tuple[Cell, ...]] = [("this design", *best.variables.values(), best.goals[goal], best.goals[goal],
-                                     "yes" if design.is_feasible else "no")]  # fmt: skip
+    best, names = design.best, [*design.spec.single]
+    own, value = (best.variables[name] for name in names), best.goals[goal]
+    rows: list[tuple[Cell, ...]] = [("this design", *own, value, value, "yes" if design.is_feasible else "no")]
     for comparison in design.compared:
         if comparison.believed is None or comparison.actual is None:
-            rows.append((comparison.name, *(None for _ in best.variables), None, None, "no best point"))
+            rows.append((comparison.name, *(None for _ in names), None, None, "no best point"))
         else:
             actual = None if comparison.fails else comparison.actual.goals[goal]
             limits = "a run fails" if comparison.fails else "yes" if comparison.is_feasible else "no"
             rows.append(
                 (
                     comparison.name,
-                    *comparison.believed.variables.values(),
+                    *(comparison.believed.variables[name] for name in names),
                     comparison.believed.goals[goal],
                     actual,
                     limits,
@@ -205,7 +211,7 @@ def _comparison_table(design: Design) -> Table:
     unit = goal_units(design.spec)[goal]
     columns = (
         Column("best point with"),
-        *(Column(key_words(name), variable_unit(design.spec, name)) for name in best.variables),
+        *(Column(key_words(name), variable_unit(design.spec, name)) for name in names),
         Column("goal with it", unit),
         Column("goal in fact", unit),
         Column("satisfies limits"),
@@ -222,7 +228,9 @@ def _front_table(design: Design) -> Table:
     units = goal_units(design.spec)
     columns = (
         *(Column(name, units[name]) for name in design.best.goals),
-        *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.best.variables),
+        *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.spec.single),
     )
-    rows = tuple((*point.goals.values(), *point.variables.values()) for point in design.front)
+    rows = tuple(
+        (*point.goals.values(), *(point.variables[name] for name in design.spec.single)) for point in design.front
+    )
     return Table("front-points", "Points of the Pareto front", columns, rows)

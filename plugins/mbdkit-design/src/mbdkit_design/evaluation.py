@@ -257,23 +257,23 @@ class Evaluator:
     @property
     def widths(self) -> np.ndarray:
         """Widths (n,) of the bounds of the variables."""
-        return np.array([variable.width for variable in self.spec.variables.values()])
+        return np.array([variable.width for variable in self.spec.chosen.values()])
 
     @property
     def first(self) -> np.ndarray:
         """Values (n,) of the variables at the start, as shares of the bounds."""
-        return self.point({name: variable.first for name, variable in self.spec.variables.items()})
+        return self.point({name: variable.first for name, variable in self.spec.chosen.items()})
 
     def point(self, variables: Mapping[str, float]) -> np.ndarray:
         """Return the point (n,) that corresponds to values of the variables."""
-        given = self.spec.variables
+        given = self.spec.chosen
         return np.array([(variables[name] - one.bounds[0]) / one.width for name, one in given.items()])
 
     def variables(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the variables at a point."""
         return {
             name: float(min(max(one.bounds[0] + share * one.width, one.bounds[0]), one.bounds[1]))
-            for (name, one), share in zip(self.spec.variables.items(), x, strict=True)
+            for (name, one), share in zip(self.spec.chosen.items(), x, strict=True)
         }
 
     def settings(self, x: np.ndarray) -> Settings:

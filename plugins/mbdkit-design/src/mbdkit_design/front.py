@@ -69,10 +69,15 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
 
 def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoint) -> str:
     """Return a table of the points of a front as text for a terminal."""
-    units = goal_units(spec) | {name: variable_unit(spec, name) for name in best.variables}
-    rows = [("POINT OF THE FRONT", *(heading(name, units[name]) for name in (*best.goals, *best.variables)))]
+    units = goal_units(spec) | {name: variable_unit(spec, name) for name in spec.single}
+    rows = [("POINT OF THE FRONT", *(heading(name, units[name]) for name in (*best.goals, *spec.single)))]
     for number, point in enumerate(front[:ROWS], start=1):
         name = f"{number} (best)" if point == best else f"{number}"
-        rows.append((name, *(f"{value:.6g}" for value in (*point.goals.values(), *point.variables.values()))))
+        rows.append(
+            (
+                name,
+                *(f"{value:.6g}" for value in (*point.goals.values(), *(point.variables[key] for key in spec.single))),
+            )
+        )
     more = f"\n{len(front) - ROWS} more points are in design.json." if len(front) > ROWS else ""
     return table(rows) + more

@@ -13,6 +13,7 @@ from mbdkit.archive.headlines import largest_loads
 from mbdkit.base.plain_data import path_text
 from mbdkit.measures.take import SpecMeasure
 from mbdkit.runs.angles_in_degrees import looks_like_degrees
+from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import variable_path
 from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.problem import FEASIBLE
@@ -76,8 +77,18 @@ class Cost:
 
 
 def variable_unit(spec: DesignSpec, name: str) -> str:
-    """Return the unit of a variable; empty if it is unknown."""
+    """Return the unit of a variable, for tables of its values; empty if it is unknown."""
+    if name in spec.tables:
+        return spec.tables[name].units[1]
     return key_unit(variable_path(name), spec.specs.values())
+
+
+def table_units(name: str, spec: ModelSpec) -> tuple[str, str]:
+    """Return the units of the arguments and of the values of a table that is a variable."""
+    if variable_path(name)[1] == "joints":  # the profile of a cam
+        return "rad", "m"
+    unit = key_unit((*variable_path(name), 0, 0), [spec])
+    return unit, "N m" if unit == "rad" else "N"
 
 
 def goal_words(name: str) -> str:

@@ -41,8 +41,10 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
 
     Each change is scaled such that the largest change of a variable is 1 % of the width of its bounds. Variables that
     do not take part are omitted. The result is empty if a run near the best point fails, or if more variables than
-    `MOST` are not at a bound.
+    `MOST` are not at a bound, or a variable is a table.
     """
+    if problem.evaluator.spec.tables:  # neighbouring values are hardly determined one by one
+        return ()
     is_free = _free(problem, best)
     free, best = np.flatnonzero(is_free), np.where(is_free, best, np.round(best))
     if not 0 < len(free) <= MOST:
@@ -131,7 +133,7 @@ def _differences(
 def _change(problem: Problem, free: np.ndarray, direction: np.ndarray) -> dict[str, float]:
     """Return a direction (F,) of the free variables as changes by name; the first change is positive."""
     direction = direction / direction[np.argmax(np.abs(direction))]
-    variables = problem.evaluator.spec.variables
+    variables = problem.evaluator.spec.chosen
     names = list(variables)
     results = {
         names[place]: 0.01 * float(share) * variables[names[place]].width

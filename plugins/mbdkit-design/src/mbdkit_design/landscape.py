@@ -35,7 +35,7 @@ class Cut:
 def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
     """Return, for each variable, a cut through the best point (n,) along this variable, within its bounds."""
     results = []
-    for index, name in enumerate(evaluator.spec.variables):
+    for index, name in _single(evaluator):
         low, high = max(best[index] - REACH, 0.0), min(best[index] + REACH, 1.0)
         shares = np.union1d(np.linspace(low, high, POINTS), best[index])
         points = np.tile(best, (len(shares), 1))
@@ -44,6 +44,11 @@ def cuts(evaluator: Evaluator, best: np.ndarray) -> list[Cut]:
         values = np.array([evaluator.variables(x)[name] for x in points])
         results.append(Cut(name, values, np.array([evaluator.totals(x) for x in points])))
     return results
+
+
+def _single(evaluator: Evaluator) -> list[tuple[int, str]]:
+    """Return the variables that are numbers, with their indices among all numbers."""
+    return [(index, name) for index, name in enumerate(evaluator.spec.chosen) if name in evaluator.spec.single]
 
 
 SHARE = 0.01  #: Change of a variable for which sensitivities are given, as a share of its bounds.
@@ -81,9 +86,10 @@ class Sensitivity:
 
 def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
     """Return the sensitivities of all goals and limits at the best point (n,); nan where a run fails."""
-    slopes = SHARE * differences(evaluator, best)
-    sides = _sides(evaluator, best)
-    names = list(evaluator.spec.variables)
+    places = [index for index, _ in _single(evaluator)]
+    slopes = SHARE * differences(evaluator, best, places)
+    sides = _sides(evaluator, best, places)
+    names = list(evaluator.spec.single)
     results = []
     for row, scenario in enumerate(evaluator.spec.situations):
         for column, measure in enumerate(evaluator.names):
@@ -97,15 +103,15 @@ def sensitivities(evaluator: Evaluator, best: np.ndarray) -> list[Sensitivity]:
     return results
 
 
-def _sides(evaluator: Evaluator, best: np.ndarray) -> np.ndarray:
+def _sides(evaluator: Evaluator, best: np.ndarray, places: list[int]) -> np.ndarray:
     """Return the changes (2, S, K, n) of goals and limits if a variable decreases, and if it increases, by `SHARE`.
 
     They are nan except at corners: where a goal or limit is smooth, where the best point is at a bound of the variable,
     and where a run fails.
     """
-    count = len(best)
-    points = [best, *(best + sign * step * one for step in DISTANCES for sign in (-1, 1) for one in np.eye(count))]
-    inside = (best - DISTANCES[1] >= 0.0) & (best + DISTANCES[1] <= 1.0)
+    count, units = len(places), np.eye(len(best))[places]
+    points = [best, *(best + sign * step * one for step in DISTANCES for sign in (-1, 1) for one in units)]
+    inside = ((best - DISTANCES[1] >= 0.0) & (best + DISTANCES[1] <= 1.0))[places]
     values = evaluator.values(np.clip(points, 0.0, 1.0))
     away = (values[1:] - values[0]).reshape(2, 2, count, *values.shape[1:])  # (distance, side, variable, S, K)
     down, up = away[0]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.base.errors import RunError
+from mbdkit.engine.linear_systems import product
 from mbdkit_design.derivatives import derivatives
 
 if TYPE_CHECKING:
@@ -95,6 +96,8 @@ class Problem:
         first = evaluator.values(evaluator.first[None])
         self.scale = float(abs(self._goal(first)[0])) or 1.0
         self._sizes = [_size(bound, float(bound.of(first)[0])) for bound in self.bounds]
+        self._rows, self._offsets = _of_tables(evaluator)
+        self.is_limited = bool(self.bounds) or len(self._rows) > 0
 
     def _goal(self, values: np.ndarray) -> np.ndarray:
         if self.sums_squares:
@@ -138,16 +141,17 @@ class Problem:
         for bound, size in zip(self.bounds, self._sizes, strict=True):
             result = bound.of(values)
             columns += [side * (result - limit) / size for side, limit in _sides(bound)]
-        return np.nan_to_num(np.stack(columns, axis=1), nan=-FAILED) if columns else np.zeros((len(points), 0))
+        found = np.nan_to_num(np.array(columns).T, nan=-FAILED) if columns else np.zeros((len(points), 0))
+        return np.hstack([found, product(self._rows, points.T).T + self._offsets])
 
     def margin_slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (m, n) of the margins."""
-        by_variable = self._derivatives(x)
+        by_variable = self._derivatives(x) if self.bounds else np.zeros(0)
         rows = []
         for bound, size in zip(self.bounds, self._sizes, strict=True):
             slope = np.sum(bound.weights[..., None] * by_variable, axis=(0, 1))
             rows += [side * slope / size for side, _ in _sides(bound)]
-        return np.array(rows) if rows else np.zeros((0, len(x)))
+        return np.vstack([*rows, self._rows])
 
     def worth(self, points: np.ndarray) -> list[tuple[float, float]]:
         """Return the violation of limits and the cost of points (N, n); points are compared in this order.
@@ -187,6 +191,20 @@ def _limits(evaluator: Evaluator) -> list[Bound]:
             weights[row, evaluator.names.index(name)] = 1.0
             bounds.append(Bound(f"{scenario}: {name}" if scenario else name, weights, *limit.ends))
     return bounds
+
+
+def _of_tables(evaluator: Evaluator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the margins of slopes and curvatures of tables as linear functions (R, n), (R,) of the shares."""
+    names, rows, offsets = [*evaluator.spec.chosen], [np.zeros((0, len(evaluator.widths)))], [np.zeros(0)]
+    for one in evaluator.spec.tables.values():
+        places = [names.index(key) for key in one.keys]
+        for _, combinations, low, high in one.rows:
+            size = max(abs(low), abs(high))
+            by_share = np.zeros((len(combinations), len(names)))
+            np.add.at(by_share.T, places, (combinations * evaluator.widths[places] / size).T)
+            rows += [by_share, -by_share]
+            offsets += [np.full(len(by_share), -low / size), np.full(len(by_share), high / size)]
+    return np.vstack(rows), np.concatenate(offsets)
 
 
 def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:

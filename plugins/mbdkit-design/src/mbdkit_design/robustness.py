@@ -53,17 +53,20 @@ class Deviation:
 def robustness(evaluator: Evaluator, best: np.ndarray) -> list[Deviation]:
     """Return goals and limits near the best point (n,), with one number changed at a time.
 
-    Each variable and each of the `MOST` largest masses of the model are changed by 5 %. The inertia of a body is
+    Each variable (all values of a table at once) and each of the `MOST` largest masses of the model are changed by 5 %.
+    The inertia of a body is
     changed with its mass, as if its density changed, unless it is a variable or follows from the mass. Each attachment
     of a force element is moved by 2 mm along x and along y.
     """
     settings = evaluator.settings(best)
     specs = [runs.at(settings) for runs in evaluator.scenarios]
     moved = [dict(_numbers(spec, [path for path, _ in settings])) for spec in specs]
+    values_at = evaluator.variables(best)
+    keys = {name: (name,) for name in evaluator.spec.single} | {n: t.keys for n, t in evaluator.spec.tables.items()}
     cases: list[tuple[str, str, list[Sequence[Settings]]]] = [
-        (key_words(name), f"{100 * OFF:g} %", [[[(variable_path(name), value * (1 + off))] for off in (-OFF, OFF)]]
-         * len(specs))
-        for name, value in evaluator.variables(best).items()
+        (key_words(name), f"{100 * OFF:g} %",
+         [[[(variable_path(key), values_at[key] * (1 + off)) for key in some] for off in (-OFF, OFF)]] * len(specs))
+        for name, some in keys.items()
     ]  # fmt: skip
     for path in moved[0]:
         if all(path in one for one in moved):

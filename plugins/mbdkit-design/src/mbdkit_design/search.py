@@ -77,7 +77,8 @@ def searches(problem: Problem, optimizer: Optimizer, first: np.ndarray) -> list[
     if isinstance(optimizer, EvolutionStrategy):
         return [_search(problem, first, lambda: _strategy(problem, optimizer, first))]
     method = _squares if problem.sums_squares else _descent
-    found = [_search(problem, start, partial(method, problem, optimizer, start)) for start in _starts(optimizer, first)]
+    starts = [first, *(_straightened(problem, start) for start in _starts(optimizer, first)[1:])]
+    found = [_search(problem, start, partial(method, problem, optimizer, start)) for start in starts]
     return sorted(found, key=lambda one: (one.violation, one.cost))
 
 
@@ -101,6 +102,15 @@ def _starts(optimizer: LocalOptimizer, first: np.ndarray) -> list[np.ndarray]:
         return [first]
     sobol = qmc.Sobol(len(first), seed=optimizer.seed).random_base2(int(np.ceil(np.log2(more))))
     return [first, *sobol[:more]]
+
+
+def _straightened(problem: Problem, start: np.ndarray) -> np.ndarray:
+    """Return a start (n,) with straight tables, whose neighbouring values would otherwise differ at random."""
+    names, start = [*problem.evaluator.spec.chosen], start.copy()
+    for table in problem.evaluator.spec.tables.values():
+        places = [names.index(key) for key in table.keys]
+        start[places] = np.linspace(start[places[0]], start[places[-1]], len(places))
+    return start
 
 
 def _search(problem: Problem, start: np.ndarray, method: Callable[[], OptimizeResult]) -> Search:
@@ -142,7 +152,7 @@ def _descent(problem: Problem, optimizer: LocalOptimizer, start: np.ndarray) -> 
             jac=problem.slope,
             method=optimizer.name,
             bounds=[(0.0, 1.0)] * n,
-            constraints=limits if problem.bounds else (),
+            constraints=limits if problem.is_limited else (),
             options=options,
         )
     return beyond_kink(problem, ended, optimizer.tolerance, optimizer.max_iterations)
@@ -177,7 +187,7 @@ def _evolution(problem: Problem, optimizer: GlobalOptimizer, first: np.ndarray) 
         polish=False,
         vectorized=True,
         updating="deferred",
-        constraints=(limits,) if problem.bounds else (),
+        constraints=(limits,) if problem.is_limited else (),
     )
 
 

@@ -230,16 +230,11 @@ class AdjointMeasure(MeasureEvaluation):
         total: np.ndarray | float = 0.0
         reads = []
         for number in range(len(self.run.motions[0].parts)):
-            found = self._sampled(functional, number)
-            nodes = found.quadrature(found.steps)
-            states = self.states.at(number, nodes.time)
-            switches: list[DerivedValue] = []
-            values = self._of_operand(index, states, square=square, switches=switches)
-            self._note_rest(switches, nodes.time)
+            weight, states, values = self._at_nodes(functional, index, number, square=square)
             if self.doubts:
                 raise NotByAdjointError(self.doubts[0])
-            total = total + np.sum(values.value * nodes.weight, axis=-1, keepdims=True)
-            reads.append((number, states, nodes.weight, values.slope))
+            total = total + np.sum(values.value * weight, axis=-1, keepdims=True)
+            reads.append((number, states, weight, values.slope))
         return self._noted(np.asarray(total), reads)
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:

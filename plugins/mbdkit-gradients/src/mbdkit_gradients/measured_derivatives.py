@@ -260,13 +260,8 @@ class MeasureEvaluation(DoubtedMeasure):
         """Return an integral over the continuous motion, divided where the integrand changes its form."""
         total: DerivedValue | None = None
         for number, part in enumerate(self.run.motions[0].parts):
-            found = self._sampled(functional, number)
-            nodes = found.quadrature(found.steps)
-            states = self.states.at(number, nodes.time)
-            switches: list[DerivedValue] = []
-            values = self._of_operand(index, states, square=square, switches=switches)
-            self._note_rest(switches, nodes.time)
-            weights = np.column_stack([nodes.weight, np.zeros((len(nodes.weight), self.count))])
+            weight, _, values = self._at_nodes(functional, index, number, square=square)
+            weights = np.column_stack([weight, np.zeros((len(weight), self.count))])
             piece = _weighted(values, weights)
             # the integrand may be discontinuous where the part begins, at a time that depends on the parameters
             if part.corner is not None:
@@ -278,6 +273,18 @@ class MeasureEvaluation(DoubtedMeasure):
             total = piece if total is None else DerivedValue(total.value + piece.value, total.slope + piece.slope)
         assert total is not None
         return total
+
+    def _at_nodes(
+        self, functional: Functional, index: int, number: int, *, square: bool
+    ) -> tuple[np.ndarray, DifferentiatedStates, DerivedValue]:
+        """Return the weights of a quadrature over a part of the motion, and the states and the integrand there."""
+        found = self._sampled(functional, number)
+        nodes = found.quadrature(found.steps)
+        states = self.states.at(number, nodes.time)
+        switches: list[DerivedValue] = []
+        values = self._of_operand(index, states, square=square, switches=switches)
+        self._note_rest(switches, nodes.time)
+        return nodes.weight, states, values
 
     def _moved_corner(self, number: int) -> np.ndarray:
         """Return the derivatives (K,) of the time at which part `number` begins, at a discontinuity."""

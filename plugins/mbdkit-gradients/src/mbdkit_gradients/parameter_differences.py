@@ -17,11 +17,14 @@ from fractions import Fraction
 from functools import cache
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
+from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit_gradients.gradient_parameters import Parameter
 
 Arrays = Mapping[str, np.ndarray]
@@ -45,6 +48,7 @@ LINEAR = 64.0  #: Largest deviation from a line that counts as rounding, in unit
 #:
 #: Derivatives of arrays that are not, but seem to be, have relative errors of ``LINEAR`` units of round-off over this.
 APART = 1e-3
+MANY = 3  #: Smallest number of values of a table that are differentiated together.
 RANK = 1e-9  #: Smallest singular value, relative to the largest, of matrices that count as regular.
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 #: Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter.
@@ -136,7 +140,58 @@ class Preparation(ABC):
         SpecError
             If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
         """
-        return self._joined([self._by(parameter) for parameter in parameters], parameters)
+        exact = self._of_tables(parameters)
+        found = [exact[k] if k in exact else self._by(one) for k, one in enumerate(parameters)]
+        return self._joined(found, parameters)
+
+    def _of_tables(self, parameters: Sequence[Parameter]) -> dict[int, _ArrayDerivatives]:
+        """Return exact derivatives with respect to values in tables of force laws, by index of the parameter.
+
+        The numbers of such a law are linear in the values. Unit vectors through the spline give the derivatives with
+        respect to all of them; one point confirms those with respect to one, and that no other array changes.
+        """
+        tables: dict[object, dict[int, int]] = {}
+        for k, one in enumerate(parameters):
+            if (
+                len(one.path) == 6
+                and one.path[:2] == ("model", "forces")
+                and [*map(str, one.path[3:5])] == ["table", "1"]
+            ):
+                tables.setdefault(one.path[2], {})[k] = int(one.path[5])
+        found: dict[int, _ArrayDerivatives] = {}
+        for places in tables.values():
+            if len(places) < MANY:
+                continue
+            k = [*places][len(places) // 2]
+            change, arrays = self._point(parameters[k], self._unit(parameters[k]))
+            slopes = self._through_splines(arrays["law_parameters"] != self.base["law_parameters"])
+            if slopes is None:
+                continue
+            predicted = {**self.base, "law_parameters": self.base["law_parameters"] + change * slopes[:, places[k]]}
+            size = {name: np.max(np.abs(x), initial=0.0) for name, x in predicted.items()}
+            if all(np.all(np.abs(arrays[name] - x) <= LINEAR * np.finfo(float).eps * size[name])
+                   for name, x in predicted.items()):  # fmt: skip
+                found |= {k: _ArrayDerivatives({"law_parameters": slopes[:, i]}, 0.0, 0) for k, i in places.items()}
+        return found
+
+    def _through_splines(self, moved: np.ndarray) -> np.ndarray | None:
+        """Return the derivatives (P, N) of the numbers of laws with respect to the N values of the table of which some
+        numbers, (P,) `moved`, depend; None if they are not those of a table.
+        """
+        top = self.mechanism.topology
+        for (_, law), begin in zip(self.mechanism.laws, top.laws[:, LAW_ROW.parameters].tolist(), strict=True):
+            count = int(top.law_parameters[begin])
+            if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + count]):
+                points = int(top.law_parameters[begin + 2]) + 1
+                slopes = np.zeros((len(moved), points))
+                lengths = top.law_parameters[begin + 3 : begin + 3 + points]
+                unit = CubicSpline(lengths, np.eye(points)).c[::-1]
+                powers = np.arange(1, 5)[:, None, None]
+                areas = np.sum(unit * np.diff(lengths)[:, None] ** powers / powers, axis=0)
+                pieces = np.concatenate([unit, [np.cumsum(areas, axis=0) - areas]])
+                slopes[begin + 3 + points : begin + 1 + count] = np.swapaxes(pieces, 0, 1).reshape(-1, points)
+                return slopes
+        return None
 
     def lines(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return what the derivatives are if all arrays are linear in the parameters, from one point for each.

@@ -84,7 +84,7 @@ def inverse_gradient(
     Returns
     -------
     Gradient
-        Values, derivatives and check. A check that fails is part of the result, not an error.
+        As that of `mbdkit.gradient`.
 
     Raises
     ------
