@@ -19,7 +19,8 @@ import numpy as np
 
 from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
-from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
+from mbdkit_predict.point_functions import OF_POINTS
+from mbdkit_predict.transcription import Mesh, Transcription
 
 #: Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
 #: accurate.

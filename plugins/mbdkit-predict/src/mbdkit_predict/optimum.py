@@ -13,9 +13,10 @@ import numpy as np
 from mbdkit_predict.between_points import FEW, NODES, Residual, residual_between_points
 from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
+from mbdkit_predict.point_functions import OF_POINTS
 from mbdkit_predict.predict_spec import SAME, PredictSpec
 from mbdkit_predict.processes import Stop, results_of
-from mbdkit_predict.transcription import MOST_UNEVEN, OF_POINTS, Mesh, Transcription, solved_meshes
+from mbdkit_predict.transcription import MOST_UNEVEN, Mesh, Transcription, solved_meshes
 
 #: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
 ROUNDING = 1e-8
