@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,6 +16,13 @@ OF_STATE = ("a", "lam", "u")
 OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")  #: Unknowns with a column for each collocation point.
 
 
+class Held(NamedTuple):
+    """Operations whose values are given: their indices among the instructions of a function."""
+
+    function: ca.Function
+    operations: tuple[int, ...]
+
+
 class PointFunctions:
     """Functions of a collocation point.
 
@@ -24,11 +32,15 @@ class PointFunctions:
         Values of the conditions along the path.
     weight
         Weight of all bodies [N].
+    held
+        Operations whose values are given; none by default.
 
     Attributes
     ----------
     stage
-        Joints and fibres, q', z', integrands, forces, and path.
+        Joints and fibres, q', z', integrands, forces, and path. Its last argument has the values that are given.
+    unheld
+        The same results without this argument, with all operations as they are.
     slopes
         Derivatives of these results by `OF_POINTS`, parameters, time, and length of the interval.
     integrands
@@ -43,7 +55,9 @@ class PointFunctions:
         Weights (2 n + Z, 1) of the states in the projection.
     """
 
-    def __init__(self, system: CasadiSystem, objective: Objective, path: ca.SX, weight: float):
+    def __init__(
+        self, system: CasadiSystem, objective: Objective, path: ca.SX, weight: float, held: Held | None = None
+    ):
         m = len(system.constraint_names)
         mu = ca.SX.sym("mu", m)
         given = [*system.symbols.values(), mu]
@@ -53,11 +67,17 @@ class PointFunctions:
             ca.vertcat(position, velocity, system.equilibrium(*given[:-1])), system.v + turn, system.rates(*given[:-1]),
             objective.integrands, system.residual(*given[:-1]) / weight, path,
         ]  # fmt: skip
+        sides = ca.SX.sym("sides", 0 if held is None else len(held.operations))
+        self.unheld = ca.Function("point", given, ca.cse(results)) if held is None else held.function
+        if held is not None:
+            replaced = dict(zip(held.operations, ca.vertsplit(sides), strict=True))
+            results = operations_of(held.function, given, replaced).results
         known = {**system.symbols, "mu": mu}
+        given.append(sides)
         variables = ca.vertcat(*(known[name] for name in OF_POINTS), system.p, system.t, ca.SX.sym("h"))
-        self.curvature = _curvature_function(system, results, variables)
+        self.curvature = _curvature_function(system, results, variables, sides)
         self.slopes = ca.Function("slopes", given, [ca.cse(ca.jacobian(ca.vertcat(*results), variables))])
-        self.integrands = ca.Function("integrands", given, [objective.integrands])
+        self.integrands = ca.Function("integrands", given, [results[3]])
         self.stage = ca.Function("point", given, ca.cse(results))
         self.projection, self.weights = _projection_function(system)
 
@@ -86,7 +106,7 @@ def _projection_function(system: CasadiSystem) -> tuple[ca.Function, np.ndarray]
     return projection, weight[:, None]
 
 
-def _curvature_function(system: CasadiSystem, results: Sequence[ca.SX], variables: ca.SX) -> ca.Function:
+def _curvature_function(system: CasadiSystem, results: Sequence[ca.SX], variables: ca.SX, sides: ca.SX) -> ca.Function:
     closed, position_rates, rates, integrands, balance, path = results
     slopes, motion = ca.vertcat(position_rates, system.a, rates), ca.vertcat(balance, closed)
     costates, of_motion, of_path, weights = (ca.SX.sym("lam", x.numel()) for x in (slopes, motion, path, integrands))
@@ -96,4 +116,37 @@ def _curvature_function(system: CasadiSystem, results: Sequence[ca.SX], variable
         + variables[-1] * (ca.dot(weights, integrands) - ca.dot(costates, slopes))
     )
     hessian, _ = ca.hessian(lagrangian, variables)
-    return ca.Function("curvature", [variables, costates, of_motion, of_path, weights], [ca.cse(hessian)])
+    return ca.Function("curvature", [variables, costates, of_motion, of_path, weights, sides], [ca.cse(hessian)])
+
+
+class Operations(NamedTuple):
+    """The instructions of a function, in their order."""
+
+    nodes: list[ca.SX]  #: Value of each instruction; 0 of those that have none.
+    parents: list[list[int]]  #: Instructions whose values each of them uses.
+    results: list[ca.SX]
+
+
+def operations_of(function: ca.Function, given: Sequence[ca.SX], replaced: Mapping[int, ca.SX]) -> Operations:
+    """Return the operations of a function of scalars, some of which are replaced."""
+    work, nodes, parents = dict[int, int](), list[ca.SX](), list[list[int]]()
+    sparsities = [function.sparsity_out(k) for k in range(function.n_out())]
+    results = [ca.SX(sparsity, 0.0) for sparsity in sparsities]
+    for k in range(function.n_instructions()):
+        operation, takes, gives = (getattr(function, f"instruction_{x}")(k) for x in ("id", "input", "output"))
+        own = list[int]()
+        if operation == ca.OP_INPUT:
+            node = given[takes[0]].nz[takes[1]]
+        elif operation == ca.OP_CONST:
+            node = ca.SX(function.instruction_constant(k))
+        elif operation == ca.OP_OUTPUT:
+            results[gives[0]].nz[gives[1]], node = nodes[work[takes[0]]], ca.SX(0.0)
+        else:
+            own = [work[place] for place in takes]
+            operate = ca.SX.unary if len(own) == 1 else ca.SX.binary
+            node = operate(operation, *(nodes[place] for place in own))
+        nodes.append(replaced.get(k, node))
+        parents.append(own)
+        if operation != ca.OP_OUTPUT:
+            work[gives[0]] = k
+    return Operations(nodes, parents, results)

@@ -18,6 +18,7 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,7 @@ from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.grid import IntervalGrid, breaks_of, weights
-from mbdkit_predict.guessed_motion import archived_motion, solved_motion
+from mbdkit_predict.guessed_motion import GuessedMotion, archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import (
     MOST_ITERATIONS,
     NonlinearProgram,
@@ -41,9 +42,9 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
-from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, PointFunctions, at_node
+from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, Held, PointFunctions, at_node
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
-from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.predict_spec import PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
@@ -56,6 +57,8 @@ JOINTS = "the joints at the ends of intervals"  #: Names of conditions.
 #: Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`.
 WEIGHT_OF_START = 10.0
 MANY_POINTS = {"radau": 7, "gauss": 5}  #: Collocation points of meshes on which the search begins anew.
+FEWEST = 4  #: Least number of intervals of a part of a phase.
+SHORTEST = 1e-6  #: Shortest part, as a share of the longest duration of its phase.
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
@@ -84,6 +87,37 @@ class Mesh:
         return np.asarray(self.values["duration"] @ self.grid.points)
 
 
+@dataclass(frozen=True)
+class Switching:
+    """Parts of phases, which end at jumps.
+
+    Attributes
+    ----------
+    times
+        Times of the jumps in the motion from which the search begins.
+    phases : (P,) array of int
+        Phase of the spec to which each part belongs.
+    durations : (P,) array
+        Durations of the parts in that motion [s].
+    surfaces
+        By part, an expression that is zero at its end; the last part of a phase has none.
+    values : (K, P) array
+        Values of the operations that jump, in each part.
+    held
+        These operations.
+    motion
+        The motion from which the search begins.
+    """
+
+    times: tuple[float, ...]
+    phases: np.ndarray
+    durations: np.ndarray
+    surfaces: Mapping[int, ca.SX]
+    values: np.ndarray
+    held: Held
+    motion: GuessedMotion
+
+
 class _PathOfPhase(NamedTuple):
     name: str
     expression: ca.SX
@@ -96,13 +130,18 @@ class _PathOfPhase(NamedTuple):
 class Transcription:
     """The optimal control problem of a spec, for any grid.
 
-    The solution of `simpler` on its first mesh is the first guess.
+    The solution of `simpler` on its first mesh is the first guess. With `switching`, phases have parts.
     """
 
     def __init__(
-        self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
+        self,
+        spec: PredictSpec,
+        system: CasadiSystem,
+        objective: Objective,
+        simpler: Transcription | None = None,
+        switching: Switching | None = None,
     ):
-        self.spec, self.system, self.objective = spec, system, objective
+        self.spec, self.system, self._given_objective = spec, system, objective
         is_fixed = len(system.q0) <= len(system.constraint_names) and not system.state_names
         if is_fixed and not any(joint.is_driver for joint in spec.mechanism().joints.values()):
             reason = (
@@ -112,13 +151,27 @@ class Transcription:
         self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
-        self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
-        durations = [phase.duration for phase in spec.whole.values()]
-        lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
+        is_archived = switching is None and isinstance(spec.guess, str)
+        self._known_motion = archived_motion(spec, system) if is_archived else None
+        phases = list(spec.whole.items())
+        self.phase_of, self.sides = np.arange(len(phases)), np.zeros((0, len(phases)))
+        durations: list[float | Variable] = [phase.duration for _, phase in phases]
+        lengths = [float(np.mean(x.limits)) if isinstance(x, Variable) else x for x in durations]
+        self._totals = [x.limits if isinstance(x, Variable) else (x, x) for x in durations]
+        surfaces, held = dict[int, ca.SX](), None
+        if switching is not None:
+            self._known_motion, self.phase_of, self.sides = switching.motion, switching.phases, switching.values
+            surfaces, lengths, held = dict(switching.surfaces), switching.durations.tolist(), switching.held
+            durations = [
+                Variable.model_construct(bounds=(SHORTEST * self._totals[k][1], self._totals[k][1]), start=length)
+                if sum(self.phase_of == k) > 1
+                else durations[k]
+                for k, length in zip(self.phase_of.tolist(), lengths, strict=True)
+            ]
         self.limits = {
             "u": _limits(map(spec.control, self.system.control_names), self.system.u0),
             "p": _limits(map(spec.optimized.get, self.system.parameter_names), self.system.p0),
-            "duration": _limits((x if isinstance(x, Duration) else None for x in durations), lengths),
+            "duration": _limits((x if isinstance(x, Variable) else None for x in durations), lengths),
         }
         self._set_points(spec.collocation.points)
         self.has_nodes = spec.collocation.method == "gauss"
@@ -132,8 +185,10 @@ class Transcription:
         self.objective = replace(objective, finals=finals)
         self._initial = self._conditions("initial", spec.initial, 0.0)
         self._ends = [
-            self._conditions(f"{place}final", phase.final, at)
-            for (place, phase), at in zip(spec.whole.items(), ends, strict=True)
+            {f"the jump at the end of part {k}": (surfaces[k], 0.0, 0.0)}
+            if k in surfaces
+            else self._conditions(f"{phases[of][0]}final", phases[of][1].final, at)
+            for k, (of, at) in enumerate(zip(self.phase_of.tolist(), ends, strict=True))
         ]
         self._ends[-1] |= self._conditions("final", spec.final, ends[-1]) if spec.phases else {}
         self._periodic = [
@@ -143,7 +198,7 @@ class Transcription:
         ]  # fmt: skip
         self._path: list[_PathOfPhase] = []
         self._bounded: list[tuple[str, int, _PathOfPhase]] = []
-        for k, (place, phase) in enumerate(spec.whole.items()):
+        for k, (place, phase) in enumerate(phases):
             self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
@@ -152,13 +207,19 @@ class Transcription:
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
         self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
         path = ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path))
-        self.functions = PointFunctions(system, objective, path, self._weight)
+        self.functions = PointFunctions(system, objective, path, self._weight, held)
         self.stage = self.functions.stage
         self._idle = self._without_effect()
 
     def _set_points(self, points: int) -> None:
         method = radau_iia if self.spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(points).floats()
+
+    def switched(self, switching: Switching) -> Transcription:
+        """Return the problem with phases that have parts."""
+        other = Transcription(self.spec, self.system, self._given_objective, None, switching)
+        other.a, other.b, other.c = self.a, self.b, self.c
+        return other
 
     def of_high_order(self) -> Transcription:
         """Return the problem with as many collocation points as meshes have on which the search begins anew."""
@@ -264,8 +325,12 @@ class Transcription:
         functions of time, up to the first phase whose duration is free.
         """
         spec, begin = self.spec, 0.0
+        counts = [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()]
+        lengths = self.limits["duration"][2]
+        shares = lengths / np.bincount(self.phase_of, lengths)[self.phase_of]
         grid = IntervalGrid.uniform(
-            [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c
+            [max(math.ceil(counts[k] * x), min(FEWEST, counts[k])) for k, x in zip(self.phase_of, shares, strict=True)],
+            self.c,
         )
         for k, (low, high, _) in enumerate(self.limits["duration"].T.tolist()):
             if low < high:
@@ -421,7 +486,9 @@ class Transcription:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
         ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
-        results = self.stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
+        results = self.stage(
+            *system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)), ca.DM(self.sides[:, :1])
+        )
         known = [x for k, x in enumerate(results) if k != 1]  # without q'
         everything = ca.vertcat(*known, self.objective.finals, *ends, *(x for _, *both in self._periodic for x in both))
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
@@ -439,7 +506,8 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]]
+        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"],
+                 ca.MX(ca.DM(self.sides_at(grid, s)))]  # fmt: skip
         values: Any = self.stage.map(total)(*given)
         sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
         results = ca.MX.sym("results", sizes[-1], total)
@@ -476,6 +544,10 @@ class Transcription:
         for (state, t), asked in zip(nodes, (self._initial, *self._ends), strict=True):
             for name, (expression, low, high) in asked.items():
                 conditions.append(ProgramCondition(name, at_node(system, expression)(state, x["p"], t), low, high))
+        for k, (low, high) in enumerate(self._totals):
+            parts = np.flatnonzero(self.phase_of == k).tolist()
+            if len(parts) > 1:
+                conditions.append(ProgramCondition(f"duration {k}", ca.sum1(x["duration"][parts]), low, high))
         for name, at_last, at_first in self._periodic:
             change = at_node(system, at_last)(end, x["p"], duration) - at_node(system, at_first)(start, x["p"], 0.0)
             conditions.append(ProgramCondition(name, change))
@@ -505,8 +577,9 @@ class Transcription:
             ]
             weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
             return self.functions.curvature.map(total)(
-                variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight
-            )
+                variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight,
+                given[-1],
+            )  # fmt: skip
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
@@ -514,9 +587,9 @@ class Transcription:
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
-        given, (low, high, _) = self.objective.value.sx_in(), self.limits["duration"]
-        if np.all(low == high):
-            given[3] = ca.SX(float(low.sum()))
+        given = self.objective.value.sx_in()
+        if all(low == high for low, high in self._totals):
+            given[3] = ca.SX(float(sum(low for low, _ in self._totals)))
         slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
         return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
 
@@ -547,13 +620,19 @@ class Transcription:
             costates += (self.functions.weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
         return np.asarray(costates.reshape(rows, -1, order="F"))
 
+    def sides_at(self, grid: IntervalGrid, count: int) -> np.ndarray:
+        """Return the values of the operations that jump at so many points in each interval, the last argument of
+        `stage`.
+        """
+        return self.sides[:, np.repeat(grid.phase, count)]
+
     def _points(self, grid: IntervalGrid, path: _PathOfPhase) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
 
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
         the optimum would satisfy both conditions with slack, so that their multipliers were not unique.
         """
-        phases = np.repeat(grid.phase, len(self.c))
+        phases = np.repeat(self.phase_of[grid.phase], len(self.c))
         chosen = phases == (phases if path.phase is None else path.phase)
         for last, conditions in zip(grid.ends_of_phases(), self._ends, strict=True):
             for expression, low, high in conditions.values():
@@ -664,7 +743,12 @@ class Transcription:
         values, count = {**mesh.values, "u": u}, len(mesh.times)
         own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
         p = np.tile(values["p"][:, None], count)
-        return [*map(np.array, self.stage.map(count)(*own, p, mesh.times[None], values["mu"]))]
+        return [
+            *map(
+                np.array,
+                self.stage.map(count)(*own, p, mesh.times[None], values["mu"], self.sides_at(mesh.grid, len(self.c))),
+            )
+        ]
 
     @property
     def _length(self) -> float:
