@@ -19,11 +19,14 @@ import numpy as np
 
 from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
-from mbdkit_predict.transcription import OF_POINTS, Mesh, Transcription
+from mbdkit_predict.point_functions import OF_POINTS
+from mbdkit_predict.transcription import Mesh, Transcription
 
 #: Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
 #: accurate.
 NODES, FEW = 10_000, 1_000
+#: Ends of panels that resolve jumps of some width at the ends of intervals, where expressions may have no value.
+GRADED = 2.0 ** -np.arange(1, 31)
 PANEL = 5  #: Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided.
 ARGUMENTS = "q", "v", "a", "lam", "z", "u"  #: First arguments of `Transcription.stage`.
 BULK = 0.99  #: Share of what remains that the intervals have which are divided.
@@ -51,14 +54,24 @@ class Residual(NamedTuple):
         return chosen
 
 
-def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODES) -> Residual:
-    """Return what a solution leaves of the equations between its collocation points, by so many nodes at least."""
+def residual_between_points(
+    method: Transcription, mesh: Mesh, least: int = NODES, *, is_graded: bool = False, is_held: bool = True
+) -> Residual:
+    """Return what a solution leaves of the equations between its collocation points, by so many nodes at least.
+
+    With `is_graded`, panels are ever shorter towards the ends of intervals. Operations that jump are held or not.
+    """
     values, lengths = mesh.values, mesh.values["duration"] @ mesh.grid.lengths
     count, b = len(lengths), method.b
     panels = -(-least // (count * PANEL))
     nodes, weight = np.polynomial.legendre.leggauss(PANEL)
     shares = ((np.arange(panels)[:, None] + 0.5 * (nodes + 1.0)) / panels).ravel()
-    weight = np.tile(0.5 * weight / panels, panels)
+    if is_graded:
+        ends = np.sort(np.concatenate([GRADED, 1.0 - GRADED[1:]]))[:, None]
+        shares = (ends[:-1] + 0.5 * np.diff(ends, axis=0) * (nodes + 1.0)).ravel()
+        weight = (0.5 * np.diff(ends, axis=0) * weight).ravel()
+    else:
+        weight = np.tile(0.5 * weight / panels, panels)
     times = (values["duration"] @ mesh.grid.ends - lengths)[:, None] + lengths[:, None] * shares
     x = {name: method.values_at(mesh, name, shares) for name in OF_POINTS}
     for name, table in method.spec.tables.items():
@@ -68,7 +81,7 @@ def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODE
     def between(at_points: np.ndarray) -> np.ndarray:
         return np.asarray(at_points.reshape(len(at_points), count, len(b)) @ at_nodes)
 
-    closed, rates, integrands, forces = _evaluated(method, mesh, x, times)
+    closed, rates, integrands, forces = _evaluated(method, mesh, x, times, is_held=is_held)
     _, own_rates, own_integrands, _ = _evaluated(method, mesh, values, mesh.times)
     at_rest = _evaluated(method, mesh, {**values, "a": 0.0 * values["a"]}, mesh.times)[-1]
     whole, defects = own_integrands @ b, between(own_rates) - rates
@@ -85,12 +98,14 @@ def residual_between_points(method: Transcription, mesh: Mesh, least: int = NODE
 
 
 def _evaluated(
-    method: Transcription, mesh: Mesh, values: Mapping[str, np.ndarray], times: np.ndarray
+    method: Transcription, mesh: Mesh, values: Mapping[str, np.ndarray], times: np.ndarray, *, is_held: bool = True
 ) -> tuple[np.ndarray, ...]:
     """Return constraints, rates, integrands and forces, (rows, N, K), of unknowns at K times in each interval."""
     x = {name: values[name].reshape(len(values[name]), times.size) for name in OF_POINTS}
     p, count = ca.repmat(mesh.values["p"], 1, times.size), len(mesh.grid.phase)
-    results = method.stage.map(times.size)(*(x[name] for name in ARGUMENTS), p, times.reshape(1, -1), x["mu"])
+    given = [*(x[name] for name in ARGUMENTS), p, times.reshape(1, -1), x["mu"]]
+    sides = [method.sides_at(mesh.grid, times.size // count)] if is_held else []
+    results = (method.stage if is_held else method.functions.unheld).map(times.size)(*given, *sides)
     rows = (np.array(results[k]) for k in (0, 2, 3, 4))
     return tuple(row.reshape(len(row), count, times.size // count) for row in rows)
 
@@ -105,3 +120,9 @@ def _largest_share(values: np.ndarray, sizes: np.ndarray, states: np.ndarray, is
     least = np.concatenate([np.full(count, sizes[:count].max(initial=0.0)), states])
     largest = np.maximum(largest, LEAST * least)
     return np.asarray((values / np.where(largest > 0.0, largest, np.inf)[:, None]).max(axis=0, initial=0.0))
+
+
+def change_by_held(method: Transcription, mesh: Mesh) -> tuple[float, float]:
+    """Return the first-order change of the objective if no operations are held, and the largest share of an impulse."""
+    held, free = (residual_between_points(method, mesh, is_graded=True, is_held=side) for side in (True, False))
+    return float((free.change - held.change).sum()), float((free.impulse - held.impulse).max(initial=0.0))

@@ -19,6 +19,7 @@ PRECISION = 1e-9  #: Relative tolerance of the integration.
 #: Methods; the second one, which is implicit where the motion is stiff, is used if the first one needs too many
 #: evaluations, or its numbers overflow.
 EXPLICIT, IMPLICIT = "DOP853", "LSODA"
+BESIDE = 1e-9  #: Distance of states from jumps at which expressions are evaluated, as a share of an interval.
 MOST_EVALUATIONS = 400  #: Largest number of evaluations of the explicit method in an interval.
 
 
@@ -52,6 +53,11 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
     nodes = method.states_of_bodies(mesh, method.nodes(mesh), times).T
     predicted = np.zeros((len(nodes), size))
     predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
+    starts = predicted[:-1].copy()
+    if method.sides.size:
+        later = np.vstack([method.values_at(mesh, name, np.array([BESIDE]))[..., 0] for name in "qvz"])
+        of_bodies = method.states_of_bodies(mesh, later, times[:-1])
+        starts[:, np.delete(np.arange(size), 2 * n + rows)] = of_bodies.T
     scale = _scale(predicted, n)
     checked = np.delete(np.arange(size), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
     ends, alone = list[np.ndarray](), list[np.ndarray]()
@@ -69,8 +75,11 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
                 of_states[rows] = 0.0
                 return np.concatenate([y[n : 2 * n], a, of_states])
 
-            stops = [begin, *(t for t in method.breaks if begin < t < end), end]
-            alone.append(_integrated(rates, stops, predicted[i], scale))
+            # expressions may have no value at a jump
+            beside = BESIDE * (end - begin) if method.sides.size else 0.0
+            first, last = begin + beside, end - beside
+            stops = [first, *(t for t in method.breaks if first < t < last), last]
+            alone.append(_integrated(rates, stops, starts[i], scale))
             ends.append(_integrated(rates, stops, ends[-1], scale) if i else alone[0])
     except StepError:
         return Difference()

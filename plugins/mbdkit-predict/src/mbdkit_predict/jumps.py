@@ -13,12 +13,14 @@ the collocation points. A change that is still there is too fast for the derivat
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit_predict.point_functions import OF_STATE
 from mbdkit_predict.transcription import Mesh, Transcription
 
 SAMPLES = 10_000  #: Number of samples of a motion, besides the collocation points.
@@ -38,12 +40,13 @@ class Jump(NamedTuple):
     """A jump of something that depends on the state."""
 
     time: float  #: When the motion passes it [s].
-    name: str  #: What jumps: the key path of an expression, or words.
+    half: float  #: Half the time within which it is known, or more [s].
+    name: str  #: What jumps: the key path of an expression, or words; empty if no change of the motion moves the jump.
 
 
 def jumps_along(method: Transcription, mesh: Mesh) -> list[Jump]:
-    """Return the jumps that a solution passes, without those that no change of the motion moves."""
-    path, least = _Path(method, mesh), math.sqrt(method.spec.tolerance)
+    """Return the jumps that a solution passes."""
+    path, least = MotionPath(method, mesh), math.sqrt(method.spec.tolerance)
     knots = np.unique(np.concatenate([[0.0], mesh.times, path.ends]))
     times = np.unique(np.concatenate([knots, np.linspace(0.0, knots[-1], SAMPLES + 1)]))
     between = np.array([times[:-1], times[1:]])
@@ -75,18 +78,24 @@ def jumps_along(method: Transcription, mesh: Mesh) -> list[Jump]:
     bend[abs(near) <= STEEPER * 0.25 * outside] = 0.0  # corners, whose slope is as large beside them
     jumps = list[Jump]()
     for k in np.flatnonzero(bend.max(axis=0, initial=0.0) > least).tolist():
-        if (not jumps or at[k] - jumps[-1].time > 2.0 * h[k]) and path.can_move(at[k], h[k], int(bend[:, k].argmax())):
-            jumps.append(Jump(float(at[k]), path.name_of(at[k], h[k], int(bend[:, k].argmax()))))
+        is_new, row = not jumps or at[k] - jumps[-1].time > 2.0 * h[k], int(bend[:, k].argmax())
+        if is_new or not jumps[-1].name:
+            name = path.name_of(at[k], h[k], row) if path.can_move(at[k], h[k], row) else ""
+            jumps[len(jumps) if is_new else -1 :] = [Jump(float(at[k]), float(h[k]), name)]
     return jumps
 
 
-class _Path:
+class MotionPath:
     """Forces, rates, integrands and conditions, R rows, as functions of the state along a solution.
 
     Attributes
     ----------
     ends : (N,) array
         Ends of the intervals [s].
+    given
+        Symbols of the arguments of the functions of a collocation point.
+    unknown
+        Those of what is not known at the start and the end of a motion.
     """
 
     def __init__(self, method: Transcription, mesh: Mesh):
@@ -95,8 +104,9 @@ class _Path:
         is_angle, states = method.system.is_angle, np.arange(len(mesh.values["z"]))
         self._kinds = np.concatenate([-1 - is_angle, -3 - is_angle, states])
         given = [*method.system.symbols.values(), ca.SX.sym("mu", len(mesh.values["mu"]))]
-        results = method.stage(*given)
-        self._given, self._rows = given, ca.Function("rows", given, [ca.vertcat(*(results[k] for k in (4, 2, 3, 5)))])
+        results = method.functions.unheld(*given)
+        self.given, self._rows = given, ca.Function("rows", given, [ca.vertcat(*(results[k] for k in (4, 2, 3, 5)))])
+        self.unknown = [x for name, x in method.system.symbols.items() if name in OF_STATE] + given[-1:]
         self._ranges = self._of_kind(np.ptp(np.vstack([mesh.values[name] for name in "qvz"]), axis=1))
 
     def _of_kind(self, values: np.ndarray) -> np.ndarray:
@@ -123,6 +133,10 @@ class _Path:
         lam, mu, u = (self._at(name, held) for name in ("lam", "mu", "u"))
         p = np.tile(self._mesh.values["p"][:, None], len(times))
         return np.array(function.map(len(times))(q, v, 0.0 * v, lam, z, u, p, t, mu))
+
+    def evaluate(self, expressions: Sequence[ca.SX], times: np.ndarray, held: np.ndarray) -> np.ndarray:
+        """Return expressions (K,) of the arguments `given` at times (T,), as the rows are, (K, T)."""
+        return self._evaluated(ca.Function("values", self.given, [ca.vertcat(*expressions)]), times, held)
 
     def sizes(self, values: np.ndarray) -> np.ndarray:
         """Return what counts as large in each row (R, 1): the largest of its values (2, R, K), and at least `LEAST` of
@@ -161,7 +175,7 @@ class _Path:
             if not isinstance(text, str):
                 continue
             try:
-                function = ca.Function("value", self._given, [system.expression(text)])
+                function = ca.Function("value", self.given, [system.expression(text)])
             except SpecError:  # such as an expression of a controller
                 continue
             values = self._evaluated(function, at + h * np.array([-12.0, -4.0, -1.0, 1.0, 4.0, 12.0]), np.full(6, at))

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit_predict.between_points import FEW, NODES, Residual, residual_between_points
+from mbdkit.base.text import listed
+from mbdkit_predict.between_points import FEW, NODES, Residual, change_by_held, residual_between_points
 from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
+from mbdkit_predict.point_functions import OF_POINTS
 from mbdkit_predict.predict_spec import SAME, PredictSpec
 from mbdkit_predict.processes import Stop, results_of
-from mbdkit_predict.transcription import MOST_UNEVEN, OF_POINTS, Mesh, Transcription, solved_meshes
+from mbdkit_predict.switching import switching_of
+from mbdkit_predict.transcription import MOST_UNEVEN, Mesh, Switching, Transcription, solved_meshes
 
 #: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
 ROUNDING = 1e-8
@@ -29,6 +32,7 @@ WANDERING, FEW_STEPS, ELSEWHERE = 90, 15, 0.25
 CREDIBLE = 0.25
 MOST_INTERVALS = 640  #: Largest number of intervals of a refined mesh; every first mesh is refined once.
 ITERATIONS_OF_START = 500  #: Largest number of iterations from a drawn guess.
+SWITCHINGS = 3  #: How often phases are made of the jumps that a motion passes.
 HUGE = 1e8  #: Unknowns above this size at the limit of iterations are taken for unbounded ones.
 #: Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
 #: intervals in which they do are divided.
@@ -41,6 +45,10 @@ ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
 #: Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
 #: conditions become active, methods of high order have no constant ratio.
 SLOWEST, FASTEST = 0.5, 2.0**-4
+HELD = (
+    "Jumps are held on their sides up to the ends of phases; where the motion is on another side, or jumps take time, "
+    "this changes the objective by {change:.2g} and {impulse:.2g} of the impulse of all forces."
+)
 
 
 Problem = tuple[Transcription, Mesh, int]  #: A problem, its first guess, and the largest number of iterations.
@@ -82,6 +90,8 @@ class Optimum:
         The table of all meshes.
     wandered
         Whether the search began anew, because the first meshes led to different motions.
+    doubt
+        Sentence on jumps that are not held; empty without any.
     """
 
     transcription: Transcription
@@ -94,11 +104,17 @@ class Optimum:
     start: int
     rows: Sequence[SolvedMesh]
     wandered: bool
+    doubt: str = ""
 
     @property
     def spec(self) -> PredictSpec:
         """The spec of the problem."""
         return self.transcription.spec
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the motion passes jumps that are not held, or on whose other side it is."""
+        return bool(self.doubt) or any(jump.name for jump in self.jumps)
 
     @property
     def is_minimum(self) -> bool:
@@ -143,9 +159,10 @@ class Optimum:
         """Derivatives of the optimum: by numbers of the model, fixed durations, and values at the start and the end."""
         slopes, names = _solution(self.mesh).slopes, self.transcription.system.parameter_names
         by_parameter = dict(zip(names, slopes["p"].tolist(), strict=True))
+        parts = [np.flatnonzero(self.transcription.phase_of == k) for k in range(len(self.spec.whole))]
         by_duration = {
-            f"{place}duration": float(slope)
-            for (place, phase), slope in zip(self.spec.whole.items(), slopes["duration"], strict=True)
+            f"{place}duration": float(slopes["duration"][own[0]] if len(own) == 1 else slopes[f"duration {k}"][0])
+            for k, (own, (place, phase)) in enumerate(zip(parts, self.spec.whole.items(), strict=True))
             if isinstance(phase.duration, float)
         }
         by_condition = {
@@ -184,12 +201,58 @@ class _MeshSearch:
         self.spec, self.transcription, self.stop = transcription.spec, transcription, stop
         self.meshes, self.starts, self.start = list[Mesh](), list[float](), 0
         self.rows, self.wandered = list[SolvedMesh](), False
+        self.switching: Switching | None = None
         self.problems = dict[int, Transcription]()  # by number of collocation points
         self.halved = 0  # index of the mesh from which on all intervals are divided
 
     def run(self) -> _Search:
-        """Yield problems to solve, take their solutions, and return the best motion."""
-        mesh, error, reason = (yield from self._begin()), math.nan, ""
+        """Yield problems to solve, take their solutions, and return the best motion; with jumps held on their sides at
+        the ends of phases, and with further phases that end at jumps if the spec asks for these.
+        """
+        if self.spec.switching:
+            original = self.transcription
+            found = yield from self._switched((yield from self._search(is_brief=True)))
+            if self.stop.now or (found.meshes and not found.is_doubtful):
+                return found
+            self.transcription, self.switching = original, None  # a jump of the first mesh may be none on a finer one
+        return (yield from self._switched((yield from self._search())))
+
+    def _switched(self, found: Optimum) -> _Search:
+        """Return the best motion with phases that end at the jumps of another one; that itself without any."""
+        for _ in range(SWITCHINGS):
+            if self.stop.now or not found.jumps:
+                break
+            is_passed = self.switching is not None or any(jump.name for jump in found.jumps)
+            is_divided = is_passed and self.spec.switching == "auto"
+            switching = switching_of(found.transcription, found.mesh, found.jumps, is_divided=is_divided)
+            if isinstance(switching, str):
+                return replace(found, doubt=switching or found.doubt)
+            self.transcription, self.switching = found.transcription.switched(switching), switching
+            switched = yield from self._search()
+            if not switched.meshes:
+                break
+            found = self._checked(switched)
+            if not found.is_doubtful:
+                break
+        return found
+
+    def _checked(self, found: Optimum) -> Optimum:
+        """Return an optimum with the error that is due to jumps that are held, and a doubt if that is large."""
+        change, impulse = change_by_held(found.transcription, found.mesh)
+        error = found.error + HIGHER_ORDER * abs(change)
+        limit = self.spec.tolerance * abs(found.objective) + NOTHING * found.mesh.size
+        doubt = HELD.format(change=change, impulse=impulse)
+        is_small = error <= limit and impulse <= math.sqrt(self.spec.tolerance)
+        return replace(found, error=error, doubt="" if is_small else doubt)
+
+    def _search(self, *, is_brief: bool = False) -> _Search:
+        """Refine meshes; with `is_brief`, return the first one if its motion passes a jump."""
+        self.meshes, self.problems, self.wandered = [], {}, False
+        mesh, error, reason = (yield from self._begin(is_brief=is_brief)), math.nan, ""
+        if is_brief and not self.stop.now:
+            jumps, own = jumps_along(self.transcription, mesh), [mesh] * _solution(mesh).is_optimum
+            if any(jump.name for jump in jumps):
+                return self._optimum(mesh, own, error, self._failure(mesh), jumps)
         divisions, is_resolved = 0, False
         while _solution(mesh).is_optimum:
             opens, joints = self.transcription.openings(mesh)
@@ -225,13 +288,16 @@ class _MeshSearch:
             reason = self._failure(mesh)
         best = self.meshes[-1] if self.meshes else mesh
         error = error if math.isfinite(error) else math.nan
-        method = self.problems[len(best.grid.c)]
-        jumps = jumps_along(method, best) if self.meshes and not self.stop.now else []
-        return Optimum(
-            method, best, self.meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered
-        )
+        jumps = jumps_along(self.problems[len(best.grid.c)], best) if self.meshes and not self.stop.now else []
+        return self._optimum(best, self.meshes, error, reason, jumps)
 
-    def _begin(self, coarser: Mesh | None = None) -> _Solving:
+    def _optimum(
+        self, mesh: Mesh, meshes: Sequence[Mesh], error: float, reason: str, jumps: Sequence[Jump]
+    ) -> Optimum:  # fmt: skip
+        method = self.problems[len(mesh.grid.c)]
+        return Optimum(method, mesh, meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered)
+
+    def _begin(self, coarser: Mesh | None = None, *, is_brief: bool = False) -> _Solving:
         """Solve from all first guesses, and from the motion of a coarser mesh, without its multipliers; return the best
         solution.
         """
@@ -241,17 +307,24 @@ class _MeshSearch:
             method = method.of_high_order()
             moved = [self.transcription.moved(coarser, method, np.full(len(coarser.grid.phase), 2))]
             grid = moved[0].grid
-        guesses = [method.guess(random if k else None, self.stop, grid) for k in range(self.spec.starts)] + moved
+        switching = self.switching if coarser is None else None
+        count = 1 if switching else self.spec.starts
+        guesses = [method.guess(random if k else None, self.stop, grid) for k in range(count)] + moved
         meshes = yield [
-            (method, guess, ITERATIONS_OF_START if k else MOST_ITERATIONS) for k, guess in enumerate(guesses)
+            (method, guess, ITERATIONS_OF_START if k or is_brief else MOST_ITERATIONS)
+            for k, guess in enumerate(guesses)
         ]
         self.transcription, self.problems[len(method.c)], self.halved = method, method, len(self.meshes)
         is_credible = [len(meshes) == 1 or self._is_credible(mesh) for mesh in meshes]
-        self.start = min(range(len(meshes)), key=lambda k: (not is_credible[k], *_order(meshes[k])))
-        self.starts = [_solution(x).objective if _solution(x).is_optimum else np.nan for x in meshes]
-        self.first, why = meshes[self.start], "first mesh" if coarser is None else "anew, all intervals halved"
+        start = min(range(len(meshes)), key=lambda k: (not is_credible[k], *_order(meshes[k])))
+        self.first, why = meshes[start], "first mesh" if coarser is None else "anew, all intervals halved"
+        if switching:
+            why = f"phases end at jumps: t = {listed([f'{t:.4g}' for t in switching.times], 'and')} s"
+        else:
+            self.starts = [_solution(x).objective if _solution(x).is_optimum else np.nan for x in meshes]
+            self.start = start
         self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
-        if coarser is not None and not is_credible[self.start] and _solution(self.first).is_optimum and self._can_begin:
+        if coarser is not None and not is_credible[start] and _solution(self.first).is_optimum and self._can_begin:
             return (yield from self._begin(self.first))
         return self.first
 

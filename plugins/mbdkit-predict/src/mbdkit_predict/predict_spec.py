@@ -149,8 +149,8 @@ class PredictSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit spec of a prediction", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "parameters", "estimates", "optimized", "duration", "phases", "initial", "final", "subject_to", "periodic",
-        "measured", "sensitivities", "compare", "guess", "starts", "seed", "limits",
+        "parameters", "estimates", "optimized", "duration", "phases", "switching", "initial", "final", "subject_to",
+        "periodic", "measured", "sensitivities", "compare", "guess", "starts", "seed", "limits",
     )  # fmt: skip
 
     mbdkit_predict: FormatVersion
@@ -165,6 +165,9 @@ class PredictSpec(ModelSpec):
     """Duration of the motion [s], or its bounds; needed without `phases`."""
     phases: list[Phase] = Field(default_factory=list)
     """Parts of the motion, each with a duration and conditions of its own; states are continuous."""
+    switching: Literal["auto"] | None = None
+    """With `auto`, phases have parts that end where the motion passes a jump of a force, a rate or an integrand, at
+    times that are optimized. By default, such a jump is a doubt."""
     initial: dict[str, Wanted] = Field(default_factory=dict)
     """Values at the start, or their bounds, by expression of quantities; by default, nothing but the joints."""
     final: dict[str, Wanted] = Field(default_factory=dict)
@@ -214,6 +217,8 @@ class PredictSpec(ModelSpec):
             raise SpecError("is missing: a number [s], `bounds`, or `phases` with a duration each", key="duration")
         if self.duration is not None and self.phases:
             raise SpecError("has no effect, because each of the `phases` has its own", key="duration")
+        if self.switching and self.measured:
+            raise SpecError("has no effect with `measured` functions, which need fixed times", key="switching")
         for name in self.measured:
             check_name(name, f"measured.{quoted(name)}")
         if used := parameters_in_use(self.parameters, [self.minimize]) & {*self.optimized, *self.sensitivities}:

@@ -26,7 +26,7 @@ from mbdkit.runs.finish import finish_states
 from mbdkit.runs.provenance import model_provenance
 from mbdkit.trust.criteria import Judgement
 from mbdkit_predict.casadi_system import CasadiSystem
-from mbdkit_predict.forward_run import Difference, forward_difference
+from mbdkit_predict.forward_run import BESIDE, Difference, forward_difference
 from mbdkit_predict.grid import weights
 from mbdkit_predict.objective import objective_of
 from mbdkit_predict.optimum import Optimum, find_optima
@@ -90,13 +90,21 @@ def _simpler(spec: PredictSpec) -> Transcription | None:
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return times (T,), positions and velocities (T, n), and first-order states with controls (T, Z).
 
-    The rows are the start, the collocation points, and the end if it is no such point.
+    The rows are the start, the collocation points, and the end if it is no such point. Rows at jumps are just before.
     """
     mesh, method = result.mesh, result.transcription
-    values, nodes, s = mesh.values, method.nodes(mesh), len(method.c)
+    values, nodes, s = dict(mesh.values), method.nodes(mesh), len(method.c)
+    times = mesh.times.copy()
+    if method.sides.size and not method.has_nodes:
+        jumping = np.array(mesh.grid.ends_of_phases())
+        columns, lengths = (jumping + 1) * s - 1, values["duration"] @ mesh.grid.lengths[:, jumping]
+        times[columns] -= BESIDE * lengths
+        for name in "qvz":
+            values[name] = values[name].copy()
+            values[name][:, columns] = method.values_at(mesh, name, np.full(len(jumping), 1.0 - BESIDE), jumping)
     at_end = [nodes[:, -1]] * method.has_nodes
     own = np.column_stack([nodes[:, 0], np.vstack([values[name] for name in "qvz"]), *at_end])
-    time = np.concatenate([[0.0], mesh.times, [values["duration"].sum()] * method.has_nodes])
+    time = np.concatenate([[0.0], times, [values["duration"].sum()] * method.has_nodes])
     size = 3 * len(method.system.bodies)
     q, v, z = np.split(method.states_of_bodies(mesh, own, time), [size, 2 * size])
     low, high, _ = method.limits["u"]
@@ -181,11 +189,13 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
     doubts = list[str]()
-    for jump in result.jumps[:1]:
+    for jump in [jump for jump in result.jumps if jump.name][:1]:
         doubts.append(
             f"{jump.name} jumps, or almost jumps, at t = {jump.time:.4g} s, and the optimizer does not know how this "
-            "time changes with the motion: make it smooth, or begin one of the `phases` at this state."
+            "time changes with the motion: make it smooth, give `switching: auto`, or begin one of the `phases` there."
         )
+    if result.doubt:
+        doubts.append(result.doubt)
     if result.reason:
         doubts.append(UNKNOWN if np.isnan(result.error) else INACCURATE)
     elif result.spec.tolerance * abs(result.objective) < result.error < abs(result.objective):
@@ -206,7 +216,7 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
             f"The motion is unstable: in a forward run, differences of {forward.of_intervals:.2g} of its range in the "
             f"sum of all intervals grow to {forward.largest:.2g}; without feedback, the controls do not reproduce it."
         )
-    if result.spec.compare and (rival is None or rival.reason or rival.jumps):
+    if result.spec.compare and (rival is None or rival.reason or rival.is_doubtful):
         doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
     known = (ESTIMATED, result.basin) if result.basin else (ESTIMATED,)
     return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", known)

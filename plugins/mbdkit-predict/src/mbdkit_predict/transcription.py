@@ -18,6 +18,7 @@ States are continuous from phase to phase, because the end of an interval is the
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,7 @@ from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem
 from mbdkit_predict.grid import IntervalGrid, breaks_of, weights
-from mbdkit_predict.guessed_motion import archived_motion, solved_motion
+from mbdkit_predict.guessed_motion import GuessedMotion, archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import (
     MOST_ITERATIONS,
     NonlinearProgram,
@@ -41,14 +42,12 @@ from mbdkit_predict.nonlinear_program import (
     solve_pose,
 )
 from mbdkit_predict.objective import Objective
+from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, Held, PointFunctions, at_node
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
-from mbdkit_predict.predict_spec import Duration, PathCondition, PredictSpec, Variable
+from mbdkit_predict.predict_spec import PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
-#: Symbols that are not known at the start and the end of a motion, only at collocation points.
-OF_STATE = ("a", "lam", "u")
-OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")  #: Unknowns with a column for each collocation point.
 #: Parts into which intervals are divided, and those in which controls or accelerations are discontinuous.
 CUTS = 2, 8
 #: Intervals are divided into more parts if jumps at their ends are larger than this multiple of the median.
@@ -58,6 +57,8 @@ JOINTS = "the joints at the ends of intervals"  #: Names of conditions.
 #: Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`.
 WEIGHT_OF_START = 10.0
 MANY_POINTS = {"radau": 7, "gauss": 5}  #: Collocation points of meshes on which the search begins anew.
+FEWEST = 4  #: Least number of intervals of a part of a phase.
+SHORTEST = 1e-6  #: Shortest part, as a share of the longest duration of its phase.
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
@@ -86,6 +87,37 @@ class Mesh:
         return np.asarray(self.values["duration"] @ self.grid.points)
 
 
+@dataclass(frozen=True)
+class Switching:
+    """Parts of phases, which end at jumps.
+
+    Attributes
+    ----------
+    times
+        Times of the jumps in the motion from which the search begins.
+    phases : (P,) array of int
+        Phase of the spec to which each part belongs.
+    durations : (P,) array
+        Durations of the parts in that motion [s].
+    surfaces
+        By part, an expression that is zero at its end; the last part of a phase has none.
+    values : (K, P) array
+        Values of the operations that jump, in each part.
+    held
+        These operations.
+    motion
+        The motion from which the search begins.
+    """
+
+    times: tuple[float, ...]
+    phases: np.ndarray
+    durations: np.ndarray
+    surfaces: Mapping[int, ca.SX]
+    values: np.ndarray
+    held: Held
+    motion: GuessedMotion
+
+
 class _PathOfPhase(NamedTuple):
     name: str
     expression: ca.SX
@@ -98,13 +130,18 @@ class _PathOfPhase(NamedTuple):
 class Transcription:
     """The optimal control problem of a spec, for any grid.
 
-    The solution of `simpler` on its first mesh is the first guess.
+    The solution of `simpler` on its first mesh is the first guess. With `switching`, phases have parts.
     """
 
     def __init__(
-        self, spec: PredictSpec, system: CasadiSystem, objective: Objective, simpler: Transcription | None = None
+        self,
+        spec: PredictSpec,
+        system: CasadiSystem,
+        objective: Objective,
+        simpler: Transcription | None = None,
+        switching: Switching | None = None,
     ):
-        self.spec, self.system, self.objective = spec, system, objective
+        self.spec, self.system, self._given_objective = spec, system, objective
         is_fixed = len(system.q0) <= len(system.constraint_names) and not system.state_names
         if is_fixed and not any(joint.is_driver for joint in spec.mechanism().joints.values()):
             reason = (
@@ -114,13 +151,27 @@ class Transcription:
         self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
-        self._known_motion = archived_motion(spec, system) if isinstance(spec.guess, str) else None
-        durations = [phase.duration for phase in spec.whole.values()]
-        lengths = [float(np.mean(x.bounds)) if isinstance(x, Duration) else x for x in durations]
+        is_archived = switching is None and isinstance(spec.guess, str)
+        self._known_motion = archived_motion(spec, system) if is_archived else None
+        phases = list(spec.whole.items())
+        self.phase_of, self.sides = np.arange(len(phases)), np.zeros((0, len(phases)))
+        durations: list[float | Variable] = [phase.duration for _, phase in phases]
+        lengths = [float(np.mean(x.limits)) if isinstance(x, Variable) else x for x in durations]
+        self._totals = [x.limits if isinstance(x, Variable) else (x, x) for x in durations]
+        surfaces, held = dict[int, ca.SX](), None
+        if switching is not None:
+            self._known_motion, self.phase_of, self.sides = switching.motion, switching.phases, switching.values
+            surfaces, lengths, held = dict(switching.surfaces), switching.durations.tolist(), switching.held
+            durations = [
+                Variable.model_construct(bounds=(SHORTEST * self._totals[k][1], self._totals[k][1]), start=length)
+                if sum(self.phase_of == k) > 1
+                else durations[k]
+                for k, length in zip(self.phase_of.tolist(), lengths, strict=True)
+            ]
         self.limits = {
             "u": _limits(map(spec.control, self.system.control_names), self.system.u0),
             "p": _limits(map(spec.optimized.get, self.system.parameter_names), self.system.p0),
-            "duration": _limits((x if isinstance(x, Duration) else None for x in durations), lengths),
+            "duration": _limits((x if isinstance(x, Variable) else None for x in durations), lengths),
         }
         self._set_points(spec.collocation.points)
         self.has_nodes = spec.collocation.method == "gauss"
@@ -134,8 +185,10 @@ class Transcription:
         self.objective = replace(objective, finals=finals)
         self._initial = self._conditions("initial", spec.initial, 0.0)
         self._ends = [
-            self._conditions(f"{place}final", phase.final, at)
-            for (place, phase), at in zip(spec.whole.items(), ends, strict=True)
+            {f"the jump at the end of part {k}": (surfaces[k], 0.0, 0.0)}
+            if k in surfaces
+            else self._conditions(f"{phases[of][0]}final", phases[of][1].final, at)
+            for k, (of, at) in enumerate(zip(self.phase_of.tolist(), ends, strict=True))
         ]
         self._ends[-1] |= self._conditions("final", spec.final, ends[-1]) if spec.phases else {}
         self._periodic = [
@@ -145,7 +198,7 @@ class Transcription:
         ]  # fmt: skip
         self._path: list[_PathOfPhase] = []
         self._bounded: list[tuple[str, int, _PathOfPhase]] = []
-        for k, (place, phase) in enumerate(spec.whole.items()):
+        for k, (place, phase) in enumerate(phases):
             self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
@@ -153,13 +206,20 @@ class Transcription:
             self._path.append(_PathOfPhase(f"peak {k} of the objective", peak, -np.inf, 0.0, None, k))
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
         self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
-        self.stage = self._stage_function()
-        self._projection, self._weights = self._projection_function()
+        path = ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path))
+        self.functions = PointFunctions(system, objective, path, self._weight, held)
+        self.stage = self.functions.stage
         self._idle = self._without_effect()
 
     def _set_points(self, points: int) -> None:
         method = radau_iia if self.spec.collocation.method == "radau" else gauss
         self.a, self.b, self.c = method.tableau(points).floats()
+
+    def switched(self, switching: Switching) -> Transcription:
+        """Return the problem with phases that have parts."""
+        other = Transcription(self.spec, self.system, self._given_objective, None, switching)
+        other.a, other.b, other.c = self.a, self.b, self.c
+        return other
 
     def of_high_order(self) -> Transcription:
         """Return the problem with as many collocation points as meshes have on which the search begins anew."""
@@ -216,7 +276,7 @@ class Transcription:
             if index == len(durations) - 1:  # values at the end that follow from the pose at the start
                 known = np.concatenate([poses[0], 0.0 * poses[0], system.z0])
                 for name, at_last, at_first in self._periodic:
-                    value = float(self._at_node(at_first)(known, system.p0, 0.0))
+                    value = float(at_node(system, at_first)(known, system.p0, 0.0))
                     conditions = conditions | {name: (at_last, value, value)}
             if conditions or index == len(durations) - 1:
                 knots.append(float(end))
@@ -265,8 +325,12 @@ class Transcription:
         functions of time, up to the first phase whose duration is free.
         """
         spec, begin = self.spec, 0.0
+        counts = [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()]
+        lengths = self.limits["duration"][2]
+        shares = lengths / np.bincount(self.phase_of, lengths)[self.phase_of]
         grid = IntervalGrid.uniform(
-            [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()], self.c
+            [max(math.ceil(counts[k] * x), min(FEWEST, counts[k])) for k, x in zip(self.phase_of, shares, strict=True)],
+            self.c,
         )
         for k, (low, high, _) in enumerate(self.limits["duration"].T.tolist()):
             if low < high:
@@ -368,7 +432,7 @@ class Transcription:
             slopes[name] = values[:, nearest] * new
         costates = self._costates(mesh)[:, nearest].reshape(len(mesh.values["start"]), s, -1, order="F")
         if self.has_nodes:
-            slopes[ENDS], slopes["nodes"] = costates[:, -1] / self._weights, 0.0 * costates[:, -1]
+            slopes[ENDS], slopes["nodes"] = costates[:, -1] / self.functions.weights, 0.0 * costates[:, -1]
             slopes[JOINTS] = slopes["jumps"] = np.zeros((2 * len(self.system.constraint_names), len(grid.phase)))
             costates = costates - costates[:, -1:]
         slopes[COLLOCATION] = self.b[:, None] * costates
@@ -418,71 +482,13 @@ class Transcription:
         misses = np.maximum(solution.values["over"], solution.values["under"])
         return {conditions[k].name: float(misses[part].max()) for k, part in zip(asked, parts, strict=True)}
 
-    def _stage_function(self) -> ca.Function:
-        """Return the function of a collocation point: joints and fibres, q', z', integrands, forces, and path."""
-        system, m = self.system, len(self.system.constraint_names)
-        mu = ca.SX.sym("mu", m)
-        given = list(system.symbols.values())
-        position, velocity, _ = system.constraints(*given)
-        turn = ca.mtimes(ca.jacobian(position, system.q).T, mu) if m else 0.0
-        results = [
-            ca.vertcat(position, velocity, system.equilibrium(*given)), system.v + turn, system.rates(*given),
-            self.objective.integrands, system.residual(*given) / self._weight,
-            ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path)),
-        ]  # fmt: skip
-        self._curvature = self._curvature_function(results, mu)
-        known = {**system.symbols, "mu": mu}
-        variables = ca.vertcat(*(known[name] for name in OF_POINTS), system.p, system.t, ca.SX.sym("h"))
-        self._slopes = ca.Function("slopes", [*given, mu], [ca.cse(ca.jacobian(ca.vertcat(*results), variables))])
-        self._integrands = ca.Function("integrands", [*given, mu], [self.objective.integrands])
-        return ca.Function("point", [*given, mu], ca.cse(results))
-
-    def _projection_function(self) -> tuple[ca.Function, np.ndarray]:
-        """Return the function of the end of an interval with Gauss methods, whose values are zero in the projection,
-        and the weights (2 n + Z, 1) of the states in these.
-
-        Its arguments are the state, parameters and the time there, how far the state is from that of the collocation,
-        and the multipliers nu and kappa.
-        """
-        system, m, n = self.system, len(self.system.constraint_names), len(self.system.q0)
-        given = list(system.symbols.values())
-        position, velocity, _ = system.constraints(*given)
-        jacobian = ca.jacobian(position, system.q)
-        is_held = np.array(ca.which_depends(position, system.q, 1)) if m else np.zeros(n, dtype=bool)
-        start = [np.concatenate([system.q0, system.v0, system.z0]), system.p0, 0.0]
-        mass = np.array(self._at_node(ca.diag(ca.jacobian(system.residual(*given), system.a)))(*start)).ravel()
-        weight = np.concatenate([np.ones(n), np.where(is_held, mass, 1.0), np.ones(system.z.numel())])
-        shift, jumps = ca.SX.sym("shift", len(weight)), ca.SX.sym("jumps", 2 * m)
-        pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
-        moved = ca.DM(weight) * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
-        projection = self._at_node(moved, ca.vertcat(position, velocity), further=(shift, jumps))
-        return projection, weight[:, None]
-
-    def _curvature_function(self, results: Sequence[ca.SX], mu: ca.SX) -> ca.Function:
-        """Return the function of a collocation point that is the Hessian of its part of the Lagrangian, by `OF_POINTS`,
-        parameters, time, and length of the interval.
-        """
-        closed, position_rates, rates, integrands, balance, path = results
-        known = {**self.system.symbols, "mu": mu}
-        slopes, motion = ca.vertcat(position_rates, self.system.a, rates), ca.vertcat(balance, closed)
-        h = ca.SX.sym("h")
-        costates, of_motion, of_path, weights = (
-            ca.SX.sym("lam", x.numel()) for x in (slopes, motion, path, integrands)
-        )
-        lagrangian = (
-            ca.dot(of_motion, motion)
-            + ca.dot(of_path, path)
-            + h * (ca.dot(weights, integrands) - ca.dot(costates, slopes))
-        )
-        variables = ca.vertcat(*(known[name] for name in OF_POINTS), self.system.p, self.system.t, h)
-        hessian, _ = ca.hessian(lagrangian, variables)
-        return ca.Function("curvature", [variables, costates, of_motion, of_path, weights], [ca.cse(hessian)])
-
     def _without_effect(self) -> np.ndarray:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
         ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
-        results = self.stage(*system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)))
+        results = self.stage(
+            *system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)), ca.DM(self.sides[:, :1])
+        )
         known = [x for k, x in enumerate(results) if k != 1]  # without q'
         everything = ca.vertcat(*known, self.objective.finals, *ends, *(x for _, *both in self._periodic for x in both))
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
@@ -500,12 +506,13 @@ class Transcription:
         x = {name: ca.MX.sym(name, *lower.shape) for name, (lower, _) in bounds.items()}
         h = ca.mtimes(x["duration"].T, ca.sparsify(ca.DM(grid.lengths)))
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
-        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"]]
+        given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"],
+                 ca.MX(ca.DM(self.sides_at(grid, s)))]  # fmt: skip
         values: Any = self.stage.map(total)(*given)
         sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
         results = ca.MX.sym("results", sizes[-1], total)
         closed, position_rates, rates, _, balance, path = ca.vertsplit(results, sizes)
-        integrands = self._integrands.map(total)(*given)
+        integrands = self.functions.integrands.map(total)(*given)
         states, slopes = ca.vertcat(x["q"], x["v"], x["z"]), ca.vertcat(position_rates, x["a"], rates)
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
@@ -522,7 +529,7 @@ class Transcription:
         if self.has_nodes:
             whole = ca.mtimes(slopes, ca.kron(each, ca.DM(self.b))) * ca.repmat(h, states.shape[0], 1)
             at_ends = ca.mtimes(x["duration"].T, ca.DM(grid.ends))
-            moved, joined = self._projection.map(count)(
+            moved, joined = self.functions.projection.map(count)(
                 ends, ca.repmat(x["p"], 1, count), at_ends, ends - begins - whole, x["jumps"]
             )
             conditions += [ProgramCondition(ENDS, moved), ProgramCondition(JOINTS, joined)]
@@ -531,26 +538,32 @@ class Transcription:
         rows: Any = system.constraints(*system.symbols.values())[:2]
         for name, zeros in (("the joints at the start", rows), ("the equilibrium of fibres at the start", at_rest)):
             if any(zero.numel() for zero in zeros):
-                conditions.append(ProgramCondition(name, self._at_node(ca.vertcat(*zeros))(start, x["p"], 0.0)))
+                conditions.append(ProgramCondition(name, at_node(system, ca.vertcat(*zeros))(start, x["p"], 0.0)))
         at: list[Any] = [ca.sum1(x["duration"][: k + 1]) for k in range(len(self._ends))]
         nodes = [(start, 0.0), *((ends[:, k], t) for k, t in zip(grid.ends_of_phases(), at, strict=True))]
         for (state, t), asked in zip(nodes, (self._initial, *self._ends), strict=True):
             for name, (expression, low, high) in asked.items():
-                conditions.append(ProgramCondition(name, self._at_node(expression)(state, x["p"], t), low, high))
+                conditions.append(ProgramCondition(name, at_node(system, expression)(state, x["p"], t), low, high))
+        for k, (low, high) in enumerate(self._totals):
+            parts = np.flatnonzero(self.phase_of == k).tolist()
+            if len(parts) > 1:
+                conditions.append(ProgramCondition(f"duration {k}", ca.sum1(x["duration"][parts]), low, high))
         for name, at_last, at_first in self._periodic:
-            change = self._at_node(at_last)(end, x["p"], duration) - self._at_node(at_first)(start, x["p"], 0.0)
+            change = at_node(system, at_last)(end, x["p"], duration) - at_node(system, at_first)(start, x["p"], 0.0)
             conditions.append(ProgramCondition(name, change))
         for k, condition in enumerate(self._path):
             points = self._points(grid, condition)
             along = path[k, points.tolist()] - (0.0 if condition.peak is None else x["peak"][condition.peak])
             conditions.append(ProgramCondition(condition.name, along, condition.low, condition.high, points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
-        finals = self._at_node(self.objective.finals)(end, x["p"], duration)
+        finals = at_node(system, self.objective.finals)(end, x["p"], duration)
         objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
         outer = [condition.value for condition in conditions]
         column: Any = ca.vertcat(*map(ca.vec, outer))
-        jacobian = PointJacobian(variables, results, self._slopes.map(total)(*given), column, ca.vertcat(*values))
+        jacobian = PointJacobian(
+            variables, results, self.functions.slopes.map(total)(*given), column, ca.vertcat(*values)
+        )
         columns: Any = ca.substitute(outer, [results], [jacobian.values])
         conditions = [condition._replace(value=value) for condition, value in zip(conditions, columns, strict=True)]
         slope = self._slope_of_integrals()
@@ -563,9 +576,10 @@ class Transcription:
                 for path in self._path
             ]
             weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
-            return self._curvature.map(total)(
-                variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight
-            )
+            return self.functions.curvature.map(total)(
+                variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight,
+                given[-1],
+            )  # fmt: skip
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
         rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
@@ -573,9 +587,9 @@ class Transcription:
 
     def _slope_of_integrals(self) -> np.ndarray | None:
         """Return the derivatives of the objective by its integrals; None if they are not constant."""
-        given, (low, high, _) = self.objective.value.sx_in(), self.limits["duration"]
-        if np.all(low == high):
-            given[3] = ca.SX(float(low.sum()))
+        given = self.objective.value.sx_in()
+        if all(low == high for low, high in self._totals):
+            given[3] = ca.SX(float(sum(low for low, _ in self._totals)))
         slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
         return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
 
@@ -587,7 +601,7 @@ class Transcription:
         given, slopes = self.objective.value.sx_in(), mesh.solution.slopes
         slope = ca.Function("slope", given, [ca.jacobian(self.objective.value(*given), given[0])])
         end, duration = self.nodes(mesh)[:, -1], mesh.values["duration"].sum()
-        finals = self._at_node(self.objective.finals)(end, mesh.values["p"], duration)
+        finals = at_node(self.system, self.objective.finals)(end, mesh.values["p"], duration)
         of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / np.kron(
             mesh.values["duration"] @ mesh.grid.lengths, self.b
         )
@@ -603,8 +617,14 @@ class Transcription:
         slopes, rows, s = mesh.solution.slopes, len(mesh.values["start"]), len(self.c)
         costates = slopes[COLLOCATION].reshape(rows, s, -1, order="F") / self.b[:, None]
         if self.has_nodes:
-            costates += (self._weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
+            costates += (self.functions.weights * slopes[ENDS].reshape(rows, -1, order="F"))[:, None]
         return np.asarray(costates.reshape(rows, -1, order="F"))
+
+    def sides_at(self, grid: IntervalGrid, count: int) -> np.ndarray:
+        """Return the values of the operations that jump at so many points in each interval, the last argument of
+        `stage`.
+        """
+        return self.sides[:, np.repeat(grid.phase, count)]
 
     def _points(self, grid: IntervalGrid, path: _PathOfPhase) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
@@ -612,7 +632,7 @@ class Transcription:
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
         the optimum would satisfy both conditions with slack, so that their multipliers were not unique.
         """
-        phases = np.repeat(grid.phase, len(self.c))
+        phases = np.repeat(self.phase_of[grid.phase], len(self.c))
         chosen = phases == (phases if path.phase is None else path.phase)
         for last, conditions in zip(grid.ends_of_phases(), self._ends, strict=True):
             for expression, low, high in conditions.values():
@@ -714,7 +734,7 @@ class Transcription:
         """Return the objective of a motion, with controls (U, N s)."""
         values, duration, (*_, integrands, _, along) = mesh.values, mesh.values["duration"], self._along(mesh, u)
         integrals = integrands @ np.kron(duration @ mesh.grid.lengths, self.b)
-        finals = self._at_node(self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
+        finals = at_node(self.system, self.objective.finals)(self.nodes(mesh)[:, -1], values["p"], duration.sum())
         peaks = [along[k].max() for k, path in enumerate(self._path) if path.peak is not None]
         return float(self.objective.value(integrals, finals, peaks, duration.sum()))
 
@@ -723,7 +743,12 @@ class Transcription:
         values, count = {**mesh.values, "u": u}, len(mesh.times)
         own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
         p = np.tile(values["p"][:, None], count)
-        return [*map(np.array, self.stage.map(count)(*own, p, mesh.times[None], values["mu"]))]
+        return [
+            *map(
+                np.array,
+                self.stage.map(count)(*own, p, mesh.times[None], values["mu"], self.sides_at(mesh.grid, len(self.c))),
+            )
+        ]
 
     @property
     def _length(self) -> float:
@@ -766,14 +791,6 @@ class Transcription:
             for text, value in wanted.items()
         }
 
-    def _at_node(self, *expressions: ca.SX, further: tuple[ca.SX, ...] = ()) -> ca.Function:
-        """Return expressions as a function of the state (2 n + Z,), the parameters, the time, and further symbols."""
-        system = self.system
-        state = ca.vertcat(system.q, system.v, system.z)
-        unknown = {name: ca.SX.zeros(*system.symbols[name].shape) for name in OF_STATE}
-        plain = ca.substitute([*expressions], [system.symbols[name] for name in unknown], list(unknown.values()))
-        return ca.Function("node", [state, system.p, system.t, *further], plain)
-
     def slopes_of_conditions(self, state: np.ndarray, p: np.ndarray, time: float, node: int | None) -> np.ndarray:
         """Return the derivatives (K, 2 n + Z + 1), by the state and the time, of what is fixed in a state (2 n + Z,):
         the joints and, at the start or the end of a phase, a `node` from 0 on, the values that the spec gives.
@@ -785,7 +802,7 @@ class Transcription:
         known = system.z[np.flatnonzero(~self._is_free).tolist()] if node == 0 else ca.SX(0, 1)
         rows = ca.vertcat(*system.constraints(*system.symbols.values())[:2], *asked, known)
         slopes = ca.jacobian(rows, ca.vertcat(system.q, system.v, system.z, system.t))
-        return np.array(self._at_node(slopes)(state, p, time))
+        return np.array(at_node(system, slopes)(state, p, time))
 
     def _nearest(self, q: np.ndarray, conditions: Mapping[str, tuple[ca.SX, float, float]], t: float) -> np.ndarray:
         """Return the positions nearest to `q` that satisfy the constraints, and conditions of positions only."""
@@ -794,7 +811,7 @@ class Transcription:
         wanted = [row for row in conditions.values() if not any(ca.depends_on(row[0], x) for x in others)]
         rows = ca.vertcat(system.constraints(*system.symbols.values())[0], *(row[0] for row in wanted))
         still = ca.vertcat(system.q, ca.SX.zeros(len(q) + len(system.z0)))
-        program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": self._at_node(rows)(still, system.p0, t)}
+        program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": at_node(system, rows)(still, system.p0, t)}
         low, high = ([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)] for k in (1, 2))
         return solve_pose(program, x0=q, lbg=low, ubg=high)
 

@@ -115,26 +115,55 @@ def test_jumps_that_no_change_of_the_motion_moves_are_no_doubts() -> None:
         assert optimum is None or abs(run.objective - optimum) <= run.objective_error
 
 
-@pytest.mark.slow
-def test_a_jump_at_the_end_of_a_phase_is_right() -> None:
-    # x = 0.5 ends the first phase, after a time T with a velocity v; a force of 10 N acts in the second one
-    def effort(end: float, speed: float) -> float:
-        x, v = 0.5 + 5.0 * (1.0 - end) ** 2 - speed * (1.0 - end), 10.0 * (1.0 - end) - speed
-        first, last = ((12 * x**2 / h**3 - 12 * x * v / h**2 + 4 * v**2 / h)
-                       for x, v, h in ((0.5, speed, end), (x, v, 1.0 - end)))  # fmt: skip
-        return float(first + last)
+def effort_of_phases(ends: Any, states: Any, loads: Any) -> float:
+    """Return the least effort of 1 kg that passes states (x, v) at the ends of phases with constant loads."""
+    total, begin, (place, speed) = 0.0, 0.0, (0.0, 0.0)
+    for end, (x, v), load in zip(ends, states, loads, strict=True):
+        h = end - begin
+        way, change = x - place - speed * h - 0.5 * load * h**2, v - speed - load * h
+        total += 12 * way**2 / h**3 - 12 * way * change / h**2 + 4 * change**2 / h
+        begin, place, speed = end, x, v
+    return total
 
-    exact = minimize(
-        lambda x: effort(*x), [0.6, 1.0], method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-12}
-    ).fun
-    free = {"bounds": [0.1, 0.9]}
-    spec = loaded(
-        "-5*(1 + tanh(1e6*(block.x - .5)))", duration=None, final={"block.x": 1, "block.vx": 0, "t": 1.0},
-        phases=[{"duration": free, "final": {"block.x": 0.5}}, {"duration": free}],
-    )  # fmt: skip
-    run = mbdkit.predict(spec)
-    assert run.verdict == "good"
-    assert run.objective == pytest.approx(exact, rel=1e-5)
+
+def least(effort: Any, guess: list[float]) -> float:
+    options = {"xatol": 1e-10, "fatol": 1e-13, "maxiter": 20_000, "maxfev": 20_000}
+    return float(minimize(effort, guess, method="Nelder-Mead", options=options).fun)
+
+
+FREE = {"bounds": [0.1, 0.9]}
+PUSHED_BACK = "-5*(1 + tanh(1e6*(block.x - .5)))"
+BY_HAND: dict[str, Any] = {
+    "duration": None, "final": {"block.x": 1, "block.vx": 0, "t": 1.0},
+    "phases": [{"duration": FREE, "final": {"block.x": 0.5}}, {"duration": FREE}],
+}  # fmt: skip
+AUTO = {"switching": "auto"}
+
+
+@pytest.mark.parametrize(
+    ("value", "sections", "exact"),
+    [
+        (PUSHED_BACK, AUTO, "place"),
+        pytest.param(PUSHED_BACK, BY_HAND, "place", marks=pytest.mark.slow),
+        pytest.param("-10*max(0, min(1, 1e8*(block.x - .5)))", AUTO, "place", marks=pytest.mark.slow),
+        ("-.5*(1 + (block.vx - .911)/abs(block.vx - .911))", AUTO, "speed"),
+    ],
+)
+def test_a_jump_at_the_end_of_a_phase_is_right(value: str, sections: dict[str, Any], exact: str) -> None:
+    right = {
+        # x = 0.5 ends the first phase, after a time T with a velocity v; a force of -10 N acts in the second one
+        "place": lambda: least(
+            lambda y: effort_of_phases([y[0], 1.0], [(0.5, y[1]), (1.0, 0.0)], [0.0, -10.0]), [0.6, 1.0]
+        ),
+        # a force of -1 N acts while the velocity is above 0.911 m/s, from T on, symmetric about half time
+        "speed": lambda: least(
+            lambda y: effort_of_phases([y[0], y[1], 1.0], [(y[2], 0.911), (y[3], 0.911), (1.0, 0.0)], [0.0, -1.0, 0.0]),
+            [0.2, 0.8, 0.1, 0.9],
+        ),
+    }[exact]()
+    run = mbdkit.predict(loaded(value, **sections))
+    assert run.verdict == "good", run.verdict_reasons
+    assert_within(run.objective - right, run.objective_error)
 
 
 @pytest.mark.parametrize("mass", [1e-6, 1e6])
