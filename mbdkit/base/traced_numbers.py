@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from types import CodeType
 from typing import Any
 
@@ -81,13 +82,19 @@ def recorded_functions() -> dict[str, Callable[..., Any]]:
     return {**higher_layers.elementary_functions(), **_FUNCTIONS}
 
 
+_serials = count()
+
+
 class Trace:
     """The operations and conditions that were recorded so far.
 
-    While it is `recording`, arrays that `float_array` makes of traced numbers are noted.
+    While it is `recording`, arrays that `float_array` makes of traced numbers are noted. If it `keeps_texts`,
+    expressions have names of traced numbers in place of their values.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, keeps_texts: bool = False) -> None:
+        self.keeps_texts, self.serial = keeps_texts, next(_serials)
+        self.named: dict[str, TracedNumber] = {}  #: Numbers in texts, by name.
         self._lines: list[str] = []
         self.arrays: dict[int, tuple[np.ndarray, dict[int, TracedNumber]]] = {}
         self.has_failed = False  #: Whether a number was lost; code may catch `UntraceableError`.
@@ -190,6 +197,40 @@ def _text(operand: Any) -> str:
     return f"({value!r})" if value < 0 or math.copysign(1.0, value) < 0 or not math.isfinite(value) else repr(value)
 
 
+class TracedText(str):
+    """An expression with names in place of traced numbers; `value` has their values."""
+
+    __slots__ = ("value",)
+    value: str
+
+
+def text_with(substitute: Callable[[Callable[[float], str]], str]) -> str:
+    """Return an expression that `substitute` makes, given a function that returns the text of a number in it.
+
+    If the current trace keeps texts, these are the names of traced numbers.
+    """
+    trace = _current.get()
+    if trace is None or not trace.keeps_texts:
+        return substitute(repr)
+
+    def text(number: float) -> str:
+        if not isinstance(number, TracedNumber):
+            return repr(number)
+        name = f"traced_{trace.serial}_{number.name}"  # programs of texts are cached
+        trace.named[name] = number
+        return name
+
+    result = TracedText(substitute(text))
+    result.value = substitute(lambda number: repr(plain(number)))
+    return result if result != result.value else result.value
+
+
+def named_number(name: str) -> float | None:
+    """Return the traced number that has this name in texts; None if there is none."""
+    trace = _current.get()
+    return None if trace is None else trace.named.get(name)  # type: ignore[return-value]
+
+
 def _power(base: float, exponent: float) -> float:
     value: float | complex = base**exponent
     if isinstance(value, complex):
@@ -288,7 +329,7 @@ class TracedNumber:
 
 def plain(value: Any) -> Any:
     """Return plain data, or a number, with values in place of traced numbers."""
-    if isinstance(value, TracedNumber):
+    if isinstance(value, TracedNumber | TracedText):
         return value.value
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
@@ -306,7 +347,9 @@ def is_traced(value: object) -> bool:
     """Return whether plain data, or a number, contains traced numbers."""
     if isinstance(value, Mapping):
         return any(map(is_traced, value.values()))
-    return any(map(is_traced, value)) if isinstance(value, list | tuple) else isinstance(value, TracedNumber)
+    return (
+        any(map(is_traced, value)) if isinstance(value, list | tuple) else isinstance(value, TracedNumber | TracedText)
+    )
 
 
 def as_float(value: Any) -> Any:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.base.traced_numbers import recordable
+from mbdkit.base.traced_numbers import named_number, recordable
 from mbdkit.base.units import read_unit
 from mbdkit.expressions.operations import FUNCTIONS, OPERATIONS
 from mbdkit.expressions.program import MAX_DEPTH, Instruction, Program, depth_of, execute
@@ -227,6 +227,8 @@ class Compiler:
                 return [("const", math.pi)]
             case ast.Name(id=name) if name in self.parameters:
                 return [("const", self.parameters[name])]
+            case ast.Name(id=name) if (number := named_number(name)) is not None:
+                return [("const", number)]
             case ast.Name(id=name) if name in FUNCTIONS or name in self.own_functions:
                 self.refuse(f"'{name}' is a function and needs its argument in parentheses", node)
             case ast.UnaryOp(op=ast.UAdd(), operand=operand):

@@ -24,7 +24,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, parse_path, path_text, value_text
 from mbdkit.base.strict_model import StrictModel, description
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.base.traced_numbers import as_float
+from mbdkit.base.traced_numbers import as_float, text_with
 from mbdkit.base.units import PLAIN, Unit, described_units, misfit, read_quantity, read_unit
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
@@ -449,7 +449,11 @@ def _value(text: str, kind: Kind, values: Values, path: Path) -> float | int | s
     own = kind if isinstance(kind, tuple) else (_COMPILERS[kind].variable,)
     known = {name: value for name, value in values.items() if name not in own}
     name = _NAME_ALONE if kind == "function of the state" else _NAME
-    return name.sub(lambda match: f"({known[match[0]]!r})" if match[0] in known else match[0], text)
+
+    def substitute(number_text: Callable[[float], str]) -> str:
+        return name.sub(lambda match: f"({number_text(known[match[0]])})" if match[0] in known else match[0], text)
+
+    return text_with(substitute) if kind == "function of the state" and path[:1] == ("model",) else substitute(repr)
 
 
 def _at(data: Any, path: Path) -> Any:

@@ -14,7 +14,7 @@ import annotated_types
 from pydantic import AfterValidator, BaseModel, BeforeValidator
 from pydantic.fields import FieldInfo
 
-from mbdkit.base.traced_numbers import TracedNumber, UntraceableError, is_recording, is_traced, plain
+from mbdkit.base.traced_numbers import TracedNumber, TracedText, UntraceableError, is_recording, is_traced, plain
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
@@ -39,6 +39,10 @@ def with_numbers(validated: Any, given: Any) -> Any:
     if isinstance(given, TracedNumber):
         if type(validated) is not float or validated != given.value:
             raise given.trace.failure("a traced number is changed by validation")
+        return given
+    if isinstance(given, TracedText):
+        if validated != given.value:
+            raise UntraceableError("a text with traced numbers is changed by validation")
         return given
     if isinstance(validated, BaseModel) and isinstance(given, Mapping):
         return _model_with_numbers(validated, given)
@@ -93,13 +97,17 @@ def _check(kind: Any, metadata: Sequence[Any], value: Any) -> None:
         if len(fits) != 1:
             raise UntraceableError("a number has several types")
         _check(fits[0], (), value)
-    elif not (kind is float and isinstance(value, TracedNumber)):
+    elif not (kind is float and isinstance(value, TracedNumber)) and not (
+        kind is str and isinstance(value, TracedText)
+    ):
         raise UntraceableError(f"the conditions of {kind} are not known")
 
 
 def _could_be(kind: Any, value: Any) -> bool:
     while get_origin(kind) is Annotated:
         kind = get_args(kind)[0]
+    if isinstance(value, TracedText):
+        return kind is str
     return kind is float if isinstance(value, TracedNumber) else get_origin(kind) is tuple
 
 

@@ -15,7 +15,7 @@ from mbdkit.engine.assembly import search_for
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.linear_systems import least_norm, product
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity
+from mbdkit.mechanism.mechanism_quantities import Coordinate, Quantity, RelativeAngle
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec.run_spec import RunSpec
 
@@ -79,6 +79,11 @@ class GivenStart:
         rate_rows, _, phi_t = self._rows(q, [one for one, _ in moving])
         aim = np.concatenate([-phi_t, [value for _, value in moving]])
         return (np.concatenate([phi, lack]), rows), (product(rate_rows, v) - aim, rate_rows)
+
+    def depend_on_coordinates_alone(self, values: Mapping[str, float | str]) -> bool:
+        """Return whether the quantities that have `values` are coordinates of bodies or differences of angles."""
+        given = [quantity for kind in self._given(values) for quantity, _ in kind.values()]
+        return all(isinstance(one, Coordinate | RelativeAngle) for one in given)
 
     def _given(
         self, values: Mapping[str, float | str]

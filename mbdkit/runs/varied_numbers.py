@@ -84,14 +84,17 @@ class Variant:
     watched: bool
 
     @classmethod
-    def of(cls, spec: RunSpec, paths: Sequence[Path], measures: Sequence[str] = ()) -> Variant:
-        """Record the formulas of a valid spec for the numbers at some key paths.
+    def of(
+        cls, spec: RunSpec, paths: Sequence[Path], measures: Sequence[str] = (), *, keeps_texts: bool = False
+    ) -> Variant:
+        """Record the formulas of a valid spec for the numbers at some key paths, also of those in functions of the
+        state if the trace `keeps_texts`.
 
         Raises an error, mostly UntraceableError, if the numbers are used in a way that cannot be recorded.
         """
         compiled, table = compile_mechanism(spec.mechanism()), timetable(spec, None)
         base = arrays_of(spec.mechanism(), compiled)
-        trace = Trace()
+        trace = Trace(keeps_texts=keeps_texts)
         with trace.recording():
             varied = _with_traced_numbers(spec, paths, trace)
             mechanism = varied.mechanism()
@@ -137,10 +140,14 @@ class VariedNumbers:
     - `paths`: key paths of numbers of the model, or of named parameters.
     - `spec`: function that returns the valid spec with other numbers, in the order of `paths`.
     - `measures`: see `LaneRuns`.
+    - `keeps_texts`: see `Variant.of`; the arrays are then all that may be used of the mechanisms.
     """
 
-    def __init__(self, paths: Sequence[Path], spec: Callable[[Sequence[float]], RunSpec], measures: Sequence[str] = ()):
-        self.paths, self.spec, self._measures = paths, spec, measures
+    def __init__(
+        self, paths: Sequence[Path], spec: Callable[[Sequence[float]], RunSpec], measures: Sequence[str] = (), *,
+        keeps_texts: bool = False,
+    ):  # fmt: skip
+        self.paths, self.spec, self._measures, self._keeps_texts = paths, spec, measures, keeps_texts
         self.variants: list[Variant] = []
         self._recorded = 0
 
@@ -188,7 +195,7 @@ class VariedNumbers:
             return None
         self._recorded += 1
         try:
-            variant = Variant.of(self.spec(numbers), self.paths, self._measures)
+            variant = Variant.of(self.spec(numbers), self.paths, self._measures, keeps_texts=self._keeps_texts)
         except (Exception, SystemExit):  # the spec is not valid, or code computes in a way that cannot be recorded
             return None
         if self.variants and variant.key != self.variants[0].key:

@@ -23,9 +23,10 @@ from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.motion_corners import corners_of
+from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import RunSetup
-from mbdkit.runs.varied_numbers import Variant
+from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
@@ -46,6 +47,7 @@ from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from,
 POSITION, VELOCITY = "position equations", "velocity equations"
 #: Largest change of a coordinate [m, rad] by which derivatives of matrices are differences of order 8.
 NUDGE = 0.001
+RECORDED = ("quantity", "number", "whole number", "function of the state")  #: Kinds of expressions that are recorded.
 #: Smallest change of parameters, relative to their sizes, with which it is tested whether arrays are linear.
 FURTHER = 0.01
 
@@ -147,6 +149,20 @@ class StartEquations:
         length = self.given.length
         return {POSITION: position + length, VELOCITY: velocity + max(length, float(np.max(np.abs(self.v))))}
 
+    def by_points(self, points: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the derivatives (R, K) of the residuals, given those of the parameters of the joints (P, 6, K).
+
+        The given quantities do not depend on these.
+        """
+        start = replace(self.given.start, q0=with_ground(self.q), v0=with_ground(self.v))
+        both = StartDerivatives(start, self.given.search.t0, np.zeros(self.given.n, dtype=bool)).by_points(points)
+        slopes = {}
+        residuals = (equations[0] for equations in self.given.equations(self.initial, self.q, self.v))
+        for name, residual, own in zip((POSITION, VELOCITY), residuals, both, strict=True):
+            slopes[name] = np.zeros((len(residual), points.shape[-1]))
+            slopes[name][: len(own)] = own
+        return slopes
+
     def completed(self, found: PreparedDerivatives) -> PreparedDerivatives:
         """Return derivatives with those of ``q`` and ``v`` in place of those of the residuals."""
         slopes, count = dict(found.seeds.arrays), len(found.error)
@@ -192,6 +208,8 @@ class RunPreparation(Preparation):
         but `initial` share them.
     equations
         Equations of the start, whose residuals take the place of the start in the arrays.
+    formulas
+        Recorded formulas of the arrays, by what they are formulas of; preparations of one base share them.
     """
 
     ROUNDED = ("q", "v", POSITION, VELOCITY)
@@ -205,11 +223,13 @@ class RunPreparation(Preparation):
         values: Mapping[Path, float] = MappingProxyType({}),
         prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
         equations: StartEquations | None = None,
+        formulas: dict[object, VariedNumbers] | None = None,
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
         self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
         self._starts = Starts()
         self._prepared, self._equations = {} if prepared is None else prepared, equations
+        self._formulas = {} if formulas is None else formulas
         self._base = spec
         self._own = self._with_values(values)
         self.spec, self.mechanism = self._own.spec, self._own.start.mechanism
@@ -241,8 +261,15 @@ class RunPreparation(Preparation):
         """See `Preparation.derivatives`.
 
         They are exact for parameters whose way to the arrays is recorded (`mbdkit.runs.varied_numbers`), and
-        differences for all others.
+        differences for all others. If equations determine the start, it is differentiated as an implicit function.
         """
+        given = self._own.given
+        if given is not None and self._equations is None:
+            equations = StartEquations(given, self.initial, self.base["q"][: given.n], self.base["v"][: given.n])
+            if equations.determine_the_start:
+                shared = self._specs, self.values, self._prepared
+                other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations, self._formulas)
+                return equations.completed(other.derivatives(parameters))
         recorded = self._recorded(parameters)
         if recorded is None or not np.any(recorded[1]):
             return self._by_differences(parameters)
@@ -256,28 +283,39 @@ class RunPreparation(Preparation):
         """Return exact derivatives, and (K,) which of them are known; None if there are none.
 
         The operations that lead to the arrays are recorded while the mechanism is built once more. A start that
-        assembly has changed is left to differences, and so are motions, whose values at the start it may depend on.
+        assembly has changed is left to differences, and so are motions, whose values at the start it may depend on,
+        parameters in functions of time, and initial values.
         """
-        own, paths = self._own, [one.path for one in parameters]
-        if own.given is not None or self.mechanism.extensions or any(path[0] == "initial" for path in paths):
+        own, equations = self._own, self._equations
+        written = self.spec.written.items()
+        texts = (text for path, text in written if path[0] != "model" or text.kind not in RECORDED)
+        unknown = {("parameters", name) for name in parameters_in_use(self.spec.parameters, texts)}
+        known = np.array([one.path[0] != "initial" and one.path not in unknown for one in parameters])
+        is_possible = own.given is None
+        if equations is not None:
+            is_possible = equations.given.depend_on_coordinates_alone(self.initial)
+        if self.mechanism.extensions or not (is_possible and np.any(known)):
             return None
+        plain = [one for one, is_known in zip(parameters, known, strict=True) if is_known]
+        values = np.array([one.value for one in plain])
         try:
-            variant = Variant.of(self.spec, paths)
-            values = np.array([one.value for one in parameters])
-            slopes = arrays_from(variant.places, variant.base, derivatives_of(variant.formulas, values.tolist()))
+            variant = self._numbers_of(plain).results(values.tolist())[0]  # type: ignore[index]
+            exact = derivatives_of(variant.formulas, values.tolist())
         except (Exception, SystemExit):  # code computes in a way that cannot be recorded
             return None
-        changes = WIDEST * np.array([self._scale(one) for one in parameters])
-        known = inside(variant.formulas, values, changes)
+        every = np.zeros((len(exact), len(parameters)))
+        every[:, known] = exact
+        slopes = arrays_from(variant.places, variant.base, every)
+        known[known] = inside(variant.formulas, values, WIDEST * np.array([self._scale(one) for one in plain]))
         known &= np.all([np.isfinite(x).reshape(-1, len(parameters)).all(axis=0) for x in slopes.values()], axis=0)
         touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
         never = np.zeros(len(parameters), dtype=bool)
         moves = touched.get("motion_values", never)
         starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
-        if own.start.assembled.changed:
+        if own.start.assembled.changed and equations is None:
             moves = moves | starts | touched.get("mass", never)
         known &= ~moves & ~(starts if len(self.mechanism.topology.functions) else never)
-        named = [one for one in parameters if one.path[0] == "parameters"]
+        named = [one for one in plain if one.path[0] == "parameters"]
         if named and own.numbers:
             changed = [(one.path, one.value + 0.01 * self._scale(one)) for one in named]
             with suppress(SpecError):
@@ -285,33 +323,38 @@ class RunPreparation(Preparation):
                 if all(np.array_equal(x, own.numbers[name]) for name, x in numbers.items()):
                     named = []
             known &= np.array([one not in named for one in parameters])
-        given = {name: slopes.pop(name, np.zeros((*self.base[name].shape, len(parameters)))) for name in "qv"}
+        given = [slopes.pop(name, np.zeros((len(self.mechanism.topology.mass.ravel()), len(known)))) for name in "qv"]
         if np.any(starts & known):
-            bodies = self.spec.mechanism().bodies
-            fixed = np.repeat([name in self.spec.mechanism().assembly.fix for name in bodies], 3)
-            points = slopes.get(
-                "pair_parameters", np.zeros((*self.mechanism.topology.pair_parameters.shape, len(known)))
-            )
-            begin = StartDerivatives(own.start, self.spec.time.start, fixed)
-            slopes |= begin.of(given["q"] * known, given["v"] * known, points * known)
+            shape = *self.mechanism.topology.pair_parameters.shape, len(known)
+            points = slopes.get("pair_parameters", np.zeros(shape)) * known
+            if equations is None:
+                bodies, fix = self.spec.mechanism().bodies, self.spec.mechanism().assembly.fix
+                begin = StartDerivatives(own.start, self.spec.time.start, np.repeat([x in fix for x in bodies], 3))
+                slopes |= begin.of(given[0] * known, given[1] * known, points)
+            else:
+                slopes |= equations.by_points(points)
         slopes = {name: x * known for name, x in slopes.items() if np.any(x[..., known])}
         none = np.zeros(len(parameters))
         return self._completed(slopes, parameters, none, none.astype(int)), known
+
+    def _numbers_of(self, parameters: Sequence[Parameter]) -> VariedNumbers:
+        """Return the recorded formulas of the arrays as functions of parameters."""
+        paths = tuple(one.path for one in parameters)
+        others = tuple((path, value) for path, value in self.values.items() if path not in paths)
+        if (paths, others) not in self._formulas:
+
+            def spec(numbers: Sequence[float]) -> RunSpec:
+                return self._specs.spec([*others, *zip(paths, numbers, strict=True)])
+
+            self._formulas[paths, others] = VariedNumbers(paths, spec, keeps_texts=True)
+        return self._formulas[paths, others]
 
     def _by_differences(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return derivatives by differences.
 
         One point for each parameter is enough if all arrays are linear in the parameters together, as another point
-        shows in which all parameters differ, by unequal shares of their sizes. If equations determine the start, it is
-        differentiated as an implicit function, because their residuals are mostly linear.
+        shows in which all parameters differ, by unequal shares of their sizes.
         """
-        given = self._own.given
-        if given is not None and self._equations is None:
-            equations = StartEquations(given, self.initial, self.base["q"][: given.n], self.base["v"][: given.n])
-            if equations.determine_the_start:
-                shared = self._specs, self.values, self._prepared
-                other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations)
-                return equations.completed(other.derivatives(parameters))
         with suppress(SpecError):
             if len(parameters) > 1:
                 found = self.lines(parameters)
@@ -323,7 +366,7 @@ class RunPreparation(Preparation):
                 values = {one.path: one.value for one in changed if one.path[0] != "initial"}
                 initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
                 start, both = {**self.initial, **initial}, {**self.values, **values}
-                made = self._specs, both, self._prepared, self._equations
+                made = self._specs, both, self._prepared, self._equations, self._formulas
                 other = RunPreparation(self._base, self._numbers, start, *made)
                 known = np.array([one.value for one in parameters])
                 if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:

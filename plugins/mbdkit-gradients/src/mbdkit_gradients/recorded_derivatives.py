@@ -112,7 +112,8 @@ def _functions() -> dict[str, Callable[..., Any]]:
     }
     own |= {
         "_hypot": _length, "hypot": _length, "_dist": lambda a, b: _length(*(x - y for x, y in zip(a, b, strict=True))),
-        "_sqrt": own["sqrt"], "_max": _chosen(max), "_min": _chosen(min), "_power": _by_rule("pow"),
+        "_sqrt": own["sqrt"], "_max": _chosen(max), "_min": _chosen(min),
+        "_power": _by_rule("pow"), "pow": _by_rule("pow"),
         "_second": _chosen(lambda values: sorted(values)[-2]), "_cubic_pieces": _spline,
     }  # fmt: skip
     return {name: _for_both(function, own.get(name)) for name, function in recorded_functions().items()}
@@ -203,7 +204,7 @@ class StartDerivatives:
         terms = (w * (evaluate(place * unit) - now) for place, w in zip(CENTRAL, weights(CENTRAL), strict=True))
         return np.asarray(sum(terms)) / unit
 
-    def _by_points(self, slopes: np.ndarray) -> np.ndarray:
+    def by_points(self, slopes: np.ndarray) -> np.ndarray:
         """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K)."""
         total = np.zeros((2, len(self._search.rows), slopes.shape[-1]))
         for column in np.flatnonzero(np.any(slopes, axis=(0, 2))).tolist():
@@ -232,7 +233,7 @@ class StartDerivatives:
         """Return the derivatives of the start ``q`` and ``v`` (3 (B + 1), K) from those of the given values, ground
         last, and of the parameters of the joints (P, 6, K).
         """
-        by_points = self._by_points(points)
+        by_points = self.by_points(points)
         dq = self._projected(q[:-3], by_points[0])
         rate = by_points[1]
         for k in np.flatnonzero(np.any(dq, axis=0)) if np.any(self.v) else ():

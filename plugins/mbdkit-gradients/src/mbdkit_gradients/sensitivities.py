@@ -27,6 +27,7 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.stepping.open_simulation import open as open_simulation
+from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -190,6 +191,7 @@ class PreparedSensitivities:
         self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
         self._specs = VariedSpecs(spec.canonical_json())
         self._preparations: dict[object, RunPreparation] = {}
+        self._formulas: dict[object, VariedNumbers] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
@@ -310,7 +312,9 @@ class PreparedSensitivities:
         key = tuple(start.items())
         if key not in self._preparations:
             shared = self._prepared_at[1]
-            self._preparations[key] = RunPreparation(self.spec, self._numbers, start, self._specs, values, shared)
+            self._preparations[key] = RunPreparation(
+                self.spec, self._numbers, start, self._specs, values, shared, formulas=self._formulas
+            )
         return self._preparations[key]
 
     def _exact(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +45,23 @@ def rig(parameters: dict[str, Any], end: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def coverage(case: str, number: int, folder: Path) -> float:
-    """Return the share of times at which the bar of the predicted joint force contains the true force."""
+@dataclass(frozen=True)
+class Prediction:
+    """The identification of a drawn rig, the spec of a run with its parameters, this run, and the run of the rig."""
+
+    fit: Any
+    spec: dict[str, Any]
+    run: mbdkit.Run
+    truth: mbdkit.Run
+
+    @property
+    def bar(self) -> np.ndarray:
+        """(T,) bar of the force in the pin [N]."""
+        return self.run.accuracy.reaction_error_parameters[:, 0]
+
+
+def prediction(case: str, number: int, folder: Path) -> Prediction:
+    """Draw a rig, identify it, and predict its motion from another start."""
     dice = np.random.default_rng([CASES.index(case), number])
     true = {
         "mass": dice.uniform(0.8, 1.5), "inertia": dice.uniform(0.02, 0.05), "damping": dice.uniform(0.01, 0.03),
@@ -69,12 +85,16 @@ def coverage(case: str, number: int, folder: Path) -> float:
     later = {name: value for name, value in true.items() if name not in free} | {"start": dice.uniform(-1.5, 1.5)}
     unseen = {"motor": {"table": [[0.0, 0.5, 1.0], dice.uniform(-0.5, 0.5, 3).tolist()]}}
     mean = rig({"from": str(folder / "fit.h5"), **later}, 1.0) | {"inputs": unseen, "check": True}
-    predicted = mbdkit.run(mean)
     truth = mbdkit.run(rig(true | later, 1.0) | {"inputs": unseen})
-    bar = predicted.accuracy.reaction_error_parameters[:, 0]
-    error = np.linalg.norm(predicted.joints["pin"].reaction_force - truth.joints["pin"].reaction_force, axis=1)
-    some = slice(len(bar) // 4, None)  # at the start, the parameters matter little
-    return float(np.mean(error[some] <= bar[some]))
+    return Prediction(fit, mean, mbdkit.run(mean), truth)
+
+
+def coverage(case: str, number: int, folder: Path) -> float:
+    """Return the share of times at which the bar of the predicted joint force contains the true force."""
+    found = prediction(case, number, folder)
+    error = np.linalg.norm(found.run.joints["pin"].reaction_force - found.truth.joints["pin"].reaction_force, axis=1)
+    some = slice(len(found.bar) // 4, None)  # at the start, the parameters matter little
+    return float(np.mean(error[some] <= found.bar[some]))
 
 
 def coverages(case: str, repeats: int) -> np.ndarray:
