@@ -163,7 +163,10 @@ class Preparation(ABC):
             if len(places) < MANY:
                 continue
             k = [*places][len(places) // 2]
-            change, arrays = self._point(parameters[k], self._unit(parameters[k]))
+            try:
+                change, arrays = self._point(parameters[k], self._unit(parameters[k]))
+            except SpecError:
+                continue
             slopes = self._through_splines(arrays["law_parameters"] != self.base["law_parameters"])
             if slopes is None:
                 continue
