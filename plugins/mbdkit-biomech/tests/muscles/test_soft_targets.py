@@ -276,6 +276,9 @@ def test_emg_of_another_rate_is_read_from_its_own_file(tmp_path):
         motion = {**alone.spec["motion"], "data": {"time": [0.0, 9.0], "a": [0.0, 0.1]}}
         with pytest.raises(SpecError, match=r"lasts from -0.1 to 2.199 s, but the motion from 0 to 9 s"):
             arm(motion=motion, emg={"biceps": {"column": "e", "file": str(file)}})
+        file.write_text("time,e\n-1,0.1\n9,0.2\n")
+        with pytest.raises(SpecError, match=r"has 0 rows during the motion, which lasts to 2 s"):
+            arm(emg={"biceps": {"column": "e", "file": str(file)}})
         for run in by:
             run.close()
 

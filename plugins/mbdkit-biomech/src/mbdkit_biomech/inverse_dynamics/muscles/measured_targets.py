@@ -6,7 +6,7 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.base.text import did_you_mean
+from mbdkit.base.text import counted, did_you_mean
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
@@ -108,6 +108,10 @@ def _channel(
             key=f"{key}.file",
         )
     rows = np.flatnonzero((at >= time[0] - asked.delay) & (at <= time[-1]))
+    if len(rows) < 2:
+        raise SpecError(
+            f"has {counted(len(rows), 'row')} during the motion, which lasts to {time[-1]:.6g} s", key=f"{key}.file"
+        )
     at, values = at[rows], with_gaps_bridged(at[rows], values[rows], spec.motion.gaps, (table, column, rows))
     centred, is_fast = values - np.mean(values), np.median(np.diff(at)) < 0.25 / ENVELOPE.cutoff
     if is_fast and np.var(centred - low_passed(at, centred[:, None], ENVELOPE)[:, 0]) > RAW * np.var(values):
