@@ -9,7 +9,7 @@ import numpy as np
 from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
-from mbdkit_report.figures.curves import Array, Bands
+from mbdkit_report.figures.curves import Bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import (
@@ -90,15 +90,9 @@ def _joined(parts: list[ElementQuantity]) -> ElementQuantity:
     low, high, peaks, times = (
         np.concatenate([getattr(one, name) for one in data], axis=-1) for name in ("low", "high", "peaks", "peak_times")
     )
-    errors = _errors([part.errors for part in parts], [one.high for one in data])
+    known = [np.full_like(part.data.high, np.nan) if part.errors is None else part.errors for part in parts]
+    errors = None if all(part.errors is None for part in parts) else np.concatenate(known, axis=-1)
     names = [name for part in parts for name in part.elements]
     texts = [one for part in parts for one in part.largest_texts or [None] * len(part.elements)]
     together = Bands(first.data.time, low, high, peaks, times, first.data.exact)
     return ElementQuantity("torque", "N m", names, together, errors, first.known_until, texts)
-
-
-def _errors(given: list[Array | None], values: list[Array]) -> Array | None:
-    if all(one is None for one in given):
-        return None
-    pairs = zip(given, values, strict=True)
-    return np.concatenate([np.full_like(like, np.nan) if one is None else one for one, like in pairs], axis=-1)
