@@ -289,11 +289,11 @@ class RunPreparation(Preparation):
         own, equations = self._own, self._equations
         written = self.spec.written.items()
         texts = (text for path, text in written if path[0] != "model" or text.kind not in RECORDED)
-        named = self.spec.parameters
+        definitions = self.spec.parameters
         used, fresh = set[str](), set[str]().union(*map(names_in, texts))
         while fresh:
             used |= fresh
-            fresh = set().union(*(names_in(named[name]) for name in fresh & named.keys())) - used
+            fresh = set().union(*(names_in(definitions[name]) for name in fresh & definitions.keys())) - used
         unknown = {("parameters", name) for name in used}
         known = np.array([one.path[0] != "initial" and one.path not in unknown for one in parameters])
         is_possible = own.given is None
