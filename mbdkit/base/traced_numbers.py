@@ -213,7 +213,7 @@ def text_with(substitute: Callable[[Callable[[float], str]], str]) -> str:
     if trace is None or not trace.keeps_texts:
         return substitute(repr)
 
-    def text(number: float) -> str:
+    def text(number: Any) -> str:
         if not isinstance(number, TracedNumber):
             return repr(number)
         name = f"traced_{trace.serial}_{number.name}"  # programs of texts are cached

@@ -23,7 +23,7 @@ from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.motion_corners import corners_of
-from mbdkit.mechanism.parameters import parameters_in_use
+from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.varied_numbers import VariedNumbers
@@ -289,7 +289,12 @@ class RunPreparation(Preparation):
         own, equations = self._own, self._equations
         written = self.spec.written.items()
         texts = (text for path, text in written if path[0] != "model" or text.kind not in RECORDED)
-        unknown = {("parameters", name) for name in parameters_in_use(self.spec.parameters, texts)}
+        definitions = self.spec.parameters
+        used, fresh = set[str](), set[str]().union(*map(names_in, texts))
+        while fresh:
+            used |= fresh
+            fresh = set().union(*(names_in(definitions[name]) for name in fresh & definitions.keys())) - used
+        unknown = {("parameters", name) for name in used}
         known = np.array([one.path[0] != "initial" and one.path not in unknown for one in parameters])
         is_possible = own.given is None
         if equations is not None:
