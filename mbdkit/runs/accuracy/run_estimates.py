@@ -62,7 +62,7 @@ def estimate_accuracy(
         accuracy = with_asked(accuracy, spec, workspace, choice)
         expressions = () if has_failed else record.compared_expressions(deadline)
         measure = partial(measured_in, expressions)
-        if expressions:
+        if expressions and (accuracy.is_complete or not spec.undecided):  # see `SpecMeasure`
             compared = compared_measures(spec, method, workspace, steps, expressions, measure, budget)
             accuracy = replace(accuracy, compared_measures=compared)
         if spec.check:

@@ -81,6 +81,15 @@ def test_errors_are_unknown_after_contacts_that_close_at_once() -> None:
     assert np.isnan(found.measure_errors["height"])
 
 
+def test_largest_forces_have_no_bar_after_contacts_that_close_at_once() -> None:
+    found = mbdkit.run("slider-crank-guide", check=True)
+    assert found.accuracy is not None
+    assert not found.accuracy.is_complete
+    force = [one for one in headlines(found) if one.quantity == "contacts.normal_force"]
+    assert len(force) == 2
+    assert not any(one.bar.is_known for one in force)
+
+
 def thrown(end: float, *, speed: float = 3.0, height: float = 0.2, e: float = 0.4, mu: float = 0.3) -> float:
     """Return how far a point mass gets that is thrown onto a floor: parabolas between infinitely many impacts."""
     g, time, x, rate, fall = 9.81, 0.0, 0.0, speed, np.sqrt(2 * 9.81 * height)
