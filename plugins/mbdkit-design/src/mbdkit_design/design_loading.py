@@ -156,6 +156,8 @@ def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mappi
 
     One parameter sets both ends of a periodic table.
     """
+    from scipy.interpolate import CubicSpline
+
     *above, last = variable_path(key)
     holder: Any = data
     for part in above:
@@ -176,7 +178,14 @@ def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mappi
     except (TypeError, ValueError, IndexError):
         message = "the table of the base should be two columns of numbers, of which the first one increases"
         raise SpecError(message) from None
-    start = np.interp(evenly, at, values)
+    ends, span = str(holder.get("ends")), at[-1] - at[0]
+    if ends == "periodic" and values[0] != values[-1]:
+        raise SpecError(f"a periodic table begins and ends at one value, not {values[0]:g} and {values[-1]:g}")
+    kind = ends if ends in ("periodic", "natural") else "not-a-knot"
+    start = CubicSpline(at, values, bc_type=kind)(evenly)  # as runs read it
+    least = 0.0 if variable.slope is None else max(variable.slope[0], -variable.slope[1])
+    if least * span > variable.bounds[1] - variable.bounds[0]:
+        raise SpecError(f"no table within the bounds has such slopes over a length of {span:g}", key="slope")
     if variable.start is not None:
         given = np.atleast_1d(variable.start)
         start = (
@@ -185,18 +194,27 @@ def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mappi
     elif wrong := [x for x in start.tolist() if not variable.bounds[0] <= x <= variable.bounds[1]]:
         raise SpecError(f"the table of the base has the value {wrong[0]:g} outside; give `start`", key="bounds")
     keys = [f"{key}.1.{index}" for index in range(variable.points)]
-    if holder.get("ends") == "periodic":
-        if start[0] != start[-1]:
+    if ends == "periodic":
+        if variable.start is None:
+            start[-1] = start[0]
+        elif start[0] != start[-1]:
             raise SpecError(
                 f"a periodic table begins and ends at one value, not {start[0]:g} and {start[-1]:g}", key="start"
             )
-        keys[0] = keys[-1] = "parameters." + re.sub(r"\W", "_", str(above[2])) + "_at_ends"
+        own = re.sub(r"\W", "_", f"parameters.ends_of_{above[2]}").replace("parameters_", "parameters.", 1)
+        taken = {f"parameters.{name}" for name in parameters}
+        taken |= {other.keys[0] for name, other in design._tables.items() if name != key}
+        while own in taken:
+            own += "_"
+        keys[0] = keys[-1] = own
     known = design._tables.setdefault(key, ChosenTable(variable, tuple(keys), evenly, start, ("", "")))
     if not np.array_equal(known.at, evenly):
         raise SpecError(
             f"the tables of the scenarios have different arguments, {known.at[0]:g} to {known.at[-1]:g} and {at[0]:g} "
             f"to {at[-1]:g}"
         )
+    if known.keys != tuple(keys) or not np.allclose(known.start, start, rtol=1e-12, atol=0.0):
+        raise SpecError("the scenarios have different tables, of which one has to be chosen; give `start`", key="start")
     return known
 
 

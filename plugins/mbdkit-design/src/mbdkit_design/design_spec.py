@@ -259,12 +259,20 @@ class ChosenTable:
             if self.is_closed:
                 difference = np.vstack([difference, difference[:1]])
 
+    def violations(self, key: str, variables: Mapping[str, float], share: float) -> Iterator[str]:
+        """Yield how many slopes and curvatures exceed their limits by more than a share of these, and by how much."""
+        for name, rows, low, high in self.rows:
+            found = rows @ self.values(variables)
+            over = np.maximum(found - high, low - found)
+            if count := int(np.sum(over > share * max(abs(low), abs(high)))):
+                yield f"{counted(count, name)} of {key} beyond the limits, by up to {over.max():.4g} in SI units"
+
     def remark(self, variables: Mapping[str, float]) -> str:
         """Return how many values, slopes and curvatures are at their limits, in words; empty if none is."""
         values, parts = self.values(variables), []
         for name, rows, low, high in (("value", np.eye(len(self.at)), *self.variable.bounds), *self.rows):
             found, slack = rows @ values, 1e-6 * (high - low)
-            if count := int(np.sum((found <= low + slack) | (found >= high - slack))):
+            if count := int(np.sum((np.abs(found - low) <= slack) | (np.abs(found - high) <= slack))):
                 parts.append(f"{count} of {counted(len(found), name)}")
         return f"{listed(parts, 'and')} are at their limits" if parts else ""
 

@@ -64,9 +64,10 @@ def _certified(design: Design) -> Claim:
 
 
 def _limits(design: Design) -> Iterator[Claim]:
-    if design.spec.subject_to:
+    count = len(design.spec.subject_to) + sum(len([*table.rows]) for table in design.spec.tables.values())
+    if count:
         answer = Answer.YES if design.is_feasible else Answer.NO
-        text = f"{counted(len(design.spec.subject_to), 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
+        text = f"{counted(count, 'limit')} in {counted(len(design.spec.specs), 'scenario')}"
         yield Claim("limits", "The best point satisfies all limits.", "", text, answer, "")
 
 

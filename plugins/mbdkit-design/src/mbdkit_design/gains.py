@@ -149,6 +149,8 @@ def violations(spec: DesignSpec, point: DesignPoint, start: DesignPoint) -> list
                 if end is not None and side * (value - end) > slack:
                     away = with_unit(side * (value - end), unit, 4)
                     found.append(f"{label} is {shown}, {away} {word} its limit of {with_unit(end, unit)}")
+    for key, table in spec.tables.items():
+        found += table.violations(key, point.variables, FEASIBLE)
     return found
 
 

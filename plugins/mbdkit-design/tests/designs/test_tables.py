@@ -124,6 +124,27 @@ def test_a_wrong_table_is_refused_with_its_key(case: str) -> None:
     assert words in str(caught.value)
 
 
+def test_the_default_start_is_the_curve_of_the_base_between_its_points() -> None:
+    spec = load_design_spec(driven_rod(([-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]), points=5))
+    assert len(spec.specs) == 1
+    np.testing.assert_allclose(spec.tables[SUPPORT].start, [1.0, 0.25, 0.0, 0.25, 1.0], atol=1e-15)
+
+
+def test_scenarios_with_different_tables_need_a_start() -> None:
+    other = {SUPPORT: [[-1.0, 1.0], [2.0, 0.0]]}
+    design = driven_rod() | {"scenarios": {"soft": {}, "hard": {"overrides": other}}}
+    with pytest.raises(SpecError, match="different tables"):
+        load_design_spec(design).specs  # noqa: B018
+    design["variables"][SUPPORT]["start"] = 0.0
+    assert len(load_design_spec(design).specs) == 2
+
+
+def test_slopes_of_the_start_beyond_their_limits_are_told() -> None:
+    found = mbdkit.design(driven_rod(((-1.0, 1.0), (4.0, 0.0)), slope=(-1.0, 3.0)), optimum_only=True)
+    (gain,) = found.gains
+    assert gain.start_violations == f"11 slopes of {SUPPORT} beyond the limits, by up to 1 in SI units"
+
+
 def test_points_of_a_number_are_refused() -> None:
     design = driven_rod()
     design["variables"] = {"model.bodies.rod.mass": {"points": 5, "bounds": [1, 2]}}

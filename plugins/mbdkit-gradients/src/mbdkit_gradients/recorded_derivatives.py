@@ -30,7 +30,8 @@ class _Number:
         self.value, self.slope = value, slope
 
     def __abs__(self) -> _Number:
-        return _Number(abs(self.value), math.copysign(1.0, self.value) * self.slope)
+        sign = math.copysign(1.0, self.value) if self.value else np.where(self.slope == 0.0, 0.0, math.nan)
+        return _Number(abs(self.value), sign * self.slope)
 
     def __neg__(self) -> _Number:
         return _Number(-self.value, -self.slope)

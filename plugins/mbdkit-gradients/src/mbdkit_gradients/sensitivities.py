@@ -335,7 +335,9 @@ class PreparedSensitivities:
         """Return the derivatives of a preparation; those that are known are used again while arrays are linear."""
         parameters = self._valued(preparation.spec, start)
         differentiated = {one.path[1] for one in parameters if one.path[0] == INITIAL}
-        fixed = tuple(item for item in start.items() if item[0] not in differentiated)
+        own = {one.path for one in parameters}
+        fixed: tuple[object, ...] = tuple(item for item in start.items() if item[0] not in differentiated)
+        fixed += tuple((path, value) for path, value in preparation.values.items() if path not in own)
         known = self._known.get(fixed)
         found = None if known is None else preparation.repeated(known, parameters)
         if found is None:
