@@ -45,6 +45,11 @@ ACCIDENT, ACCIDENT_OF_ACTIVE = 2.0**-10, 2.0**-5
 #: Largest and smallest ratio of two changes of the objective in a row with which the error is extrapolated. Where
 #: conditions become active, methods of high order have no constant ratio.
 SLOWEST, FASTEST = 0.5, 2.0**-4
+TOGETHER = 1e-4  #: Jumps at a distance below this share of the duration count as passed at once.
+AT_ONCE = (
+    "The motion passes two jumps at once, or one at its end: their order, which is that of the first motion "
+    "found, may not be the best one. Begin with a guess that passes them in another order."
+)
 HELD = (
     "Jumps are held on their sides up to the ends of phases; where the motion is on another side, or jumps take time, "
     "this changes the objective by {change:.2g} and {impulse:.2g} of the impulse of all forces."
@@ -211,7 +216,10 @@ class _MeshSearch:
         """
         if self.spec.switching:
             original = self.transcription
-            found = yield from self._switched((yield from self._search(is_brief=True)))
+            first = yield from self._search(is_brief=True)
+            found = yield from self._switched(first)
+            if self.stop.now and found.mesh is first.mesh:  # an optimum of one mesh, whose phases are whole
+                found = replace(found, reason=self._failure(found.mesh))
             if self.stop.now or (found.meshes and not found.is_doubtful):
                 return found
             self.transcription, self.switching = original, None  # a jump of the first mesh may be none on a finer one
@@ -242,6 +250,9 @@ class _MeshSearch:
         error = found.error + HIGHER_ORDER * abs(change)
         limit = self.spec.tolerance * abs(found.objective) + NOTHING * found.mesh.size
         doubt = HELD.format(change=change, impulse=impulse)
+        durations = found.mesh.values["duration"]
+        if durations.min() < TOGETHER * durations.sum():
+            return replace(found, error=error, doubt=AT_ONCE)
         is_small = error <= limit and impulse <= math.sqrt(self.spec.tolerance)
         return replace(found, error=error, doubt="" if is_small else doubt)
 

@@ -26,10 +26,14 @@ NOT_HELD = (
     "What jumps at t = {:.4g} s has no value before and after it, so that it cannot be held in phases that end there: "
     "write it with abs or tanh."
 )
+VARIES = (
+    "What jumps along the motion varies between the jumps, so that it cannot be held there: write the jump as a factor "
+    "of its own, as in speed*tanh(1e6*x) or speed*(x/abs(x))."
+)
 LEAST = 1e-9  #: Least change of an operation that jumps, as a share of its values: smaller ones are rounding.
 ZERO = 1e-6  #: Values in the middle of a jump that count as zero, as a share of the change around it.
 PASSES, HALVINGS = 8, 60  #: How often operations that jump are searched for, and how often a time is bisected.
-SAMPLES = 65  #: Number of times in each part at which operations are evaluated.
+SAMPLES, LEFT_OUT = 65, 3  #: Number of times in each part at which operations are evaluated; extremes left out.
 
 
 def switching_of(method: Transcription, mesh: Mesh, jumps: Sequence[Jump], *, is_divided: bool) -> Switching | str:
@@ -60,12 +64,17 @@ def switching_of(method: Transcription, mesh: Mesh, jumps: Sequence[Jump], *, is
     nodes = operations_of(unheld, path.given, {}).nodes
     at = (begins[:, None] + (times - begins)[:, None] * np.linspace(0.0, 1.0, SAMPLES + 2)[1:-1]).ravel()
     values = path.evaluate([nodes[k] for k in operations], at, at)
+    values = np.sort(values.reshape(len(operations), len(times), SAMPLES), axis=2)
+    sides = values[:, :, SAMPLES // 2]
+    varied = (values[:, :, -1 - LEFT_OUT] - values[:, :, LEFT_OUT]).max(axis=1)
+    if np.any(varied > FLAT * np.ptp(sides, axis=1)):
+        return VARIES
     durations = times - begins
     motion = {**mesh.values, "duration": durations}
     return Switching(
         tuple(t for t in times.tolist() if places[t] is not None), np.searchsorted(ends, times), durations,
         {k: places[t] for k, t in enumerate(times.tolist()) if places[t] is not None},
-        np.median(values.reshape(len(operations), len(times), SAMPLES), axis=2), Held(unheld, tuple(operations)),
+        sides, Held(unheld, tuple(operations)),
         solved_motion(mesh.times, motion, method.system, method.system),
     )  # fmt: skip
 

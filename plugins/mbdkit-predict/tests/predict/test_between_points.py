@@ -166,6 +166,18 @@ def test_a_jump_at_the_end_of_a_phase_is_right(value: str, sections: dict[str, A
     assert_within(run.objective - right, run.objective_error)
 
 
+@pytest.mark.slow
+def test_a_condition_whose_jump_is_no_factor_of_its_own_is_kept() -> None:
+    # a limit of the velocity beyond 0.4713 m only, by an expression that is no constant on either side
+    slow = "block.vx*(block.x - .4713)/sqrt((block.x - .4713)**2 + 1e-14)"
+    collocation = {"intervals": 10, "points": 3}
+    run = mbdkit.predict(
+        block(**AUTO, tolerance=1e-3, collocation=collocation, subject_to={"slow": {"value": slow, "max": 1.2}})
+    )
+    block_speed, beyond = run["block"].velocity[:, 0], run["block"].position[:, 0] > 0.48
+    assert np.max(block_speed[beyond]) < 1.21
+
+
 @pytest.mark.parametrize("mass", [1e-6, 1e6])
 def test_objectives_of_any_magnitude_have_bars_of_their_size(mass: float) -> None:
     # the moment is proportional to the mass, and the objective to its square
