@@ -221,3 +221,16 @@ def test_derivatives_at_other_values_are_those_of_the_closed_form(stiffness: str
         z["k"] = z["k"] * z["m"] if stiffness == "k*m" else z["k"]
         slope = closed_form(times.astype(complex), **z).imag / 1e-30
         np.testing.assert_allclose(found.derivatives[0, :, k], slope, atol=1e-7)
+
+
+def test_derivatives_follow_a_factor_of_their_parameter_that_is_not_differentiated() -> None:
+    # expected: the derivative by the damping at damping zero, times the factor
+    source = oscillator(parameters=PARAMETERS | {"d": 1.0})
+    source["model"]["forces"]["spring"]["damping"] = "c*d"
+    t = np.array([0.5, 1.5])
+    prepared = PreparedSensitivities(load_spec(source), ["cart.x"], t, ["c"])
+    prepared.at({"c": 0.4, "d": 1.0})
+    found = prepared.at({"c": 0.0, "d": 5.0}).derivatives.ravel()
+    rate = np.sqrt(30.0)
+    exact = 5.0 * 0.3 * (np.sin(rate * t) / rate - t * np.cos(rate * t)) / 2.0
+    assert_within(found - exact, 1e-8)
