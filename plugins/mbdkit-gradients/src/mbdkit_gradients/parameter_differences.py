@@ -17,10 +17,10 @@ from fractions import Fraction
 from functools import cache
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.traced_numbers import recorded_functions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
@@ -188,11 +188,8 @@ class Preparation(ABC):
                 points = int(top.law_parameters[begin + 2]) + 1
                 slopes = np.zeros((len(moved), points))
                 lengths = top.law_parameters[begin + 3 : begin + 3 + points]
-                unit = CubicSpline(lengths, np.eye(points)).c[::-1]
-                powers = np.arange(1, 5)[:, None, None]
-                areas = np.sum(unit * np.diff(lengths)[:, None] ** powers / powers, axis=0)
-                pieces = np.concatenate([unit, [np.cumsum(areas, axis=0) - areas]])
-                slopes[begin + 3 + points : begin + 1 + count] = np.swapaxes(pieces, 0, 1).reshape(-1, points)
+                pieces = recorded_functions()["_cubic_pieces"](lengths, np.eye(points))
+                slopes[begin + 3 + points : begin + 1 + count] = pieces
                 return slopes
         return None
 

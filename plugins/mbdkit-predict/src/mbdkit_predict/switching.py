@@ -45,11 +45,12 @@ def switching_of(method: Transcription, mesh: Mesh, jumps: Sequence[Jump], *, is
     path, unheld = MotionPath(method, mesh), method.functions.unheld
     last = np.flatnonzero(np.diff(method.phase_of, append=-1))
     ends = np.array(mesh.values["duration"] @ mesh.grid.ends[:, mesh.grid.ends_of_phases()])[last]
-    places, operations = dict[float, ca.SX | None](dict.fromkeys(ends.tolist())), dict[int, None]()
+    places, operations = dict[float, ca.SX | None](dict.fromkeys(ends.tolist())), dict[int, float]()
     for jump in jumps:
         is_end = bool(min(abs(ends - jump.time)) <= 2.0 * jump.half)
         if is_end or is_divided:
-            operations |= dict.fromkeys(held := _held(path, unheld, jump))
+            held = _held(path, unheld, jump)
+            operations |= {k: abs(after - before) for k, (before, after) in held.items()}
             surface = None if is_end or not held else _surface(path, unheld, held, jump)
             if not held or (surface is None and not is_end):
                 return NOT_HELD.format(jump.time)
@@ -67,7 +68,7 @@ def switching_of(method: Transcription, mesh: Mesh, jumps: Sequence[Jump], *, is
     values = np.sort(values.reshape(len(operations), len(times), SAMPLES), axis=2)
     sides = values[:, :, SAMPLES // 2]
     varied = (values[:, :, -1 - LEFT_OUT] - values[:, :, LEFT_OUT]).max(axis=1)
-    if np.any(varied > FLAT * np.ptp(sides, axis=1)):
+    if np.any(varied > FLAT * np.array([*operations.values()])):
         return VARIES
     durations = times - begins
     motion = {**mesh.values, "duration": durations}
