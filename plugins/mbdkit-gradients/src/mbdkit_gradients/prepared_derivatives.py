@@ -209,7 +209,8 @@ class RunPreparation(Preparation):
     equations
         Equations of the start, whose residuals take the place of the start in the arrays.
     formulas
-        Recorded formulas of the arrays, by what they are formulas of; preparations of one base share them.
+        The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths;
+        preparations of one base share them.
     """
 
     ROUNDED = ("q", "v", POSITION, VELOCITY)
@@ -223,7 +224,7 @@ class RunPreparation(Preparation):
         values: Mapping[Path, float] = MappingProxyType({}),
         prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
         equations: StartEquations | None = None,
-        formulas: dict[object, VariedNumbers] | None = None,
+        formulas: dict[object, tuple[object, VariedNumbers]] | None = None,
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
         self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
@@ -346,13 +347,13 @@ class RunPreparation(Preparation):
         """Return the recorded formulas of the arrays as functions of parameters."""
         paths = tuple(one.path for one in parameters)
         others = tuple((path, value) for path, value in self.values.items() if path not in paths)
-        if (paths, others) not in self._formulas:
+        if paths not in self._formulas or self._formulas[paths][0] != others:
 
             def spec(numbers: Sequence[float]) -> RunSpec:
                 return self._specs.spec([*others, *zip(paths, numbers, strict=True)])
 
-            self._formulas[paths, others] = VariedNumbers(paths, spec, keeps_texts=True)
-        return self._formulas[paths, others]
+            self._formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
+        return self._formulas[paths][1]
 
     def _by_differences(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return derivatives by differences.

@@ -191,7 +191,7 @@ class PreparedSensitivities:
         self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
         self._specs = VariedSpecs(spec.canonical_json())
         self._preparations: dict[object, RunPreparation] = {}
-        self._formulas: dict[object, VariedNumbers] = {}
+        self._formulas: dict[object, tuple[object, VariedNumbers]] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
