@@ -142,7 +142,7 @@ def _files(name: str, package: str, item: str, template: str, flavour: _Flavour)
         **flavour.words,
         "formulation": "ggl" if template == "dae" else "index-1",
         "api": json.dumps(used),
-        "mbdkit_version": ".".join(mbdkit.__version__.split(".")[:2]),
+        "versions": f">={mbdkit.__version__},<{int(mbdkit.__version__.split('.')[0]) + 1}",
         "dependencies": flavour.dependencies,
         "attribute": (attribute := item.replace("-", "_")),
         "command": flavour.command.format(name=name, item=item, attribute=attribute),
