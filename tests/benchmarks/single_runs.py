@@ -38,7 +38,7 @@ SPEC: dict[str, Any] = {
 PARTS: dict[str, list[tuple[Any, str]]] = {
     "validation of the spec": [(simulation, "load_spec")],
     "building the model": [(ModelSpec, "_build")],
-    "warnings about the spec": [(simulation, "caution")],
+    "warnings about the spec": [(simulation, "findings")],
     "compilation to arrays": [(consistent_start, "compile_mechanism")],
     "assembly": [(consistent_start, "search_for"), (consistent_start, "assemble")],
     "working arrays": [(consistent_start, "Workspace")],
@@ -62,6 +62,7 @@ def kinds(folder: Path) -> dict[str, Callable[[float], Run]]:
 
     return {
         "in memory": lambda mass: mbdkit.run(spec(mass)),
+        "with an event": lambda mass: mbdkit.run(spec(mass) | {"events": {"low": {"when": "rod1.angle + pi/2"}}}),
         "with an archive": lambda mass: mbdkit.run(spec(mass), archive=folder / "run.h5", overwrite=True),
         "prepared": lambda mass: prepared.run({"model.masses.1": mass}),
     }
