@@ -41,6 +41,16 @@ from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 
 
+def caution(spec: RunSpec, measures: Sequence[str] = ()) -> list[Finding]:
+    """Return what is doubtful or worth a note in a spec before its run.
+
+    `measures`: expressions that are evaluated for the run, in addition to the measures of the spec. Raises PluginError
+    if the plugin fails to create the method.
+    """
+    make_method(spec)
+    return findings("spec", spec, measures)
+
+
 def build(spec: RunSpec, starts: Starts | None = None) -> tuple[Workspace, AssembledState]:
     """Compile the mechanism of a spec and make its initial state consistent.
 

@@ -234,7 +234,7 @@ def test_version_2_is_refused_by_a_sentence(name: str, golden: Callable[[str], P
 @pytest.mark.parametrize(
     ("command", "name", "later"),
     [
-        ("study", "study", "runs"),
+        ("study", "study", ""),
         ("study", "sample", "runs"),
         ("study", "sample", "members.h5"),
         ("design", "design", ""),

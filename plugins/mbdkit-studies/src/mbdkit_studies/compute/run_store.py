@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -111,11 +110,14 @@ class RunStore(ABC, Generic[Key]):
 
     def index_before(self) -> Index | None:
         """Return the index of an earlier call; None if this version of mbdkit has not written one for this study."""
-        with suppress(SpecError, ArchiveError, ResourceError):  # without a valid index, the files are read instead
+        try:
             before = study_index.read(self.folder.index)
-            if before.study_sha256 == self.spec.sha256() and before.version == own_version():
-                return before
-        return None
+        except (SpecError, ArchiveError, ResourceError) as error:
+            if isinstance(error, ArchiveError) and error.is_other_version:
+                raise
+            return None  # the files are read instead
+        is_same = before.study_sha256 == self.spec.sha256() and before.version == own_version()
+        return before if is_same else None
 
     def missing(self, keys: Iterable[Key]) -> list[Key]:
         """Return the keys of the files that are to be computed.

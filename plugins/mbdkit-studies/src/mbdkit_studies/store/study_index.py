@@ -21,7 +21,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.distributions import own_version
-from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
@@ -302,7 +302,7 @@ def read(path: Path) -> Index:
             raise ArchiveError("this is not the index of a study", file=path)
         written = str(file.attrs["format_version"])
         if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-            raise ArchiveError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
+            raise FormatVersionError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
         StoredHashes(file).verify()
         tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
         if any(len(set(map(len, table.values()))) > 1 for table in tables):
