@@ -1,7 +1,8 @@
 """The equations of a mechanism, executed by Python from the definitions of the machine code.
 
 Joint coordinates are those of the spanning tree of runs: angles of bodies, travels along slots, and the positions of
-bodies that no joint of the tree places. Positions q, velocities v and accelerations a of all bodies follow from them
+bodies that no joint of the tree places. A point mass at a distance from another body has the angle of the line between
+them instead of its position. Positions q, velocities v and accelerations a of all bodies follow from them
 joint by joint from ground. With T the derivative of v with respect to the rates of the coordinates, the joints of the
 tree do no work on T, so that the equations of motion
 
@@ -13,7 +14,9 @@ from the leaves to ground.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence, Set
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +24,13 @@ import numpy as np
 from mbdkit.engine.consistent_start import mechanism_at_start
 from mbdkit.engine.interpreter import Arithmetic, Interpreter
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
+from mbdkit.engine.kernels.angles import cosine_and_sine
+from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.frames import Reactions
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import LAW_ROW, PAIR, SPRING, LawRow
-from mbdkit.engine.kernels.tree import BODY, PLACE, TURN, accelerate_coordinates, coordinates_of, place_bodies
+from mbdkit.engine.kernels.tree import BODY, PLACE, TURN, accelerate_coordinates, coordinates_of, place_bodies, turned
 from mbdkit.engine.kernels.tree_displacements import accelerate_bodies
 from mbdkit.engine.spanning_tree import spanning_tree
 from mbdkit.engine.workspace import Workspace
@@ -40,39 +45,123 @@ class Motion(NamedTuple):
     a: np.ndarray
 
 
+class Arm(NamedTuple):
+    """A point mass, the distance joint that keeps it near another body, and the side of this body in it."""
+
+    mass: int
+    pair: int
+    side: int
+
+
+def _arms(top: Topology, tree: np.ndarray, masses: Set[int]) -> tuple[list[Arm], np.ndarray]:
+    """Return the arms of point masses that no joint of a tree places, and the tree in an order in which the other body
+    of each arm comes before it.
+    """
+    root = {len(top.mass) - 1: len(top.mass) - 1}
+    for body, place, side, *_ in tree.tolist():
+        root[body] = body if place < 0 else root[int(top.pairs[place, PAIR.second - side])]
+    waiting = [body for body in root if root[body] == body and body in masses]
+    order, arms = [body for body in root if root[body] == body and body not in masses], list[Arm]()
+    rods = [(k, a, b) for k, (kind, a, b, _) in enumerate(top.pairs.tolist()) if kind == KINDS["distance"]]
+
+    def arm_of(mass: int) -> Arm | None:
+        sides = ((k, side, pair[side]) for k, *pair in rods for side in range(2) if pair[1 - side] == mass)
+        return next((Arm(mass, k, side) for k, side, other in sides if root[other] in order), None)
+
+    while waiting:
+        arm = next(filter(None, map(arm_of, waiting)), None)
+        order.append(arm.mass if arm else waiting[0])
+        waiting.remove(order[-1])
+        arms += [arm] if arm else []
+    place_in_order = {body: n for n, body in enumerate(order)}
+    return arms, tree[np.argsort([place_in_order[root[body]] for body in tree[:, BODY].tolist()], kind="stable")]
+
+
+def _end_of_arm(top: Topology, arm: Arm, q: Any, v: Any, a: Any) -> tuple[Any, ...]:
+    """Return position, velocity and acceleration of the point of the other body of an arm."""
+    b = 3 * top.pairs[arm.pair, PAIR.first + arm.side]
+    c, s = cosine_and_sine(q[b + 2])
+    x, y = turned(c, s, top.pair_parameters[arm.pair, 2 * arm.side], top.pair_parameters[arm.pair, 2 * arm.side + 1])
+    w, d = v[b + 2], a[b + 2]
+    return (
+        q[b] + x, q[b + 1] + y, v[b] - w * y, v[b + 1] + w * x,
+        a[b] - d * y - w * w * x, a[b + 1] + d * x - w * w * y,
+    )  # fmt: skip
+
+
+def _swing(top: Topology, arm: Arm, own: Sequence[Any], q: Any, v: Any, a: Any) -> tuple[Any, ...]:
+    """Return position, velocity and acceleration of a point mass, given angle, rate and acceleration of its arm."""
+    x, y, vx, vy, ax, ay = _end_of_arm(top, arm, q, v, a)
+    c, s = cosine_and_sine(own[0])
+    c, s, w, d = top.pair_parameters[arm.pair, 4] * c, top.pair_parameters[arm.pair, 4] * s, own[1], own[2]
+    return (x + c, y + s), (vx - w * s, vy + w * c), (ax - d * s - w * w * c, ay + d * c - w * w * s)
+
+
+def _swung(top: Topology, arm: Arm, q: Any, v: Any, a: Any) -> tuple[Any, Any, Any]:
+    """Return angle, rate and acceleration of an arm, given the motion of all bodies."""
+    x, y, vx, vy, ax, ay = _end_of_arm(top, arm, q, v, a)
+    i = 3 * arm.mass
+    x, y, vx, vy, ax, ay = q[i] - x, q[i + 1] - y, v[i] - vx, v[i + 1] - vy, a[i] - ax, a[i + 1] - ay
+    square = x * x + y * y
+    rate = (x * vy - y * vx) / square
+    return math.atan2(y, x), rate, (x * ay - y * ax - 2 * rate * (x * vx + y * vy)) / square
+
+
 class InterpretedTree:
-    """The coordinates of the spanning tree of a mechanism with B bodies.
+    """The coordinates of the spanning tree of a mechanism with B bodies, of which `masses` are point masses.
 
     Attributes
     ----------
     places : (n,) array of int
         Index of each coordinate among the 3 B numbers x, y, angle of the bodies.
     rows : set of int
-        Indices of the constraint rows of the joints of the tree.
+        Indices of the constraint rows of the joints of the tree, and of those of arms.
+    is_arm : (n,) array of bool
+        Which coordinates are angles of arms of point masses. They are in the places of the angles of these masses.
     """
 
-    def __init__(self, top: Topology, row_index: np.ndarray):
-        self._tree, self._size = spanning_tree(top), 3 * len(top.mass)
+    def __init__(self, top: Topology, row_index: np.ndarray, masses: Set[int]):
+        self._size = 3 * len(top.mass)
+        self._arms, self._tree = _arms(top, spanning_tree(top), masses)
         free, self.rows = np.ones(self._size - 3, dtype=bool), set[int]()
         for body, place, _, turn, _ in self._tree.tolist():
             is_line = place >= 0 and top.rows[place] == 1
             free[3 * body : 3 * body + 3] = [place < 0 or is_line, place < 0, turn < 0]
             self.rows |= {int(row_index[k, r]) - len(free) for k in (place, turn) if k >= 0 for r in range(top.rows[k])}
+        for mass, pair, _ in self._arms:
+            free[3 * mass : 3 * mass + 2] = False
+            self.rows.add(int(row_index[pair, 0]) - len(free))
         self.places = np.flatnonzero(free)
+        self.is_arm = np.isin(self.places, [3 * arm.mass + 2 for arm in self._arms])
 
     def bodies(self, run: Any, top: Topology, w: Any, t: Any, own: Motion) -> Motion:
         """Return the motion (3 B,) of all bodies, given that of the coordinates (n,)."""
-        y, q = self._filled(own), Motion(*(np.full(self._size, 0.0, dtype=object) for _ in own))
-        run(place_bodies)(top, w, self._tree, t, y.q, y.v, q.q, q.v)
-        run(accelerate_bodies)(top, w, self._tree, y.q, y.v, q.v, y.a)
-        return Motion(*(x[:-3] for x in (q.q, q.v, y.a)))
+        y = self._filled(own)
+        angles = {arm: tuple(x[3 * arm.mass + 2] for x in y) for arm in self._arms}
+        for arm, x in itertools.product(self._arms, y):
+            x[3 * arm.mass + 2] = 0.0
+        for arm, angle in angles.items():
+            moved = run(_swing)(top, arm, angle, *self._moved(run, top, w, t, y))
+            for x, there in zip(y, moved, strict=True):
+                x[3 * arm.mass : 3 * arm.mass + 2] = there
+        return Motion(*(x[:-3] for x in self._moved(run, top, w, t, y)))
+
+    def _moved(self, run: Any, top: Topology, w: Any, t: Any, y: Motion) -> Motion:
+        q, v, a = np.full(self._size, 0.0, dtype=object), np.full(self._size, 0.0, dtype=object), y.a.copy()
+        run(place_bodies)(top, w, self._tree, t, y.q, y.v, q, v)
+        run(accelerate_bodies)(top, w, self._tree, y.q, y.v, v, a)
+        return Motion(q, v, a)
 
     def coordinates(self, run: Any, top: Topology, w: Any, whole: Motion) -> Motion:
         """Return the motion (n,) of the coordinates, given that of all bodies (3 B,)."""
         q = Motion(*(np.concatenate([x, np.zeros(3)]).astype(object) for x in whole))
         y, rates = (np.full(self._size, 0.0, dtype=object) for _ in range(2))
+        angles = [run(_swung)(top, arm, *q) for arm in self._arms]
         run(coordinates_of)(top, self._tree, q.q, q.v, y, rates)
         run(accelerate_coordinates)(top, w, self._tree, y, q.v, q.a)
+        for arm, angle in zip(self._arms, angles, strict=True):
+            for x, one in zip((y, rates, q.a), angle, strict=True):
+                x[3 * arm.mass + 2] = one
         return Motion(*(x[self.places] for x in (y, rates, q.a)))
 
     def multipliers(self, top: Topology, jac: np.ndarray, left: np.ndarray) -> Iterator[tuple[int, int, Any]]:
@@ -80,8 +169,9 @@ class InterpretedTree:
         what is `left` (3 B,) of the equations of motion without these multipliers.
         """
         left = np.concatenate([left, np.zeros(3)])
+        rods = {arm.mass: arm.pair for arm in self._arms}
         for n in reversed(self._tree):
-            for k, parts in ((n[PLACE], slice(2)), (n[TURN], slice(2, 3))):
+            for k, parts in ((rods.get(int(n[BODY]), n[PLACE]), slice(2)), (n[TURN], slice(2, 3))):
                 if k < 0:
                     continue
                 first, second = (3 * int(top.pairs[k, side]) for side in (PAIR.first, PAIR.second))
@@ -129,6 +219,8 @@ class InterpretedMechanism:
         The mechanism at its start.
     places : (n,) array of int
         Index of each coordinate among x, y and angle of all bodies.
+    is_arm : (n,) array of bool
+        Which coordinates are angles of lines from other bodies to point masses, in the places of the angles of these.
     cut : list of int
         Indices of the independent constraint rows with multipliers; those of the joints of the tree have none.
     """
@@ -139,11 +231,14 @@ class InterpretedMechanism:
         self._work = Workspace(compiled, 0.0, *np.zeros((2, compiled.size)))
         self._tree: InterpretedTree | None = None
         if is_joint and not len(compiled.topology.frictions):
-            tree = InterpretedTree(compiled.topology, self._work.solver.row_index)
+            inertias = [mechanism.bodies[name].inertia for name in compiled.bodies]
+            masses = {i for i, inertia in enumerate(inertias) if inertia is None}
+            tree = InterpretedTree(compiled.topology, self._work.solver.row_index, masses)
             self._tree = tree if tree.places.size else None
         in_tree = self._tree.rows if self._tree else set()
         self.cut = [k for k in range(len(compiled.solved_rows)) if k not in in_tree]
         self.places = self._tree.places if self._tree else np.arange(3 * len(compiled.bodies))
+        self.is_arm = self._tree.is_arm if self._tree else np.zeros(len(self.places), dtype=bool)
 
     @property
     def is_joint(self) -> bool:

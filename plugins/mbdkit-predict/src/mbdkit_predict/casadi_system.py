@@ -99,7 +99,7 @@ class CasadiSystem:
         self.control_names, self.parameter_names = chosen.controls, chosen.parameters
         whole, self._cut, self.places = 3 * len(self.bodies), self._mechanism.cut, self._mechanism.places
         solved = self._compiled.solved_rows
-        self.is_angle, n = self.places % 3 == 2, len(self.places)
+        self.is_angle, self.is_arm, n = self.places % 3 == 2, self._mechanism.is_arm, len(self.places)
         self.constraint_names = tuple(solved[k].label for k in self._cut)
         sizes = (n, n, n, len(self._cut), sum(self._is_state), len(chosen.controls), len(chosen.parameters), 1)
         self.symbols = {name: ca.SX.sym(name, size) for name, size in zip(ARGUMENTS, sizes, strict=True)}
@@ -152,7 +152,9 @@ class CasadiSystem:
         at times (T,).
         """
         p = np.tile(self.p0[:, None], len(time))
-        return [*map(np.array, self.taken.map(len(time))(*whole, p, time[None]))]
+        q, *rates = map(np.array, self.taken.map(len(time))(*whole, p, time[None]))
+        q[self.is_arm] = np.unwrap(q[self.is_arm])
+        return [q, *rates]
 
     def _add_functions(self) -> None:
         mechanism = self._mechanism

@@ -403,8 +403,9 @@ class _MeshSearch:
         begin = float(ends[place] - mesh.values["duration"] @ mesh.grid.lengths[:, place])
         return (
             f"jump: between t = {begin:.4g} and {float(ends[place]):.4g} s, bodies jump from one position to another: "
-            f"the joint '{joints[place]}' is closed at the collocation points only; use revolute joints and slots, "
-            "whose coordinates cannot jump, another `guess`, or conditions along the path"
+            f"the joint '{joints[place]}' is closed at the collocation points only; use revolute joints, "
+            "slots, and distances to point masses, whose coordinates cannot jump, another `guess`, or conditions along "
+            "the path"
         )
 
     def _failure(self, mesh: Mesh) -> str:

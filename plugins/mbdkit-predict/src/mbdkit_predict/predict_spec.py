@@ -183,8 +183,9 @@ class PredictSpec(ModelSpec):
     minimize: str
     """What is minimized: an expression of measures such as `integral(forces.motor.value**2)` and `final(t)`."""
     coordinates: Literal["joint", "absolute"] = "joint"
-    """Unknowns of the motion: coordinates of the joints of the spanning tree, or x, y and angle of each body.
-    Mechanisms with friction in joints always take the latter."""
+    """Unknowns of the motion: coordinates of the joints of the spanning tree, and angles of the lines to point masses
+    at a distance from other bodies; or x, y and angle of each body. Mechanisms with friction in
+    joints always take the latter."""
     collocation: Collocation = Collocation()
     """The collocation method and the first mesh."""
     tolerance: Positive = 1e-6

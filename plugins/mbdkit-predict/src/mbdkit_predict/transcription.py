@@ -812,8 +812,17 @@ class Transcription:
         rows = ca.vertcat(system.constraints(*system.symbols.values())[0], *(row[0] for row in wanted))
         still = ca.vertcat(system.q, ca.SX.zeros(len(q) + len(system.z0)))
         program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": at_node(system, rows)(still, system.p0, t)}
-        low, high = ([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)] for k in (1, 2))
-        return solve_pose(program, x0=q, lbg=low, ubg=high)
+        low, high = (np.array([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)]) for k in (1, 2))
+        # an arm that points away from its aim does not turn by itself
+        turns = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()]
+        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low, ubg=high) for turn in turns]
+        at = ca.Function("at", [system.q], [program["g"]])
+
+        def misses(pose: np.ndarray) -> bool:
+            values = np.array(at(pose)).ravel()
+            return bool(np.maximum(low - values, values - high).max(initial=0.0) > 1e-6)
+
+        return min(poses, key=lambda pose: (misses(pose), np.linalg.norm(pose - q)))
 
 
 def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Stop) -> list[Mesh]:

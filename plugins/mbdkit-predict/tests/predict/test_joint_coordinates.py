@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -101,9 +102,60 @@ def test_chains_loops_and_slides_are_those_of_the_machine_code(generator: Callab
     check(generator(np.random.default_rng(1)))
 
 
-@pytest.mark.parametrize("name", ["quick-return", "series-elastic-knee", "sit-down", "knee"])
+@pytest.mark.parametrize(
+    "name", ["quick-return", "series-elastic-knee", "sit-down", "knee", "light-cart-pole", "particle-four-bar"]
+)
 def test_examples_are_those_of_the_machine_code(name: str) -> None:
     check(load_spec(name).mechanism())
+
+
+def bobs() -> Mechanism:
+    """Two point masses below a rod that turns, one of which bears the other; and two that fly, joined by a rod."""
+    m = Mechanism()
+    rod = m.body("rod", mass=2.0, inertia=0.3, position=(0.4, 0.1), angle=0.2, angular_velocity=1.5)
+    m.revolute("pin", m.ground, rod, at=(0.0, 0.0))
+    lower = m.body("lower", mass=0.5, position=(1.1, -0.7), velocity=(0.4, 0.1))
+    upper = m.body("upper", mass=0.7, position=(0.8, -0.3))
+    m.distance("short", upper, rod, **{"from": (0.8, -0.3), "to": (0.7, 0.1)})
+    m.distance("long", upper, lower, **{"from": (0.8, -0.3), "to": (1.1, -0.7)})
+    first = m.body("first", mass=0.2, position=(2.0, 1.0))
+    second = m.body("second", mass=0.3, position=(2.5, 1.2))
+    m.distance("flying", first, second, **{"from": (2.0, 1.0), "to": (2.5, 1.2)})
+    m.spring_damper("spring", second, lower, stiffness=20.0, damping=0.3, free_length=1.0, points=[(0, 0), (0, 0)])
+    return m
+
+
+def test_a_point_mass_at_a_distance_has_the_angle_of_its_arm() -> None:
+    check(m := bobs())
+    system = CasadiSystem(ChosenNumbers(m, [], []), 0.0, is_joint=True)
+    assert system.constraint_names == ()
+    assert system.is_arm.sum() == 3
+
+
+def test_a_cart_with_a_point_mass_swings_up_as_one_with_a_pole(tmp_path: Path) -> None:
+    (tmp_path / "cart.yaml").write_text(POINT_MASS)
+    run = mbdkit.predict(tmp_path / "cart.yaml")
+    assert run.verdict == "good", run.verdict_reasons
+    assert_within(run.objective - swing_up(5, 80), run.objective_error)
+
+
+POINT_MASS = """
+mbdkit_predict: 1
+base:
+  model:
+    name: mechanism
+    bodies: {cart: {mass: 1.0, position: [0, 0]}, bob: {mass: 0.3, position: [0, -0.5]}}
+    joints:
+      rail: {type: driver, bodies: [ground, cart], coordinate: y, motion: 0.0}
+      rod: {type: distance, bodies: [cart, bob], points: [[0, 0], [0, 0]], length: 0.5}
+    forces: {push: {type: force, body: cart, value: [0.0, 0.0]}}
+controls: {"forces.push.value[0]": {bounds: [-20, 20], start: -2}}
+duration: 2.0
+initial: {cart.x: 0, cart.vx: 0, bob.x: 0, bob.y: -0.5, bob.vx: 0, bob.vy: 0}
+final: {cart.x: 1, cart.vx: 0, bob.x: 1, bob.y: 0.5, bob.vx: 0}
+subject_to: {track: {value: cart.x, min: -2, max: 2}}
+minimize: integral(forces.push.value**2)
+"""
 
 
 @pytest.mark.parametrize("coordinates", ["joint", "absolute"])
