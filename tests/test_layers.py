@@ -7,10 +7,14 @@ import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.cli import QUIET
 from tests.first_party import PACKAGES, PARTS, ROOT, import_statements, modules
 from tests.imports import imported_names
+
+pytestmark = pytest.mark.end_to_end  # of the sources alone
 
 
 def imported(path: Path, known: dict[str, Path]) -> set[str]:

@@ -9,6 +9,8 @@ import pytest
 
 from tests.first_party import MAPS, PACKAGES, ROOT, modules
 
+pytestmark = pytest.mark.end_to_end  # of the sources alone
+
 CORE = (ROOT / "mbdkit" / "README.md").read_text(encoding="utf-8")
 MOST_ROWS = 20
 """Largest number of rows of a map."""

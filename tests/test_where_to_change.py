@@ -18,6 +18,8 @@ from mbdkit.registry.manager import registry
 from mbdkit.spec.yaml_reader import read_data
 from tests.first_party import MAPS, PACKAGES, ROOT
 
+pytestmark = pytest.mark.end_to_end  # of the sources alone
+
 QUESTIONS = read_data((Path(__file__).parent / "where_to_change.yaml").read_text(encoding="utf-8"))
 
 MOST_IN_ROW = 12

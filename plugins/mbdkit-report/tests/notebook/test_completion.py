@@ -8,6 +8,8 @@ import pytest
 
 import mbdkit
 
+pytestmark = pytest.mark.end_to_end
+
 completer = pytest.importorskip("IPython.core.completer", reason="completion is tested with IPython")
 
 

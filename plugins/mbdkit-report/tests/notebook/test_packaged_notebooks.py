@@ -48,6 +48,7 @@ def test_the_guide_and_the_list_of_examples_name_every_notebook() -> None:
         assert f"| `{name}` |" in find_page("notebooks").text
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize("name", notebook_names())
 def test_the_jupyter_file_has_the_code_of_the_script(name: str) -> None:
     nbformat = pytest.importorskip("nbformat", reason="Jupyter files are validated by nbformat")

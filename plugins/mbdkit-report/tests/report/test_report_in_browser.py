@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 
 import mbdkit
 from mbdkit.base.text import csv_cell
@@ -20,6 +19,8 @@ from mbdkit_report import render, report, run_report
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.plot.caption import caption
 from tests.browser import opened, until
+
+axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="pages are tested with axe and playwright")
 
 EVIL = "</script><script>alert('x')</script><img src=https://evil.example/x.png onerror=alert(1)> & \"q\""
 
@@ -165,7 +166,7 @@ def test_axe_finds_nothing_to_mend(browser, any_path):
     # The colours are the same on both pages: one is looked at in the light, and one in the dark.
     watched = opened(browser, any_path, color_scheme="light" if any_path.name == "study.html" else "dark")
     watched.page.wait_for_timeout(300)
-    found = Axe().run(watched.page, options=RULES)
+    found = axe.Axe().run(watched.page, options=RULES)
     assert found.response["violations"] == [], found.generate_report()
     watched.page.context.close()
 

@@ -43,6 +43,7 @@ def test_a_new_project_passes_its_own_tests_and_runs_its_example(kind, here):
         assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.end_to_end
 @pytest.mark.parametrize(("kind", "like"), SORTS)
 def test_a_new_project_is_formatted_and_free_of_lint(kind, like, here):
     new_project(f"mbdkit-new-{kind}", kind, like=like)
