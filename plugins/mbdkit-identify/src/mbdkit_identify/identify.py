@@ -245,12 +245,13 @@ class _Identification:
 
     def _expression(self, name: str, text: str) -> Goal:
         known = {key: value for key, value in self.spec.run_spec.numbers.items() if key not in self.names}
-        where = path_text(("intervals", "of", name))
 
         def value(x: np.ndarray) -> float:
             values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
-            with SpecError.rekey(where):
+            try:
                 return parameter_values({**values, "_": text})["_"]
+            except SpecError:  # the expression was checked when the spec was read: it is not finite here, such as 0/0
+                return np.nan
 
         def slope(x: np.ndarray) -> np.ndarray:
             found = np.zeros(len(x))
@@ -259,11 +260,12 @@ class _Identification:
                 found[place] = (value(x + change) - value(x - change)) / (2 * change[place])
             return found
 
-        value(self.fit.x)
         return Goal(name, value, slope)
 
     def is_determined(self, slope: np.ndarray) -> bool:
-        """Return whether no combination of parameters that is not determined changes a goal."""
+        """Return whether a goal has a slope, and no combination of parameters that is not determined changes it."""
+        if not np.all(np.isfinite(slope)):
+            return False
         lost = ~self.known.identifiable
         if not np.any(slope[lost]):
             return True
