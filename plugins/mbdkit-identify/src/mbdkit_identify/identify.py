@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed, path_text
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, prepare
