@@ -155,6 +155,17 @@ def test_a_mass_that_one_experiment_adds_follows_from_both(tmp_path: Path) -> No
         identify(given)
 
 
+def test_bands_of_a_held_out_record_have_the_noise_of_all_fitted_records(tmp_path: Path) -> None:
+    t, given = np.arange(0.0, 3.001, 0.02), spec(tmp_path)
+    rough = table(tmp_path / "rough.csv", t, x=noisy(position(t, 0.2, 0.0, **TRUE), 2, 4 * NOISE))
+    swing = given["experiments"]["swing"]
+    given["experiments"] = {"quiet": swing, "rough": swing | {"file": rough}, "later": swing | {"role": "hold-out"}}
+    found = identify(given)
+    assert found.hold_out[0].deviation == pytest.approx(
+        NOISE * np.sqrt((1 + 4**2) / 2), rel=0.2
+    )  # margin: seeded noise
+
+
 def test_an_expression_without_a_finite_value_is_not_determined_and_others_are_kept(tmp_path: Path) -> None:
     found = identify(spec(tmp_path, intervals={"method": "linear", "of": {"root": "sqrt(2 - k)", "double": "2*k"}}))
     assert not found["root"].identifiable
