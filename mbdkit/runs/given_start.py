@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
+from functools import cache
 
 import numpy as np
 
@@ -47,6 +48,7 @@ class GivenStart:
             raise SpecError("initial values cannot be given for mechanisms with beams", key="initial")
         self.start = (starts or Starts()).at_start(mechanism, spec.time.start, spec.time.final)
         self.names = QuantityNames(mechanism)
+        self._find = cache(self.names.find)  # derivatives of starts look up each name often
         self.length = self.start.mechanism.length
         self.search = search_for(mechanism, self.start.mechanism, spec.time.start)
         self.n = self.search.n
@@ -94,7 +96,7 @@ class GivenStart:
         for name, given in values.items():
             element, _, axis = name.rpartition(".")
             kind, of = (moving, f"{element}.{RATES[axis]}") if axis in RATES else (held, name)
-            quantity = self.names.find(of, "initial")
+            quantity = self._find(of, "initial")
             with SpecError.locate(f"initial.{quoted(name)}"):
                 value = number_in(given, f"{quantity.unit}/s" if axis in RATES else quantity.unit)
             if not math.isfinite(value):

@@ -7,6 +7,7 @@ numbers stores the values and derivatives of these inputs in the array of parame
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,6 +17,8 @@ from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
 from mbdkit.mechanism.force_law import ExpressionLaw
 
 if TYPE_CHECKING:
+    import sympy
+
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.force_laws import CompiledLaw
 
@@ -98,7 +101,17 @@ def _with_slopes(name: str, compiled: CompiledLaw) -> tuple[Callable[..., list[f
             key="gradients",
         )
     names = [name for name, _ in compiled.parameters]
-    symbols = [sp.Symbol(name, real=True) for name in ("length", "rate", *names)]
+    symbols = tuple(sp.Symbol(name, real=True) for name in ("length", "rate", *names))
     force, _ = smooth_pieces(compiled.law, names)
+    return _function_with_slopes(force, symbols), len(names)
+
+
+@lru_cache(maxsize=256)  # each run has laws of its own, whose expressions are equal
+def _function_with_slopes(force: sympy.Expr, symbols: tuple[sympy.Symbol, ...]) -> Callable[..., list[float]]:
+    import sympy as sp
+
     slopes = [force.diff(symbol) for symbol in symbols]
-    return sp.lambdify([*symbols, sp.Symbol("time", real=True)], [force, *slopes], modules="math"), len(names)
+    function: Callable[..., list[float]] = sp.lambdify(
+        [*symbols, sp.Symbol("time", real=True)], [force, *slopes], modules="math"
+    )
+    return function

@@ -18,13 +18,14 @@ from mbdkit_identify.problem import FAILED, Problem
 
 #: Relative change of the sum of squares, and of the unknowns, at which a search ends: with the noise that is estimated,
 #: with its first guess, and in the last search.
-TOLERANCE, ROUGH, FINE = 1e-8, 1e-4, 1e-12
+TOLERANCE, ROUGH, FINE = 1e-8, 1e-2, 1e-12
 MOST_EVALUATIONS = 200
 #: Largest number of alternations between unknowns and noise, and of evaluations in each: a step of the unknowns.
 MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
 #: Smallest mean square of the influence of residuals, which is less for data without noise.
 LEAST_EFFECT = 0.01
 SETTLED = 1e-3  #: Relative change of the innovations at which the noise counts as settled.
+CLOSE = 0.05  #: Change of a correlation, in standard errors, at which it counts as settled.
 
 
 NORMAL_MEDIAN = 0.6744897501960817  #: Median of the magnitude of a standard normal number.
@@ -91,7 +92,7 @@ def best_fit(
     if not found:
         raise RunError(f"the run fails at the start of the parameters: {reasons[0]}")
     _, x = min(found, key=lambda one: one[0])
-    is_settled, most = False, FEW_EVALUATIONS
+    is_settled, is_moved, most = False, True, FEW_EVALUATIONS
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
         raw = problem.predicted(x) - problem.measured
@@ -102,10 +103,12 @@ def best_fit(
         problem.noises = problem.pooled(noises)
         if loss != "linear":
             problem.noises = _without_outliers(problem, raw)
-        if is_settled := _is_settled(before, problem.noises):
-            break
+        is_settled = _is_settled(before, problem.noises)
+        if is_settled and (is_moved or most == MOST_EVALUATIONS):
+            break  # noise that follows from the last unknowns again, because a search refused all steps, is not settled
+        most = FEW_EVALUATIONS if is_moved else MOST_EVALUATIONS
         last, x = x, _search(problem, x, loss, most)
-        most = FEW_EVALUATIONS if np.any(x != last) else MOST_EVALUATIONS
+        is_moved = bool(np.any(x != last))
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
     x = _search(problem, x, loss, tolerance=FINE)
     return fit_at(problem, x, tuple(cost for cost, _ in found), loss, is_settled=is_settled)
@@ -226,12 +229,15 @@ def _why(problem: Problem, start: np.ndarray) -> str:
 
 
 def _is_settled(before: list[Noise], now: list[Noise]) -> bool:
-    """Return whether innovations, which whitened residuals are relative to, hardly change; if the correlation is close
-    to 1, they determine the deviation of the noise badly.
+    """Return whether innovations, which whitened residuals are relative to, hardly change, and correlations change by
+    little of their errors; if the correlation is close to 1, they determine the deviation of the noise badly.
     """
     return all(
         abs(a.innovation - b.innovation) <= SETTLED * b.innovation
-        and abs(a.correlation - b.correlation) * b.deviation <= SETTLED * b.innovation
+        and (
+            abs(a.correlation - b.correlation) * b.deviation <= SETTLED * b.innovation
+            or abs(np.arctanh(a.correlation) - np.arctanh(b.correlation)) <= CLOSE * b.error
+        )
         for a, b in zip(before, now, strict=True)
     )
 

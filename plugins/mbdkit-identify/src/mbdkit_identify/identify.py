@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed, path_text
+from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, prepare
@@ -23,6 +23,7 @@ from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import ExperimentData, read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
+from mbdkit_identify.noise import Noise
 from mbdkit_identify.posterior import posterior
 from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
@@ -245,12 +246,13 @@ class _Identification:
 
     def _expression(self, name: str, text: str) -> Goal:
         known = {key: value for key, value in self.spec.run_spec.numbers.items() if key not in self.names}
-        where = path_text(("intervals", "of", name))
 
         def value(x: np.ndarray) -> float:
             values = known | {one: float(x[place]) for place, one in enumerate(self.names) if one.isidentifier()}
-            with SpecError.rekey(where):
+            try:
                 return parameter_values({**values, "_": text})["_"]
+            except SpecError:  # the expression was checked when the spec was read: it is not finite here, such as 0/0
+                return np.nan
 
         def slope(x: np.ndarray) -> np.ndarray:
             found = np.zeros(len(x))
@@ -259,11 +261,12 @@ class _Identification:
                 found[place] = (value(x + change) - value(x - change)) / (2 * change[place])
             return found
 
-        value(self.fit.x)
         return Goal(name, value, slope)
 
     def is_determined(self, slope: np.ndarray) -> bool:
-        """Return whether no combination of parameters that is not determined changes a goal."""
+        """Return whether a goal has a slope, and no combination of parameters that is not determined changes it."""
+        if not np.all(np.isfinite(slope)):
+            return False
         lost = ~self.known.identifiable
         if not np.any(slope[lost]):
             return True
@@ -368,9 +371,13 @@ class _Identification:
                 if name in self.names:
                     x[place], own[place] = self.fit.x[self.names.index(name)], False
             for number, (key, known) in enumerate(zip(problem.signals, problem.known, strict=True)):
-                same = [k for k, other in enumerate(self.problem.signals) if other.quantity == key.quantity]
+                same = [
+                    noise
+                    for noise, other in zip(self.problem.noises, self.problem.signals, strict=True)
+                    if other.quantity == key.quantity
+                ]
                 if known is None and same:
-                    problem.noises[number] = self.problem.noises[same[0]]
+                    problem.noises[number] = _pooled(same)
             try:
                 x = fit_some(problem, x, own)
                 fit = fit_at(problem, x)
@@ -478,6 +485,15 @@ class _Identification:
     def _plain_spec(self) -> Mapping[str, object]:
         assert self.spec._document is not None
         return dict(deepcopy(self.spec._document.data))
+
+
+def _pooled(noises: Sequence[Noise]) -> Noise:
+    """Return the noise of a quantity in another record, from that in several records."""
+    if len(noises) == 1:
+        return noises[0]
+    deviation = float(np.sqrt(np.mean([noise.deviation**2 for noise in noises])))
+    correlation = float(np.mean([noise.correlation for noise in noises]))
+    return replace(noises[0], deviation=deviation, correlation=correlation)
 
 
 def _finer(spec: RunSpec) -> RunSpec:

@@ -130,7 +130,7 @@ class Experiment(Section):
     """One record of measured data."""
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        *("separator", "decimal", "inputs", "initial", "window", "sensors", "role"),
+        *("separator", "decimal", "inputs", "initial", "overrides", "window", "sensors", "role"),
     )
 
     file: str
@@ -154,6 +154,9 @@ class Experiment(Section):
     """The state at the beginning of the data. `estimated`: positions and velocities are estimated. `rest`: positions
     are estimated, velocities are zero. A mapping of quantities, such as ``{crank.angle: 0.3}``: numbers are exact, and
     two numbers are bounds of an estimate. By default, the start of the base."""
+    overrides: Overrides = Field(default_factory=dict)
+    """Dotted keys to set in the base of this experiment, such as `parameters.load: 0`; a parameter that is set here is
+    estimated from the other experiments."""
     window: Interval | None = None
     """First and last time that are used [s]; by default the whole file."""
     sensors: dict[str, Sensor] = Field(default_factory=dict)

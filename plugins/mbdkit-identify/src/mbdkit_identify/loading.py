@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 
 from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, path_text
@@ -20,7 +21,7 @@ from mbdkit.plugin.specs import (
     variable_path,
 )
 from mbdkit.plugin.studies import base_document, document_of
-from mbdkit_identify.identify_spec import IdentifySpec
+from mbdkit_identify.identify_spec import Experiment, IdentifySpec
 
 
 def load_identify_spec(source: object, assignments: Iterable[str] = (), **sections: object) -> IdentifySpec:
@@ -69,6 +70,8 @@ def load_identify_spec(source: object, assignments: Iterable[str] = (), **sectio
         spec._document = document
         spec._base = _base(spec, folder)
         _check_names(spec)
+        for name, experiment in spec.experiments.items():
+            base_of(spec, name, experiment)
     return spec
 
 
@@ -111,6 +114,29 @@ def _base(spec: IdentifySpec, folder: Path) -> RunSpec:
                 hint = did_you_mean(key, mechanism.inputs) or f"; it has {listed([*mechanism.inputs], 'and') or 'none'}"
                 where = path_text(("experiments", name, "inputs", key))
                 raise SpecError(f"the mechanism has no input '{key}'{hint}", key=where)
+    return base
+
+
+def base_of(spec: IdentifySpec, name: str, experiment: Experiment) -> RunSpec:
+    """Return the base of an experiment.
+
+    Raises
+    ------
+    SpecError
+        If its overrides are not valid.
+    """
+    document, overrides = spec.run_spec._document, experiment.overrides
+    assert document is not None
+    if not overrides:
+        return spec.run_spec
+    data = deepcopy(document.data)
+    for key, value in overrides.items():
+        with SpecError.rekey(path_text(("experiments", name, "overrides", key))):
+            put(data, parse_key(key), value)
+    with SpecError.rekey(path_text(("experiments", name, "overrides"))):
+        base = RunSpec(**data)
+        base.mechanism()
+    base._document = replace(document, data=data)
     return base
 
 

@@ -12,10 +12,11 @@ from scipy.interpolate import make_interp_spline
 
 from mbdkit.plugin import RunSpec, SpecError, path_text
 from mbdkit.plugin.runs import GivenStart
+from mbdkit.plugin.specs import parse_key, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec, Sensor
 from mbdkit_identify.kinematic import Positions
-from mbdkit_identify.loading import sensor_names
+from mbdkit_identify.loading import base_of, sensor_names
 from mbdkit_identify.measured_data import LEAST_SAMPLES, RATES, ExperimentData, SignalData, plain_name
 
 INITIAL = "initial"  #: First part of the names of initial values among the parameters of a run.
@@ -192,22 +193,23 @@ def segments_of(
     segments: list[Segment] = []
     shared: dict[object, PreparedSensitivities] = {}
     for one in data:
+        base, fixed = base_of(spec, one.name, one.experiment), set(map(parse_key, one.experiment.overrides))
+        places = {name: names[name] for name in of_run if variable_path(name) not in fixed}
         if spec.kinematic:
-            places, is_held_out = {name: names[name] for name in of_run}, one.experiment.role == "hold-out"
+            is_held_out = one.experiment.role == "hold-out"
             with SpecError.locate(path_text(("experiments", one.name))):
-                whole = KinematicSegment(one.name, is_held_out, one.time, one.signals, spec.run_spec, places, {})
+                whole = KinematicSegment(one.name, is_held_out, one.time, one.signals, base, places, {})
                 whole.start_with(unknowns)
             segments.append(whole)
             continue
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
-            segment = _segment(spec, one, some, number, unknowns, {name: names[name] for name in of_run})
+            segment = _segment(spec, base, one, some, number, unknowns, places)
             segments.append(replace(segment, shared=shared))
     return unknowns, segments, names
 
 
 def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[float | str, str]) -> Unknown:
     from mbdkit.plugin.reports import key_unit
-    from mbdkit.plugin.specs import variable_path
 
     given, base = spec.parameters[name], spec.run_spec
     low, high = given.bounds or (-np.inf, np.inf)
@@ -250,6 +252,7 @@ def _windows(data: ExperimentData, duration: float | None) -> list[np.ndarray]:
 
 def _segment(
     spec: IdentifySpec,
+    base: RunSpec,
     data: ExperimentData,
     some: np.ndarray,
     number: int,
@@ -259,7 +262,7 @@ def _segment(
     """Return a window of an experiment; its unknown initial values are added to the unknowns."""
     experiment, time = data.experiment, data.time[some]
     signals = tuple(_in_window(signal, time, some, spec) for signal in data.signals)
-    run = run_of_window(spec.run_spec, time, data.inputs)
+    run = run_of_window(base, time, data.inputs)
     choice = experiment.initial if number == 0 or experiment.initial is not None else "estimated"
     if number > 0 and choice != "estimated":
         choice = "estimated"

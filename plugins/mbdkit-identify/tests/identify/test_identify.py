@@ -140,6 +140,40 @@ def test_mass_stiffness_and_damping_without_force_are_known_as_ratios_only(tmp_p
     assert np.isinf(found["product"].upper)
 
 
+def test_a_mass_that_one_experiment_adds_follows_from_both(tmp_path: Path) -> None:
+    t, true = np.arange(0.0, 3.001, 0.02), TRUE | {"m": 1.3}
+    heavy = table(tmp_path / "heavy.csv", t, x=noisy(position(t, 0.2, 0.0, **true), 2))
+    given = spec(tmp_path, parameters={name: {"bounds": [0.01, 100]} for name in TRUE})
+    swing = given["experiments"]["swing"]
+    given["experiments"] = {"light": swing | {"overrides": {"parameters.m": 1.0}}, "heavy": swing | {"file": heavy}}
+    found = identify(given)
+    for name, value in true.items():  # each experiment alone determines ratios only
+        assert_within(found[name].value - value, 4 * found[name].deviation)
+    assert found["m"].deviation < 0.01
+    given["experiments"]["light"]["overrides"] = {"model.bodies.cart.mas": 1.0}
+    with pytest.raises(SpecError, match=r"experiments.light.overrides.*mass"):
+        identify(given)
+
+
+def test_bands_of_a_held_out_record_have_the_noise_of_all_fitted_records(tmp_path: Path) -> None:
+    t, given = np.arange(0.0, 3.001, 0.02), spec(tmp_path)
+    rough = table(tmp_path / "rough.csv", t, x=noisy(position(t, 0.2, 0.0, **TRUE), 2, 4 * NOISE))
+    swing = given["experiments"]["swing"]
+    given["experiments"] = {"quiet": swing, "rough": swing | {"file": rough}, "later": swing | {"role": "hold-out"}}
+    found = identify(given)
+    assert found.hold_out[0].deviation == pytest.approx(
+        NOISE * np.sqrt((1 + 4**2) / 2), rel=0.2
+    )  # margin: seeded noise
+
+
+def test_an_expression_without_a_finite_value_is_not_determined_and_others_are_kept(tmp_path: Path) -> None:
+    found = identify(spec(tmp_path, intervals={"method": "linear", "of": {"root": "sqrt(2 - k)", "double": "2*k"}}))
+    assert not found["root"].identifiable
+    assert np.isinf([found["root"].lower, found["root"].upper]).all()
+    assert found["double"].deviation == pytest.approx(2 * found["k"].deviation)
+    assert "root" in found.summary()
+
+
 def test_a_prior_makes_a_parameter_known(tmp_path: Path) -> None:
     parameters = {"m": {"prior": {"mean": 1.0, "deviation": 0.05}}, "k": {}, "c": {}}
     found = identify(spec(tmp_path, parameters=parameters))

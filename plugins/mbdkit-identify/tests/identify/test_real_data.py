@@ -19,7 +19,7 @@ from mbdkit_identify.identify import identify
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import read_experiment
 
-SWING, DRIVEN = "double-pendulum-swing", "driven-double-pendulum"
+SWING, DRIVEN, ROBOT = "double-pendulum-swing", "driven-double-pendulum", "brachiating-robot"
 
 PUBLISHED_SWING = {
     "m1": 0.0938440, "m2": 0.137596, "a1": 0.108565, "a2": 0.116779, "L1": 0.172719, "I1": 4.37529e-4,
@@ -69,6 +69,34 @@ def driven(t: float, y: np.ndarray, torques: Any) -> list[float]:
     spin = coupling * np.sin(b) * np.array([(2 * da + db) * db, -(da**2)])
     friction = [p["b1"] * da + p["cf1"] * np.arctan(100 * da), p["b2"] * db + p["cf2"] * np.arctan(100 * db)]
     return [da, db, *np.linalg.solve(mass, np.array([upper, lower]) + spin + torques(t) - friction)]
+
+
+def brachiating(t: float, y: np.ndarray, p: dict[str, float]) -> np.ndarray:
+    """Equations of the brachiating robot with a load of 0.2 kg at (0.05, 0.3), from hanging, with torques of 1 N m and
+    -0.3 N m; angles of upper arm, tail and free arm.
+    """
+    hub = (0.0, -p["arm"])
+    bodies = [  # mass, inertia about the centre of mass, and the arms of upper arm, tail and free arm to it
+        (p["upper_mass"], p["upper_inertia"], {0: (0.0, -p["upper_center"])}),
+        (p["tail_mass"], p["tail_inertia"], {0: hub, 1: (0.0, -p["tail_center"])}),
+        (0.2, 0.0, {0: hub, 2: (0.05, -0.3)}),
+        (p["lower_mass"], p["lower_inertia"], {0: hub, 2: (0.01, -p["lower_center"])}),
+    ]
+    angles, rates = y[:3], y[3:]
+    elbow = rates[2] - rates[1]
+    shoulder_torque = p["tail_gain"] - p["tail_damping"] * (rates[1] - rates[0])
+    elbow_torque = -0.3 * p["lower_gain"] - p["lower_damping"] * elbow - p["lower_friction"] * np.tanh(elbow / 0.3)
+    mass, forces = np.zeros((3, 3)), np.array([-shoulder_torque, shoulder_torque - elbow_torque, elbow_torque])
+    for own, inertia, arms in bodies:
+        rows, centripetal = np.zeros((2, 3)), np.array([0.0, 9.81])
+        for k, (x, z) in arms.items():
+            c, s = np.cos(angles[k]), np.sin(angles[k])
+            rows[:, k] = [-s * x - c * z, c * x - s * z]
+            centripetal -= rates[k] ** 2 * np.array([c * x - s * z, s * x + c * z])
+        mass += own * rows.T @ rows
+        mass[max(arms), max(arms)] += inertia
+        forces -= own * rows.T @ centripetal
+    return np.concatenate([rates, np.linalg.solve(mass, forces)])
 
 
 def zeros_only(name: str) -> dict[str, Any]:
@@ -126,6 +154,22 @@ def test_the_driven_base_follows_the_published_equations() -> None:
     assert np.ptp(exact[1]) > 0.5
     np.testing.assert_allclose(run.bodies["upper"].angle, exact[0], rtol=0, atol=3e-6)
     np.testing.assert_allclose(run.joints["elbow"].angle, exact[1], rtol=0, atol=3e-6)
+
+
+def test_the_base_of_the_brachiating_robot_follows_the_equations_of_lagrange() -> None:
+    base = load_identify_spec(ROBOT).run_spec
+    added = {"lower_side": 0.01, "load": 0.2, "load_x": 0.05, "load_y": 0.3}
+    torques = {"tail_torque": 1.0, "lower_torque": -0.3}
+    run = mbdkit.run(
+        base, parameters={**base.parameters, **added}, time={"end": 1.0, "step": 0.002},
+        inputs={name: {"table": [[0.0, 1.0], [value, value]]} for name, value in torques.items()},
+    )  # fmt: skip
+    exact = solve_ivp(
+        brachiating, (0.0, 1.0), np.zeros(6), "DOP853", run.time, args=(base.numbers,), rtol=1e-10, atol=1e-12
+    ).y
+    assert np.ptp(exact[2]) > 0.5
+    for body, angle in zip(("upper", "tail", "lower"), exact, strict=False):
+        np.testing.assert_allclose(run.bodies[body].angle, angle, rtol=0, atol=1e-6)
 
 
 def test_two_seconds_of_the_swing_give_the_published_inertias() -> None:
