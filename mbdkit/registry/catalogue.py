@@ -180,7 +180,12 @@ class Registry:
         if len(namesakes) > 1:
             owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in namesakes], "and")
             ids = listed([f"'{item.id}'" for item in namesakes], "or")
-            raise SpecError(f"the {label} name '{name}' is used by {owners}; write {ids}", key=key)
+            others = ",".join(item.origin.distribution for item in namesakes if item.origin.distribution != MBDKIT)
+            raise SpecError(
+                f"the {label} name '{name}' is used by {owners}; write {ids}, or set MBDKIT_DISABLE_PLUGINS={others}, "
+                "as for archives of runs",
+                key=key,
+            )
         if namesakes:
             return namesakes[0]
         for item in self.of_kind(kind):

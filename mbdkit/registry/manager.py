@@ -205,7 +205,11 @@ def _offered(module: object, name: str, manager: pluggy.PluginManager) -> Iterat
             hooks = listed(dict.fromkeys(item_class.hook for item_class in KINDS.values()), "and")
             raise PluginError(f"it implements none of the hooks {hooks}, marked with `mbdkit.hookimpl`")
         for hook in dict.fromkeys(item_class.hook for item_class in KINDS.values()):
-            for answer in getattr(manager.hook, hook)():
+            caller = getattr(manager.hook, hook)
+            answers = caller()
+            if caller.get_hookimpls() and not answers:
+                raise PluginError(f"its hook `{hook}` returned None, not a list")
+            for answer in answers:
                 if not isinstance(answer, list | tuple | Iterator):
                     raise PluginError(f"its hook `{hook}` returned {described(answer)}, not a list")
                 for thing in answer:

@@ -66,6 +66,7 @@ def test_an_accessor_never_replaces_an_attribute_of_mbdkit_and_is_named(installe
 
 @pytest.mark.parametrize(("function", "words"), [("failing", "ValueError: no such muscle"), ("wrong", "not pairs")])
 def test_a_summary_line_that_fails_leaves_the_summary(function, words, run, installed):
+    run.summary()  # imports what is replaced
     installed(acme=[SummaryLine(name="jumps", summary="Jumps.", text=target(function))])
     line = next(line for line in run.summary().splitlines() if line.startswith("jumps"))
     assert "the summary line 'acme:jumps'" in line

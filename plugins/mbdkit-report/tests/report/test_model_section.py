@@ -6,6 +6,7 @@ import json
 import math
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -23,6 +24,7 @@ from mbdkit_report import Drawing, Illustration, NamedPose, draw_mechanism, run_
 from mbdkit_report.figures.drawing_geometry import draw_run
 from mbdkit_report.figures.label_placement import LINE, Name, place_names
 from mbdkit_report.figures.mechanism_drawing import mechanism_svg, names_shown
+from mbdkit_report.pages import model_section
 from mbdkit_report.unit_of_use import unit_of_use
 from tests.archive.stored import SHORT, stored, swing
 from tests.laws.walker import SWEEP, walker
@@ -138,6 +140,12 @@ def test_parameters_are_listed_with_their_values():
     rows = {row[0]: row[1:] for row in tables["parameters"].rows}
     assert rows["crank"] == (None, 0.1)
     assert rows["start"] == ("degrees(60)", pytest.approx(math.pi / 3))
+
+
+def test_measures_that_were_asked_are_named_in_every_form():
+    measures = {"low": "min(rod1.y)", "high": {"value": "max(rod1.y)", "unit": "m"}, "far": {"name": "of-a-plugin"}}
+    asked = model_section._asked(SimpleNamespace(spec={"measures": measures}, time=[0.0, 1.0]))
+    assert asked == "low = min(rod1.y), high = max(rod1.y) and far = of-a-plugin, from t = 0 s to 1 s"
 
 
 def test_without_its_mechanism_a_run_shows_what_its_archive_holds(make_run):

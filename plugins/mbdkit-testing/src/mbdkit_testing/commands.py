@@ -207,7 +207,8 @@ def plugins_new(
     """Create the project of a new plugin in ./NAME.
 
     It can be installed at once, its tests pass, and its README says what to
-    change. Existing files are not changed.
+    change. Existing files are not changed. `mbdkit guide plugins` has examples
+    of studies, commands and further kinds.
     """
     from mbdkit_testing.scaffold.new_plugin import new_project
 

@@ -61,7 +61,8 @@ def model_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, Sect
 
 def _asked(run: Run) -> str:
     given = run.spec.get("measures", {})
-    measures = [f"{name} = {one['value'] if isinstance(one, dict) else one}" for name, one in given.items()]
+    texts = {name: one.get("value", one.get("name")) if isinstance(one, dict) else one for name, one in given.items()}
+    measures = [f"{name} = {text}" for name, text in texts.items()]
     few = measures[:_MEASURES] + [f"{len(measures) - _MEASURES} more"] * (len(measures) > _MEASURES)
     what = listed(few, "and") if few else "the largest forces and torques in joints and drivers"
     start, end = float(run.time[0]), float(run.time[-1])
