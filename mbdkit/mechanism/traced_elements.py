@@ -66,6 +66,8 @@ def _model_with_numbers(validated: AnyModel, given: Mapping[Any, Any]) -> AnyMod
     if any(not update.keys().isdisjoint(check.info.fields) for check in decorators.field_validators.values()):
         raise UntraceableError("a field has a validator of its own")
     model = validated.model_copy(update=update)
+    for name in model.__dict__.keys() - cls.model_fields.keys():
+        del model.__dict__[name]  # a cached property, which follows from the plain numbers
     for check in decorators.model_validators.values():
         if check.info.mode == "after":
             check.func(model)

@@ -51,7 +51,9 @@ KNEE: dict[str, Any] = {
     "integrator": {"name": "rk4"},
     "time": {"end": 0.1, "step": 0.01},
 }  # fmt: skip
-EXAMPLES = ("car-axis", "chain", "double-pendulum", "four-bar", "pendulum", "slider-crank", "spring-pendulum")
+EXAMPLES = (
+    "car-axis", "chain", "double-pendulum", "four-bar", "pendulum", "roll-up", "slider-crank", "spring-pendulum",
+)  # fmt: skip
 DRAWS = int(os.environ.get("MBDKIT_DRAWS", "5"))  #: Pairs of specs of each example.
 EXTREME = (0.0, -0.0, -1.0, 1.0, 1e-300, 5e-324, 1e300, -1e300, 7.0, 360.0)
 

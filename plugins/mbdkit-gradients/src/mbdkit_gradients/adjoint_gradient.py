@@ -41,8 +41,10 @@ from mbdkit.runs.continuous_motion import MotionPart, observed_at
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_gradients.adjoint_measures import Bars, Nodes, NotByAdjointError, measured_bars
-from mbdkit_gradients.differentiated_run import Needs
+from mbdkit_gradients.adjoint_events import AdjointEvent
+from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, Nodes, NotByAdjointError
+from mbdkit_gradients.differentiated_run import Needs, PassedEvent, events_of
+from mbdkit_gradients.evaluated_states import nearby
 from mbdkit_gradients.kernels import adjoint as kernels
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.measured_derivatives import DerivedMeasure
@@ -69,8 +71,6 @@ def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
         return f"the formulation is {spec.formulated.name}"
     if spec.stabilized.kind == "projection":
         return "states are projected"
-    if spec.events:
-        return "the run has events"
     if unknown := [name for name in seeds.arrays if name not in (*ARRAYS, "weight", "q", "v", "marker_points")]:
         known = {"motion_values": "motions or loads that are functions of time", "section_parameters": "beams"}
         of_measure = "numbers of measures" if "." in unknown[0] else "other elements"
@@ -91,6 +91,19 @@ class _Part:
     def span(self) -> tuple[float, float]:
         time = self.plain.ends.time
         return float(time[0]), float(time[-1])
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """The first part of step `number`, up to an event; see `AdjointRun` for the other attributes."""
+
+    method: ExplicitRungeKutta | ImplicitRungeKutta
+    time: np.ndarray
+    size: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    parts: list[_Part]
+    number: int
 
 
 class AdjointRun:
@@ -138,6 +151,28 @@ class AdjointRun:
         self.sizes = None if method.traits.tolerances is None else self.size.tolist()
         self._observer = StateObserver(work.with_own_pivots())
         self._adjoint = _Adjoint(work, seeds)
+        self._pieces: list[_Piece] = []
+        self._events = [self._event(event) for event in (events_of(spec, None) if spec.events else [])]
+
+    def _event(self, event: PassedEvent) -> AdjointEvent:
+        """Return an event with its state, at the end of a piece of a step; end the run there if the event does."""
+        n = min(int(np.searchsorted(self.time, event.time)), len(self.time) - 1) - 1
+        share = min(1.0, (event.time - self.time[n]) / (self.time[n + 1] - self.time[n]))
+        (number,) = (k for k, part in enumerate(self.parts) if part.begin <= n < part.end)
+        part = replace(self.parts[number], begin=0, end=1)
+        ends = slice(n, n + 2)
+        piece = _Piece(self.method, self.time[ends].copy(), self.size[n : n + 1] * share, self.q[ends].copy(),
+                       self.v[ends].copy(), [part], n)  # fmt: skip
+        piece.time[1] = event.time
+        if share < 1.0:
+            piece.q[1], piece.v[1] = self._adjoint.end(piece)
+        self._pieces.append(piece)
+        if event.stops:
+            self.time, self.size = np.append(self.time[: n + 1], event.time), np.append(self.size[:n], piece.size)
+            self.q, self.v = (np.concatenate([x[: n + 1], y[1:]]) for x, y in ((self.q, piece.q), (self.v, piece.v)))
+            del self.parts
+        unit = self.spec.time.step or 1e-3
+        return AdjointEvent.at(event, piece.q[1], piece.v[1], unit, self._states)
 
     def _check(self) -> None:
         """Raise NotByAdjointError for a mechanism that the kernels do not differentiate."""
@@ -214,6 +249,13 @@ class AdjointRun:
         self.workspace.clamp_motions(-np.inf, np.inf)
         return self._states(self._table.before(self.time), self.q, self.v)
 
+    @cached_property
+    def held(self) -> tuple[States, float]:
+        """Position and velocity of the last state at eight times around the end, and the time [s] between these."""
+        offsets, distance = nearby(self.spec.time.step or 1e-3)
+        q, v = (np.repeat(x[-1:], len(offsets), axis=0) for x in (self.q, self.v))
+        return self._states(self.time[-1] + offsets, q, v), distance
+
     def measures(self, expressions: Mapping[str, MeasureExpression]) -> dict[str, DerivedMeasure]:
         """Return measures with their derivatives; raise NotByAdjointError if the adjoint does not give them."""
         nodes = None
@@ -222,13 +264,14 @@ class AdjointRun:
             nodes = Nodes(self._states(time, q, v), weight)
         motions = [SimpleNamespace(parts=self.parts)] if self._needs.ends else []
         run = {"rows": self.rows, "nodes": nodes, "motions": motions}
-        found = {}
-        for name, (value, size, doubts, remarks, bars) in measured_bars(run, self, expressions).items():
-            found[name] = DerivedMeasure(value, self._slope(bars), size, doubts, remarks)
-        return found
+        events = [one.event for one in self._events]
+        found = {name: AdjointMeasure(run, self, expression, events).bars() for name, expression in expressions.items()}
+        return {
+            name: derived._replace(slope=self._slope(bars, times)) for name, (derived, bars, times) in found.items()
+        }
 
-    def _slope(self, bars: list[Bars]) -> np.ndarray:
-        """Return the derivatives (K,) of a measure from those with respect to states."""
+    def _slope(self, bars: list[Bars], times: np.ndarray) -> np.ndarray:
+        """Return the derivatives (K,) of a measure from those with respect to states and to times of events."""
         own, stages = self._adjoint, len(self.method.tableau.floats()[1])
         own.clear()
         q_bar, v_bar = np.zeros(self.q.shape), np.zeros(self.v.shape)
@@ -240,12 +283,25 @@ class AdjointRun:
             if one.part == -1:
                 q_bar[-1] += given[0][0]
                 v_bar[-1] += given[1][0]
+                if self._events and self._events[-1].event.stops:  # the end moves along the motion
+                    end = self._events[-1].states
+                    times = times.copy()
+                    times[-1] += given[0][0] @ end.v[0] + given[1][0] @ end.observed.acc[0]
             elif one.part == -2:
                 stage_bars = [
                     x + y for x, y in zip(stage_bars or given, given if stage_bars else (0.0, 0.0), strict=True)
                 ]
             else:
                 self._add_to_ends(one, *given, q_bar, v_bar)
+        for event, piece, by_time in zip(self._events, self._pieces, times, strict=True):
+            if by_time == 0.0:
+                continue
+            one = event.bars(by_time, self.workspace.mechanism)
+            q, v = (np.concatenate([np.zeros(x.shape), x]) for x in own.pulled(one))
+            marker_points += one.markers.sum(axis=0)
+            own.sweep(piece, q, v, [], stages)
+            q_bar[piece.number] += q[0]
+            v_bar[piece.number] += v[0]
         own.sweep(self, q_bar, v_bar, stage_bars, stages)
         slope = np.zeros(self.seeds.count)
         arrays = {**{name: getattr(own.bundle, name) for name in ARRAYS}, "marker_points": marker_points}
@@ -383,7 +439,7 @@ class _Adjoint:
         self._retried(call, partial(operator.eq, count))
         return given.q_bar, given.v_bar
 
-    def _steps(self, run: AdjointRun, **arrays: Any) -> Any:
+    def _steps(self, run: AdjointRun | _Piece, **arrays: Any) -> Any:
         a, b, c = run.method.tableau.floats()
         stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
         schur = self.workspace.solver.schur
@@ -407,7 +463,20 @@ class _Adjoint:
         time = (run.time[:-1, None] + run.size[:, None] * c[: len(b)]).ravel()
         weight = np.multiply.outer(run.size, b).ravel()
         q, v = (np.zeros((len(time), run.q.shape[1])) for _ in range(2))
-        pinned = PinnedBundle(self._steps(run, stage_q_bar=q, stage_v_bar=v))
+        self._write_stages(run, self._steps(run, stage_q_bar=q, stage_v_bar=v))
+        return time, weight, q, v
+
+    def end(self, piece: _Piece) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and velocity at the end of a step."""
+        q, v = (np.zeros((len(piece.method.tableau.floats()[1]), piece.q.shape[1])) for _ in range(2))
+        steps = self._steps(piece, stage_q_bar=q, stage_v_bar=v)
+        self._write_stages(piece, steps)
+        weight = piece.size[0] * steps.b
+        return piece.q[0] + weight @ steps.v_stage, piece.v[0] + weight @ steps.acc
+
+    def _write_stages(self, run: AdjointRun | _Piece, steps: Any) -> None:
+        """Write the stages of all steps of a run."""
+        pinned = PinnedBundle(steps)
         for part in run.parts:
             self.workspace.clamp_motions(*part.plain.sides)
             begin = part.begin
@@ -419,9 +488,10 @@ class _Adjoint:
                 return status, begin
 
             self._retried(call, partial(operator.eq, part.end))
-        return time, weight, q, v
 
-    def sweep(self, run: AdjointRun, q_bar: np.ndarray, v_bar: np.ndarray, stage_bars: Any, stages: int) -> None:
+    def sweep(
+        self, run: AdjointRun | _Piece, q_bar: np.ndarray, v_bar: np.ndarray, stage_bars: Any, stages: int
+    ) -> None:
         """Carry the derivatives with respect to step ends back to the start, whose row of `q_bar`, `v_bar` changes."""
         more = dict(zip(("stage_q_bar", "stage_v_bar"), stage_bars, strict=False))
         pinned = PinnedBundle(self._steps(run, q_bar=q_bar, v_bar=v_bar, **more))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -21,14 +21,15 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_motion import Peak
 from mbdkit_gradients.derived_values import DerivedValue
-from mbdkit_gradients.measured_derivatives import MeasureEvaluation
+from mbdkit_gradients.differentiated_run import DifferentiatedCrossing, PassedEvent
+from mbdkit_gradients.evaluated_states import rate_of
+from mbdkit_gradients.measured_derivatives import DerivedMeasure, MeasureEvaluation
 
 
 class NotByAdjointError(Exception):
     """The adjoint does not give this gradient, for the reason that the message states as a clause."""
 
 
-@dataclass
 class Bars:
     """Derivatives of a measure with respect to T states of a part of the motion, and to what follows from them.
 
@@ -36,21 +37,10 @@ class Bars:
     `mbdkit_gradients.kernels.adjoint.Given` for the other arrays.
     """
 
-    part: int
-    states: States
-    mechanism: CompiledMechanism
-    q: np.ndarray = field(init=False)
-    v: np.ndarray = field(init=False)
-    acc: np.ndarray = field(init=False)
-    reactions: np.ndarray = field(init=False)
-    forces: np.ndarray = field(init=False)
-    kinetic: np.ndarray = field(init=False)
-    gravity: np.ndarray = field(init=False)
-    markers: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        top, count = self.mechanism.topology, len(self.states.time)
-        self.q, self.v, self.acc = (np.zeros((count, self.mechanism.size)) for _ in range(3))
+    def __init__(self, part: int, states: States, mechanism: CompiledMechanism):
+        self.part, self.states, self.mechanism = part, states, mechanism
+        top, count = mechanism.topology, len(states.time)
+        self.q, self.v, self.acc = (np.zeros((count, mechanism.size)) for _ in range(3))
         self.reactions = np.zeros((count, len(top.pairs), 3))
         self.forces = np.zeros((count, len(top.springs), 4))
         self.kinetic, self.gravity = np.zeros(count), np.zeros(count)
@@ -123,6 +113,39 @@ class Bars:
         self.markers[:, of] += np.stack([cos * gx + sin * gy, cos * gy - sin * gx], axis=-1)
 
 
+class Columns:
+    """Where derivatives with respect to the components of quantities are among other derivatives: the first ones.
+
+    Parameters
+    ----------
+    quantities
+        The quantities of an expression.
+    """
+
+    def __init__(self, quantities: Sequence[Quantity]):
+        self._quantities = list(quantities)
+        sizes = [2 if quantity.is_vector else 1 for quantity in quantities]
+        self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+        self.count = int(self._first[-1])  #: Number of components.
+
+    def value(self, states: States, quantity: Quantity, count: int) -> DerivedValue:
+        """Return a quantity in states, with `count` derivatives; raise NotByAdjointError if there are none."""
+        if quantity.beam or (quantity.recorded.array.is_shared and states.mechanism.redundancy.rows):
+            raise NotByAdjointError(f"the expressions contain {quantity}")
+        value = np.asarray(quantity.taker(archive_names(states.mechanism))(states)).T
+        first = int(self._first[self._quantities.index(quantity)])
+        slope = np.zeros((count, *value.shape))
+        for component in range(len(value) if value.ndim > 1 else 1):
+            slope[(first + component, component) if value.ndim > 1 else first] = 1.0
+        return DerivedValue(value, slope)
+
+    def add(self, bars: Bars, given: np.ndarray) -> None:
+        """Add derivatives (C, T) with respect to all components."""
+        for quantity, first, end in zip(self._quantities, self._first, self._first[1:], strict=False):
+            if np.any(given[first:end]):
+                bars.add(quantity, given[first:end])
+
+
 class Nodes(NamedTuple):
     """The states of the stages of all steps, and their weights (T,) in integrals over time [s]."""
 
@@ -145,48 +168,56 @@ class _Read:
 class AdjointMeasure(MeasureEvaluation):
     """A measure whose derivatives with respect to states are noted where reductions over time read them.
 
-    The first derivatives of all values are those with respect to the components of the quantities; the other ones are
-    those with respect to the results of reductions.
+    The first derivatives of all values are those with respect to the components of the quantities; then follow those
+    with respect to the times of events, and to the results of reductions.
 
     Parameters
     ----------
     run
         What `MeasureEvaluation` reads of a differentiated run.
+    events
+        Events of the run, in order of time.
     """
 
-    def __init__(self, run: Any, states: Any, expression: MeasureExpression):
-        if any(quantity.kind == "events" for quantity in expression.quantities):
-            raise NotByAdjointError("the measures contain times of events")
-        sizes = [2 if quantity.is_vector else 1 for quantity in expression.quantities]
-        self._first = np.concatenate([[0], np.cumsum(sizes)]).astype(int)
+    def __init__(self, run: Any, states: Any, expression: MeasureExpression, events: Sequence[PassedEvent]):
+        self._columns = Columns(expression.quantities)
         reductions = sum(operation.startswith("over time") for operation, _ in expression.program)
-        count = int(self._first[-1]) + 2 * reductions
-        self._next, self._reads = int(self._first[-1]), list[tuple[int, _Read]]()
-        run = SimpleNamespace(**run, end=np.zeros(count), crossings=())
+        self._next = self._columns.count + len(events)
+        count = self._next + 2 * reductions
+        self._events = slice(self._columns.count, self._next)
+        units = np.eye(count)[self._events]
+        crossings = tuple(
+            DifferentiatedCrossing(event.name, event.time, unit) for event, unit in zip(events, units, strict=True)
+        )
+        self._ends_at_event = bool(events) and events[-1].stops
+        self._reads = list[tuple[int, _Read]]()
+        end = units[-1] if self._ends_at_event else np.zeros(count)
+        run = SimpleNamespace(**run, end=end, crossings=crossings)
         super().__init__(run, states, expression, np.zeros((len(expression.program), count)))
 
-    def bars(self) -> tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]:
-        """Return value, size, doubts and remarks of the measure, and its derivatives with respect to states."""
+    def bars(self) -> tuple[DerivedMeasure, list[Bars], np.ndarray]:
+        """Return the measure without its slope, and its derivatives with respect to states and times of events."""
         derived = self.derived()
         bars = []
         for column, read in self._reads:
             one = Bars(read.part, read.states, self.run.rows.mechanism)
-            given = derived.slope[column] * read.weight * read.slope
-            for quantity, first, end in zip(self.expression.quantities, self._first, self._first[1:], strict=False):
-                if np.any(given[first:end]):
-                    one.add(quantity, given[first:end])
+            self._columns.add(one, derived.slope[column] * read.weight * read.slope)
             bars.append(one)
-        return derived.value, derived.size, derived.doubts, derived.remarks, bars
+        return derived, bars, derived.slope[self._events]
 
     def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
-        if quantity.beam or (quantity.recorded.array.is_shared and states.mechanism.redundancy.rows):
-            raise NotByAdjointError(f"the measures contain {quantity}")
-        value = np.asarray(quantity.taker(archive_names(states.mechanism))(states)).T
-        first = int(self._first[self.expression.quantities.index(quantity)])
-        slope = np.zeros((self.count, *value.shape))
-        for component in range(len(value) if value.ndim > 1 else 1):
-            slope[(first + component, component) if value.ndim > 1 else first] = 1.0
-        return DerivedValue(value, slope)
+        found = self._columns.value(states, quantity, self.count)
+        if self._ends_at_event and states is self.run.rows:  # functions of time change the last state, whose time moves
+            near, distance = self.states.held
+            value = self._columns.value(near, quantity, self.count).value.T
+            found.slope[self._events.stop - 1, ..., -1] += rate_of(value, found.value[..., -1], distance)
+        return found
+
+    def _of_event(self, quantity: Quantity) -> DerivedValue:
+        found = super()._of_event(quantity)
+        if self.doubts:
+            raise NotByAdjointError(self.doubts[0])
+        return found
 
     def _noted(self, value: np.ndarray, reads: Sequence[tuple[int, States, np.ndarray, np.ndarray]]) -> DerivedValue:
         """Return the result of a reduction, (1,) or (2, 1), and note where it reads its operand.
@@ -197,23 +228,25 @@ class AdjointMeasure(MeasureEvaluation):
         for component in range(len(value) if value.ndim > 1 else 1):
             for part, states, weight, slopes in reads:
                 own = slopes[:, component] if value.ndim > 1 else slopes
-                self._reads.append((self._next, _Read(part, states, weight, own[: self._first[-1]])))
+                self._reads.append((self._next, _Read(part, states, weight, own[: self._columns.count])))
+                # times of events, and other reductions, in the operand
+                target = slope[:, component] if value.ndim > 1 else slope
+                target[self._columns.count :, 0] += own[self._columns.count :] @ weight
             slope[(self._next, component) if value.ndim > 1 else self._next] = 1.0
             self._next += 1
         return DerivedValue(value, slope)
 
     def _reduction(self, index: int, name: str, number: int, operands: Sequence[DerivedValue]) -> DerivedValue:
         functional = self.expression.functionals[number - 1] if number else None
-        if name == "final":
-            self.size = max(self.size, float(np.max(np.abs(operands[0].value))))
-            rows = self.run.rows
-            some = slice(-1, None)
-            last = States(rows.mechanism, rows.time[some], rows.q[some], rows.v[some], lambda: rows.observed.rows(some))
-            end = operands[0][-1:]
-            return self._noted(end.value, [(-1, last, np.ones(1), end.slope)])
-        if functional is None or (functional.is_value and functional.is_nested):
+        if functional is None and name != "final":
             raise NotByAdjointError(f"'{self.expression.text}' needs the recorded rows")
         return super()._reduction(index, name, number, operands)
+
+    def _at_end(self, value: DerivedValue) -> DerivedValue:
+        """Return a value at the end of the run, which moves if an event ends the run."""
+        rows, some = self.run.rows, slice(-1, None)
+        last = States(rows.mechanism, rows.time[some], rows.q[some], rows.v[some], lambda: rows.observed.rows(some))
+        return self._noted(value.value, [(-1, last, np.ones(1), value.slope)])
 
     def _root(self, mean: DerivedValue, rows: DerivedValue) -> DerivedValue:
         if not np.any(mean.value != 0.0):
@@ -250,6 +283,8 @@ class AdjointMeasure(MeasureEvaluation):
     def _read_at(self, number: int, time: float, index: int) -> DerivedValue:
         states = self.states.at(number, np.array([time]))
         here = self._of_operand(index, states)
+        if self._ends_at_event and time == self.run.rows.time[-1]:
+            return self._at_end(here)
         return self._noted(here.value, [(number, states, np.ones(1), here.slope)])
 
     def _at(self, functional: Functional | None, index: int, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
@@ -258,13 +293,11 @@ class AdjointMeasure(MeasureEvaluation):
         number = self._part_at(functional, at)
         if number is None:
             return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
-        found = self._read_at(number, at, index)
+        moved = time.slope.reshape(self.count, time.value.size)[:, 0]
+        if at == self.run.rows.time[-1]:
+            moved = moved - self.run.end
+        elif moved.any() and number != self._part_at(replace(functional, reduction="after"), at):
+            raise NotByAdjointError("a time that the parameters change is that of a stop")
+        found = self._moved(self._read_at(number, at, index), number, at, index, moved)
         self._functionals[functional.text] = found
         return found
-
-
-def measured_bars(
-    run: Mapping[str, Any], states: Any, expressions: Mapping[str, MeasureExpression]
-) -> dict[str, tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]]:
-    """Return what `AdjointMeasure.bars` returns for each measure, by name."""
-    return {name: AdjointMeasure(run, states, expression).bars() for name, expression in expressions.items()}

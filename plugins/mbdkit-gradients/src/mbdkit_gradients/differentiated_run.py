@@ -27,7 +27,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
-from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit_gradients.evaluated_states import StateEvaluator, nearby, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
 
@@ -363,6 +363,8 @@ class _Pass:
         history = [] if self._sided is None else self._sided.history
         seen = self.stepper.timetable.before(time)
         rows = self._evaluated([(one.rows + 1, one.sides) for one in history], seen, q, v, z, None, energy)
+        if last is not None:
+            self._add_explicit_rates(rows, moved)
         rows = replace(rows, time=time)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
@@ -377,21 +379,18 @@ class _Pass:
         sided = None if self._sided is not None else with_sides(mechanism)
         observed = Observed(*(x[..., 0] for x in rows.observed))
         passed = () if sided is None else sided.passed(observed, rows.q[..., 0], rows.v[..., 0])
-        unknown = tuple(
+        unknown = (
             f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )
-        return (
-            unknown
-            + doubts_of_kinds(mechanism)
-            + tuple(
-                f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
-                f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
-                f"inaccurate after it: use fixed steps"
-                for name in passed
-            )
+        inaccurate = (
+            f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
+            f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
+            f"inaccurate after it: use fixed steps"
+            for name in passed
         )
+        return (*unknown, *doubts_of_kinds(mechanism), *inaccurate)
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
@@ -440,6 +439,15 @@ class _Pass:
         for end, rate in zip(ends, rates, strict=True):
             end[:, 1 : self.width] += np.outer(rate, moved)
         return ends
+
+    def _add_explicit_rates(self, rows: DifferentiatedStates, moved: np.ndarray) -> None:
+        """Add the effect of functions of time, such as motions and loads, on the last state, whose time changes."""
+        offsets, distance = nearby(self.spec.time.step or 1e-3)
+        held = (np.repeat(constants(x[-1:, ..., 0]), len(offsets), axis=0) for x in (rows.q, rows.v, rows.z))
+        around = self._evaluator.states(rows.time[-1] + offsets, *held).observed
+        for x, near in zip(rows.observed, around, strict=True):
+            rate = rate_of(near[..., 0], x[-1, ..., 0], distance)
+            x[-1, ..., 1 : self.width] += np.multiply.outer(rate, moved)
 
     def _crossing(self, event: PassedEvent, at: _AtEvent) -> DifferentiatedCrossing:
         """Return the time of an event and its derivatives.

@@ -102,15 +102,22 @@ def _refused(quantity: Quantity, why: str) -> SpecError:
     return SpecError(f"{quantity} has no derivative with respect to parameters{why}", key="measures")
 
 
-def series_of(expression: RunExpression, states: DifferentiatedStates, constants: np.ndarray) -> DerivedValue:
+def series_of(
+    expression: RunExpression,
+    states: Any,
+    constants: np.ndarray,
+    take: Callable[[Any, Quantity], DerivedValue] = quantity_of,
+) -> DerivedValue:
     """Return the values of the expression of an event in T states, (T,).
 
     Parameters
     ----------
     constants
         (I, K) derivatives of the numbers in the I instructions of the expression.
+    take
+        Returns a quantity in the states with its derivatives.
     """
-    count, slopes = states.q.shape[-1] - 1, iter(constants)
+    count, slopes = constants.shape[1], iter(constants)
 
     def step(operation: str, number: float, *operands: DerivedValue) -> DerivedValue:
         slope = next(slopes)
@@ -119,7 +126,7 @@ def series_of(expression: RunExpression, states: DifferentiatedStates, constants
         if operation == "t":
             return DerivedValue.constant(states.time, count)
         if operation == "get":
-            value = quantity_of(states, expression.quantities[int(number)])
+            value = take(states, expression.quantities[int(number)])
             return of_operands("norm", 0.0, value) if value.value.ndim > 1 else value  # events have no vectors
         return of_operands(operation, number, *operands)
 

@@ -68,12 +68,17 @@ class StateEvaluator:
 
         The states are at most ``unit / 8`` [s] away. `rate_of` computes rates of quantities from them.
         """
-        distance = unit / 32.0
-        offsets = distance * np.array(CENTRAL)
+        offsets, distance = nearby(unit)
         q, v, acc = here.q[0, :, 0], here.v[0, :, 0], here.observed.acc[0, :, 0]
         z, z_rate = here.z[0, :, 0], here.observed.state_rates[0, :, 0]
         moved = (constants(x + offsets[:, None] * rate) for x, rate in ((q, v), (v, acc), (z, z_rate)))
         return self.states(here.time[0] + offsets, *moved), distance
+
+
+def nearby(unit: float) -> tuple[np.ndarray, float]:
+    """Return the times (8,) [s] of the states of `StateEvaluator.around` after a state, and the time between them."""
+    distance = unit / 32.0
+    return distance * np.array(CENTRAL), distance
 
 
 def rate_of(around: np.ndarray, here: np.ndarray | float, distance: float) -> np.ndarray:

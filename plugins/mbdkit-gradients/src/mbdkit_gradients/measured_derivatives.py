@@ -188,7 +188,7 @@ class MeasureEvaluation(DoubtedMeasure):
         if name == "at":
             return self._at(functional, index, operands[1], rows)
         if name == "final":
-            return rows[-1:]
+            return self._at_end(rows[-1:])
         if functional is not None and functional.is_of_stages and self.run.nodes is None:
             functional = None  # inverse dynamics has rows only
         if functional is not None and not functional.is_of_stages and not self.run.motions:
@@ -206,6 +206,10 @@ class MeasureEvaluation(DoubtedMeasure):
             return total
         mean = of_operands("div", 0.0, total, DerivedValue(np.array([self._duration]), self.run.end[:, None]))
         return self._root(mean, rows) if name == "rms" else mean
+
+    def _at_end(self, value: DerivedValue) -> DerivedValue:
+        """Return the value of a quantity in the last row, whose time changes if an event ends the run."""
+        return value
 
     def _root(self, mean: DerivedValue, rows: DerivedValue) -> DerivedValue:
         """Return the root of a mean square; add a warning if the root is zero but its derivatives are not."""
@@ -321,9 +325,11 @@ class MeasureEvaluation(DoubtedMeasure):
         best = max(sign * one.value for _, one in found)
         near = [(number, one) for number, one in found if sign * one.value >= best - EQUAL * (highest - lowest)]
         near.sort(key=lambda item: -sign * item[1].value)
-        if near[0][1].time == self.run.rows.time[-1]:
+        is_at_end = near[0][1].time == self.run.rows.time[-1]
+        if is_at_end:
             self._note_end(functional.reduction, rows)
-        first = self._at_peak(*near[0], index)
+        moves = is_at_end and self.run.end.any()
+        first = self._at_end(rows[-1:]) if moves else self._at_peak(*near[0], index)
         slopes = {near[0][1].time: first.slope}
         step = float(np.max(self.run.motions[0].parts[near[0][0]].plain.size))
         for number, one in near[1:]:
@@ -349,9 +355,7 @@ class MeasureEvaluation(DoubtedMeasure):
         moved, side = np.zeros(self.count), -1.0
         if peak.switch < 0:
             following = self.run.motions[0].parts[number + 1 :]
-            if peak.time == end and not following:
-                moved = self.run.end
-            elif peak.time == end and following[0].corner is not None:
+            if peak.time == end and following and following[0].corner is not None:
                 moved = self._moved_corner(number + 1)
             elif peak.time == begin and part.corner is not None:
                 moved, side = self._moved_corner(number), 1.0

@@ -19,6 +19,7 @@ from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import _examples
+from mbdkit.spec.sections import GradientMode
 from mbdkit_gradients.adjoint_gradient import ARRAYS, AdjointRun, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.differentiated_expressions import expressions_of
@@ -27,6 +28,7 @@ from mbdkit_gradients.measured_derivatives import derived_measures, needs_of
 from tests.engine.strategies import Drawn, mechanisms
 from tests.margins import assert_within
 
+MODES: tuple[GradientMode, GradientMode] = ("forward", "adjoint")
 QUICK = ("pendulum", "double-pendulum", "four-bar", "slider-crank", "knee", "gravity-balanced-arm")
 METHODS: tuple[dict[str, Any], ...] = (
     {"name": "rk4"},
@@ -120,15 +122,15 @@ def is_run(name: str) -> bool:
 
 
 REFUSED = {
-    "belt": "events", "bouncing-ball": "events", "cam-follower": "events", "jump": "events", "limit-stop": "events",
-    "sit-down": "events", "delayed-balance": "states", "pd-leg": "states", "series-elastic-knee": "states",
+    "bouncing-ball": "forces between bodies", "limit-stop": "discontinuities", "sit-down": "states",
+    "delayed-balance": "states", "pd-leg": "states", "series-elastic-knee": "states",
     "flexible-slider-crank": "beams", "flying-spaghetti": "beams", "roll-up": "beams", "spin-up-beam": "beams",
     "geared-five-bar": "friction", "geared-knee-orthosis": "friction", "planetary-gear": "friction",
     "knee-orthosis": "kinds of plugins", "squat-orthosis": "kinds of plugins", "light-cart-pole": "projected",
     "slider-crank-clearance": "forces between bodies",
 }  # fmt: skip
 """Examples that the adjoint does not take, and a word of the reason."""
-NO_GRADIENTS = ("elbow-curl", "leaf-spring", "slider-crank-guide", "walker")
+NO_GRADIENTS = ("belt", "elbow-curl", "jump", "leaf-spring", "slider-crank-guide", "walker")
 """Examples that have no gradients with these methods, or none at all: muscles, index 2, rigid contacts."""
 RUNS = [name for name in sorted(_examples()) if name not in NO_GRADIENTS and is_run(name)]
 EXAMPLES = [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in RUNS]
@@ -247,10 +249,66 @@ def test_adjoint_of_a_pendulum_agrees_with_complex_steps_of_its_equation_in_the_
     [
         ({"formulation": "index-3", "integrator": {"name": "radau-iia"}}, "the formulation is index-3"),
         ({"stabilization": "projection"}, "projected"),
-        ({"events": {"low": {"when": "bodies.rod.angle"}}}, "events"),
     ],
 )
 def test_what_the_adjoint_does_not_take_is_refused_with_its_reason(sections: dict[str, Any], reason: str) -> None:
     with pytest.raises(SpecError, match=reason):
         pendulum("adjoint", **sections)
     assert np.all(np.isfinite(pendulum("auto", **sections).jacobian))
+
+
+EVENTS = {"low": {"when": "rod1.angle + 1.2", "action": "stop"}, "passed": {"when": "rod2.angle + 0.5*t"}}
+OF_EVENTS = (
+    "events.passed.time", "final(rod2.x)", "final(abs(joints.J1.force))", "mean(t*rod1.x)", "max(abs(joints.J1.force))",
+    "at(rod2.y, events.passed.time)", "at(rod1.x, events.low.time)", "at(rod1.x, 0.8*events.low.time)",
+)  # fmt: skip
+"""Measures whose derivatives depend on those of the times of events."""
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda one: str(one["name"]))
+def test_adjoint_agrees_with_dual_numbers_through_events(method: dict[str, Any]) -> None:
+    # expected: the forward way, which differentiates the steps that end at events
+    time = {"end": 1.5} if "rtol" in method else {"end": 1.5, "step": 0.01}
+    model = {"name": "double-pendulum", "angles": [0.3, 0.1]}
+    spec = RunSpec(mbdkit=1, model=model, integrator=method, time=time, events=EVENTS)
+    names = ["model.masses.0", "model.lengths.0", "model.lengths.1", "model.angles.1"]
+    one, other = (mbdkit.gradient(spec, OF_EVENTS, names, mode=mode, check=False) for mode in MODES)
+    size = np.max(np.abs(one.jacobian), axis=1, keepdims=True)
+    assert np.all(size > 0.0)
+    assert_within((other.jacobian - one.jacobian) / size, 3e-11)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_driver_acts_on_a_state_whose_time_an_event_determines(mode: GradientMode) -> None:
+    # expected: central differences of runs; the torque of a motor at a time that depends on the length of its crank
+    def spec(length: float) -> dict[str, Any]:
+        m = mbdkit.Mechanism()
+        crank = m.body("crank", mass=1.0, inertia=length**2 / 12, position=(length / 2, 0))
+        rod = m.body("rod", mass=1.0, inertia=0.1, position=(length + 0.3, 0))
+        m.revolute("A", m.ground, crank, at=(0, 0))
+        m.revolute("B", crank, rod, at=(length, 0))
+        m.driver("motor", m.ground, crank, coordinate="angle", motion="0.7*sin(9*t)")
+        stop = {"when": "rod.angle + 0.8", "action": "stop"}
+        sections = {"integrator": {"name": "rk4"}, "time": {"end": 1, "step": 0.002}, "events": {"stop": stop}}
+        return {"mbdkit": 1, "model": m.to_spec(), **sections}
+
+    text, width = "final(joints.motor.torque)", 1e-4
+    given = spec(0.2) | {"parameters": {"L": 0.2}}
+    ends = ["-L/2", 0], ["L/2", 0]
+    bodies, joints = given["model"]["bodies"], given["model"]["joints"]
+    bodies["crank"] |= {"inertia": "L**2/12", "position": ["L/2", 0]}
+    bodies["rod"]["position"] = ["L + 0.3", 0]
+    joints["A"]["points"], joints["B"]["points"] = [[0, 0], ends[0]], [ends[1], [-0.3, 0]]
+    found = mbdkit.gradient(given, text, "L", mode=mode)
+    runs = [mbdkit.run(spec(0.2 + x), measures={"torque": text}).measures["torque"] for x in (width, -width)]
+    assert found.jacobian[0, 0] == pytest.approx((runs[0] - runs[1]) / (2 * width), rel=1e-5)
+    assert found.check is not None
+    assert found.check.is_passed
+
+
+def test_reductions_within_reductions_have_derivatives() -> None:
+    # expected: the forward way
+    texts = ["integral((rod1.y - 2*mean(rod1.y))**2)", "rms(rod1.x - max(rod2.x))"]
+    spec = load_spec("double-pendulum", (), time={"end": 1.0, "step": 0.01}, measures={}, gradients=[])
+    one, other = (mbdkit.gradient(spec, texts, "model.lengths.0", mode=mode, check=False) for mode in MODES)
+    np.testing.assert_allclose(other.jacobian, one.jacobian, rtol=1e-11)

@@ -1,0 +1,71 @@
+"""Events in adjoint gradients: from derivatives with respect to the time of an event to those with respect to states.
+
+An event happens at the end of a step, or of the first part of a step. Its expression g is zero there, so that the time
+has the derivatives ``-g_p / g_t``, where g_p are the derivatives of g at a constant time and g_t is its rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbdkit.base.errors import SpecError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.quantities.states import States
+from mbdkit_gradients.adjoint_measures import Bars, Columns, NotByAdjointError
+from mbdkit_gradients.derived_values import DerivedValue
+from mbdkit_gradients.differentiated_run import PassedEvent
+from mbdkit_gradients.differentiated_states import series_of
+from mbdkit_gradients.evaluated_states import nearby, rate_of
+
+#: Returns the states with these times (T,), positions and velocities (T, n + 3).
+MakeStates = Callable[[np.ndarray, np.ndarray, np.ndarray], States]
+
+
+@dataclass(frozen=True)
+class AdjointEvent:
+    """An event with the state at which it happens.
+
+    Attributes
+    ----------
+    event
+        The event.
+    states
+        The state at the event.
+    slope, rate
+        Derivatives (C, 1) of the expression with respect to the components of its quantities, and its rate [1/s].
+    """
+
+    event: PassedEvent
+    states: States
+    slope: np.ndarray
+    rate: float
+
+    @classmethod
+    def at(cls, event: PassedEvent, q: np.ndarray, v: np.ndarray, unit: float, states: MakeStates) -> AdjointEvent:
+        """Return an event at a state; `unit` is a time [s] within which its expression is smooth."""
+        if event.at_jump:
+            raise NotByAdjointError(f"the expression of the event '{event.name}' jumps")
+        columns = Columns(event.expression.quantities)
+        constants = np.zeros((len(event.expression.program), columns.count))
+
+        def series(states: States) -> DerivedValue:
+            return series_of(event.expression, states, constants, lambda x, y: columns.value(x, y, columns.count))
+
+        here = states(np.array([event.time]), q[None], v[None])
+        offsets, distance = nearby(unit)
+        moved = (x[0] + offsets[:, None] * rate for x, rate in ((here.q, here.v), (here.v, here.observed.acc)))
+        try:
+            value = series(here)
+            rate = rate_of(series(states(event.time + offsets, *moved)).value, float(value.value[0]), distance)
+        except SpecError as error:
+            raise NotByAdjointError(error.message) from None
+        return cls(event, here, value.slope, float(rate))
+
+    def bars(self, by_time: float, mechanism: CompiledMechanism) -> Bars:
+        """Return the derivatives with respect to the state, from that with respect to the time of the event."""
+        one = Bars(-1, self.states, mechanism)
+        Columns(self.event.expression.quantities).add(one, -by_time / self.rate * self.slope)
+        return one
