@@ -61,18 +61,12 @@ class Identifiability:
         The parameters that are not determined, in groups.
     rank : int
         Number of independent combinations of parameters that are determined.
-    covariance : (K, K) array
-        Covariance of the parameters to first order; nan for those that are not determined, and for those in `flat`.
-    flat : tuple of str
-        Parameters that are determined, but not by first derivatives at the given values, as at a symmetric optimum.
     """
 
     names: tuple[str, ...]
     identifiable: np.ndarray
     combinations: tuple[Combination, ...]
     rank: int
-    covariance: np.ndarray
-    flat: tuple[str, ...]
 
 
 def combinations(
@@ -127,8 +121,6 @@ def combinations(
     nullity = min(point.nullity for point in points)
     points = [point for point in points if point.nullity == nullity]
     is_free = points[0].involved
-    is_lost = first.involved | is_free
-    covariance = np.where(is_lost | is_lost[:, None], np.nan, first.covariance)
     groups: tuple[Combination, ...] = ()
     if nullity:
         steps = [*(_steps(3, size) * is_free), *_steps(2, size)]
@@ -136,8 +128,7 @@ def combinations(
         near, distant = ([p for p in part if p and p.nullity == nullity] for part in (moved[:3], moved[3:]))
         nulls = _null_vectors([*points, *near], distant, [*names], spec)
         groups = _groups(nulls, is_free, spec, size, units or {})
-    flat = tuple(name for name, lost, free in zip(names, is_lost, is_free, strict=True) if lost and not free)
-    return Identifiability(tuple(names), ~is_free, groups, len(start) - nullity, covariance, flat)
+    return Identifiability(tuple(names), ~is_free, groups, len(start) - nullity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +137,12 @@ class _Point:
 
     - `units` (K,): changes of single parameters that have effects of equal size.
     - `tolerance`: relative error of the null vectors.
-    - `covariance` (K, K): covariance in all other directions.
     """
 
     values: np.ndarray
     null: np.ndarray
     units: np.ndarray
     tolerance: float
-    covariance: np.ndarray
 
     @property
     def nullity(self) -> int:
@@ -178,8 +167,7 @@ def _local(
     rank = int(np.sum(singular > MARGIN * error))
     units = size / np.where(np.isinf(norms), 1.0, norms)
     tolerance = float(np.clip(MARGIN * error / singular[rank - 1] if rank else 0.0, *TOLERANCES))
-    inverse = units[:, None] * rows[:rank].T / singular[:rank]
-    return _Point(values, units[:, None] * rows[rank:].T, units, tolerance, inverse @ inverse.T)
+    return _Point(values, units[:, None] * rows[rank:].T, units, tolerance)
 
 
 def _moved(local: Callable[[np.ndarray], _Point], start: _Point, change: np.ndarray) -> _Point | None:

@@ -9,7 +9,7 @@ hide itself. Further tests compare the residuals with white noise (G. M. Ljung, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy import stats
 
 from mbdkit.plugin import listed
 from mbdkit_identify.identification import Doubt, Residuals
+from mbdkit_identify.noise import Noise
 from mbdkit_identify.probes import Probe
 
 LEVEL = 0.005  #: Probability that the tests of one kind doubt a right model.
@@ -40,14 +41,6 @@ LITTLE = 0.1  #: Share of the deviation of the data below which the deviation of
 OUTLYING = 5.0
 WITHOUT_NOISE = 1e-6  #: Residuals below this share of the deviation of the data are not noise.
 CORRELATIONS = (-0.95, 0.999)  #: Smallest and largest correlation of noise from sample to sample.
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Deviation of the noise of a signal, in units of the one of the fit, and its correlation from sample to sample."""
-
-    deviation: float
-    correlation: float
 
 
 @dataclass(frozen=True)
@@ -97,9 +90,9 @@ class _Signal:
             total = total + (now - power * cross + power**2 * before) / (1 - power**2)
         return total
 
-    def noise(self, weights: np.ndarray, present: _Noise) -> _Noise:
+    def noise(self, weights: np.ndarray, present: Noise) -> Noise:
         """Return the noise of the combination of the columns with these weights (C,), by maximum likelihood given the
-        first value.
+        first value; its deviation is relative to that of the fit.
         """
         deviation, correlation = present.deviation, present.correlation
         if not self.is_white and 1 in self.steps:
@@ -109,9 +102,9 @@ class _Signal:
         if not self.is_stated:
             square = float(weights @ self.product(correlation) @ weights) / self.count
             deviation = max(square, SMALLEST**2) ** 0.5
-        return _Noise(deviation, correlation)
+        return Noise(deviation, correlation)
 
-    def cost(self, weights: np.ndarray, noise: _Noise) -> float:
+    def cost(self, weights: np.ndarray, noise: Noise) -> float:
         """Return -2 times the logarithm of the likelihood of this combination of the columns."""
         squares = weights @ self.product(noise.correlation) @ weights / noise.deviation**2
         powers = sum(count * np.log1p(-(noise.correlation ** (2 * n))) for n, (count, *_) in self.steps.items())
@@ -124,7 +117,7 @@ class _Fit:
 
     weights: np.ndarray
     costs: np.ndarray
-    noise: tuple[_Noise, ...]
+    noise: tuple[Noise, ...]
 
 
 @dataclass(frozen=True)
@@ -200,9 +193,9 @@ class EffectTests:
             start = end
         self._priors = every[start:].T @ every[start:]
         self._limits = limits
-        self._noise = tuple(_Noise(1.0, one.correlation) for one in residuals)
+        self._noise = tuple(Noise(1.0, one.correlation) for one in residuals)
 
-    def _fit(self, effects: Sequence[int], noise: tuple[_Noise, ...]) -> _Fit:
+    def _fit(self, effects: Sequence[int], noise: tuple[Noise, ...]) -> _Fit:
         """Return the fit with some effects; `noise` is where the estimate of the noise begins."""
         moved = self._bounded
         for _ in range(ROUNDS):
@@ -341,14 +334,11 @@ def _name(signal: Residuals) -> str:
 
 
 def _amount(probe: Probe, value: float) -> str:
-    if probe.unit == "":
-        return f"about {100 * value:+.2g} %, "
-    return f"about {value:.2g} {probe.unit}, "
+    return f"about {value:.2g} {probe.unit}, " if probe.unit else f"about {100 * value:+.2g} %, "
 
 
-def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
-    """Return the signals whose whitened residuals are correlated, although no effect explains them."""
-    doubts = []
+def _unexplained(fitted: Sequence[Residuals], tested: int) -> Iterator[Doubt]:
+    """Yield the signals whose whitened residuals are correlated, although no effect explains them."""
     for one in fitted:
         statistic, p = whiteness(one.white, int(one.correlation != 0.0))
         if p < LEVEL / len(fitted):
@@ -359,12 +349,11 @@ def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
                 f"statistic {statistic:.4g}, limit {limit:.3g}), and none of the {tested} effects that were tested "
                 "explains them"
             )
-            doubts.append(Doubt("", text, (statistic, limit)))
-    return doubts
+            yield Doubt("", text, (statistic, limit))
 
 
-def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> list[Doubt]:
-    """Return the fitted signals of which the model explains nothing, and those that do not measure what they should.
+def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> Iterator[Doubt]:
+    """Yield the fitted signals of which the model explains nothing, and those that do not measure what they should.
 
     Parameters
     ----------
@@ -373,7 +362,6 @@ def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust
     is_robust
         Whether the loss reduces the influence of outliers.
     """
-    doubts = []
     for one, turn in zip(residuals, turns, strict=True):
         rest, name = one.measured - one.fitted, _name(one)
         jumps = np.flatnonzero(np.abs(np.abs(np.diff(rest)) / turn - 1.0) < WRAPPED)
@@ -383,26 +371,20 @@ def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust
         if np.ptp(one.measured) == 0.0:
             text = f"the column of {name} never changes: if its sensor is dead, leave it out"
         elif len(jumps):
-            text = (
-                f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: unwrap"
-            )
-            text += " it, for example by numpy.unwrap, and estimate again"
+            text = f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: "
+            text += "unwrap it, for example by numpy.unwrap, and estimate again"
         elif np.std(one.fitted) > LITTLE * varied and rms > varied:
-            text = (
-                f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, standard"
-            )
-            text += f" deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
+            text = f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, "
+            text += f"standard deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
         elif rms > OUTLYING * usual and not is_robust:
             text = f"few values determine the noise of {name}, such as the one at {last:.6g} s: remove them, or use a"
             text += " robust loss"
         else:
             continue
-        doubts.append(Doubt("", text))
-    return doubts
+        yield Doubt("", text)
 
 
-def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:
-    doubts = []
+def _larger_than_stated(fitted: Sequence[Residuals]) -> Iterator[Doubt]:
     for one in fitted:
         statistic = float(one.white @ one.white)
         limit = float(stats.chi2.isf(LEVEL / len(fitted), len(one.white)))
@@ -412,17 +394,15 @@ def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:
                 f"the residuals of {_name(one)} are {ratio:.3g} times as large as the stated deviation (sum of squares "
                 f"{statistic:.4g}, limit {limit:.4g}): the model lacks an effect, or the deviation is larger"
             )
-            doubts.append(Doubt("", text, (statistic, limit)))
-    return doubts
+            yield Doubt("", text, (statistic, limit))
 
 
-def _missed(held: Sequence[Residuals], level: float) -> list[Doubt]:
-    """Return the signals that were held out and lie far outside of their bands.
+def _missed(held: Sequence[Residuals], level: float) -> Iterator[Doubt]:
+    """Yield the signals that were held out and lie far outside of their bands.
 
     The errors of a prediction may be those of the parameters and thus a single random number; a doubt therefore needs
     errors that are large themselves, not only many values outside of the band.
     """
-    doubts = []
     for one in held:
         errors = (one.measured - one.fitted) / one.band * stats.norm.isf((1 - level) / 2)
         size = float(np.sqrt(np.mean(errors**2)))
@@ -431,5 +411,4 @@ def _missed(held: Sequence[Residuals], level: float) -> list[Doubt]:
                 f"the prediction of {_name(one)} misses the data: {100 * one.covered:.0f} % of the values lie within "
                 f"the band that should contain {100 * level:g} %, and the errors are {size:.3g} times their deviation"
             )
-            doubts.append(Doubt("", text, (size, FAR)))
-    return doubts
+            yield Doubt("", text, (size, FAR))
