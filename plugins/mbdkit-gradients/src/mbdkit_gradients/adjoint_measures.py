@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -21,14 +21,13 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_motion import Peak
 from mbdkit_gradients.derived_values import DerivedValue
-from mbdkit_gradients.measured_derivatives import MeasureEvaluation
+from mbdkit_gradients.measured_derivatives import DerivedMeasure, MeasureEvaluation
 
 
 class NotByAdjointError(Exception):
     """The adjoint does not give this gradient, for the reason that the message states as a clause."""
 
 
-@dataclass
 class Bars:
     """Derivatives of a measure with respect to T states of a part of the motion, and to what follows from them.
 
@@ -36,21 +35,10 @@ class Bars:
     `mbdkit_gradients.kernels.adjoint.Given` for the other arrays.
     """
 
-    part: int
-    states: States
-    mechanism: CompiledMechanism
-    q: np.ndarray = field(init=False)
-    v: np.ndarray = field(init=False)
-    acc: np.ndarray = field(init=False)
-    reactions: np.ndarray = field(init=False)
-    forces: np.ndarray = field(init=False)
-    kinetic: np.ndarray = field(init=False)
-    gravity: np.ndarray = field(init=False)
-    markers: np.ndarray = field(init=False)
-
-    def __post_init__(self) -> None:
-        top, count = self.mechanism.topology, len(self.states.time)
-        self.q, self.v, self.acc = (np.zeros((count, self.mechanism.size)) for _ in range(3))
+    def __init__(self, part: int, states: States, mechanism: CompiledMechanism):
+        self.part, self.states, self.mechanism = part, states, mechanism
+        top, count = mechanism.topology, len(states.time)
+        self.q, self.v, self.acc = (np.zeros((count, mechanism.size)) for _ in range(3))
         self.reactions = np.zeros((count, len(top.pairs), 3))
         self.forces = np.zeros((count, len(top.springs), 4))
         self.kinetic, self.gravity = np.zeros(count), np.zeros(count)
@@ -165,8 +153,8 @@ class AdjointMeasure(MeasureEvaluation):
         run = SimpleNamespace(**run, end=np.zeros(count), crossings=())
         super().__init__(run, states, expression, np.zeros((len(expression.program), count)))
 
-    def bars(self) -> tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]:
-        """Return value, size, doubts and remarks of the measure, and its derivatives with respect to states."""
+    def bars(self) -> tuple[DerivedMeasure, list[Bars]]:
+        """Return the measure without its slope, and its derivatives with respect to states."""
         derived = self.derived()
         bars = []
         for column, read in self._reads:
@@ -176,7 +164,7 @@ class AdjointMeasure(MeasureEvaluation):
                 if np.any(given[first:end]):
                     one.add(quantity, given[first:end])
             bars.append(one)
-        return derived.value, derived.size, derived.doubts, derived.remarks, bars
+        return derived, bars
 
     def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
         if quantity.beam or (quantity.recorded.array.is_shared and states.mechanism.redundancy.rows):
@@ -261,10 +249,3 @@ class AdjointMeasure(MeasureEvaluation):
         found = self._read_at(number, at, index)
         self._functionals[functional.text] = found
         return found
-
-
-def measured_bars(
-    run: Mapping[str, Any], states: Any, expressions: Mapping[str, MeasureExpression]
-) -> dict[str, tuple[float, float, tuple[str, ...], tuple[str, ...], list[Bars]]]:
-    """Return what `AdjointMeasure.bars` returns for each measure, by name."""
-    return {name: AdjointMeasure(run, states, expression).bars() for name, expression in expressions.items()}

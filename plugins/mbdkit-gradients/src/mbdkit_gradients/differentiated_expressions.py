@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,9 +14,6 @@ from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.run_spec import RunSpec
-
-if TYPE_CHECKING:
-    pass
 
 #: One expression, several, or expressions by name, as in the section `measures` of a spec.
 Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]

@@ -13,12 +13,10 @@ from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
-from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
-from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.interface import Moment, Stepper
 from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
@@ -148,44 +146,6 @@ def differentiated_run(
         parts[0].is_split,
         parts[0].doubts,
     )
-
-
-def plain_run(spec: RunSpec) -> DifferentiatedRun:
-    """Run a spec without events, and return its recorded states, without derivatives and nodes.
-
-    The check of a gradient uses this function, because `simulate` imports this package. Method, steps and evaluation of
-    states are the same as in `simulate`.
-
-    Raises
-    ------
-    RunError
-        If the run stops early, or if the accelerations of a recorded state are not unique.
-    """
-    setup, none = RunSetup.of(spec), np.zeros(1)
-    workspace, table = setup.workspace, setup.timetable()
-    stepper = setup.stepper(table)
-    stretches = [
-        Stretch(
-            np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
-            z=states_at_start(workspace)[None],
-        )
-    ]  # fmt: skip
-    while not (stepper.finished or stepper.failure):
-        stretches.append(stepper.advance())
-    if stepper.failure:
-        raise RunError(f"{stepper.failure.code}: {stepper.failure.sentence}")
-    rows = joined(stretches)
-    workspace.clamp_motions(-np.inf, np.inf)
-    observer = StateObserver(workspace.with_own_pivots())
-    observed = observer.arrays(len(rows.time))
-    assert rows.z is not None
-    q, v, z = (np.ascontiguousarray(x) for x in (rows.q, rows.v, rows.z))
-    if observer.observe(table.before(rows.time), q, v, observed, z=z) is not None:
-        raise RunError("a recorded state has no unique accelerations")
-    energy = np.stack([rows.work, rows.dissipated], axis=-1)
-    q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
-    states = DifferentiatedStates.of_observed(workspace.mechanism, rows.time, q, v, Observed(*values), energy, z=z)
-    return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 
 def refuse(spec: RunSpec, method: Method) -> None:
@@ -377,21 +337,18 @@ class _Pass:
         sided = None if self._sided is not None else with_sides(mechanism)
         observed = Observed(*(x[..., 0] for x in rows.observed))
         passed = () if sided is None else sided.passed(observed, rows.q[..., 0], rows.v[..., 0])
-        unknown = tuple(
+        unknown = (
             f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
             f"one, the derivatives lack its contribution; write the law as a SymPy expression"
             for name in with_unknown_corners(mechanism)
         )
-        return (
-            unknown
-            + doubts_of_kinds(mechanism)
-            + tuple(
-                f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
-                f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
-                f"inaccurate after it: use fixed steps"
-                for name in passed
-            )
+        inaccurate = (
+            f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
+            f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
+            f"inaccurate after it: use fixed steps"
+            for name in passed
         )
+        return (*unknown, *doubts_of_kinds(mechanism), *inaccurate)
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.

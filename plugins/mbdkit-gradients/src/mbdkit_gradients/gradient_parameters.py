@@ -57,7 +57,7 @@ def read_names(
     for name in result:
         if not isinstance(name, str):
             text = "None" if name is None else value_text(name)
-            raise _refused(
+            raise refused(
                 f"a gradient needs names of parameters, such as 'stiffness' or 'model.bodies.rod.mass', not {text}"
             )
     if parameters is not None:
@@ -82,7 +82,7 @@ def _put_values(data: dict[str, Any], values: Mapping[str, object]) -> None:
     for name, value in values.items():
         path = parse_key(name)
         if path[:1] == ("model",) and len(path) > 1:
-            raise _refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
+            raise refused(f"the value of '{name}' cannot be given here, only its name; change the spec instead")
         path = ("parameters", *path[path[:1] == ("parameters",) :])
         if len(path) != 2 or path[1] not in known:
             raise _unknown(known if isinstance(parameters, dict) else [], name)
@@ -98,12 +98,12 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
         If a parameter does not exist, is not a number of the model or is named twice, or if there are none.
     """
     if not names:
-        raise SpecError("a gradient needs at least one parameter", key="gradients")
+        raise refused("a gradient needs at least one parameter")
     data = json.loads(spec.canonical_json())
     results = [_resolved(spec, data, name) for name in names]
     paths = [result.path for result in results]
     if twice := [result.name for i, result in enumerate(results) if result.path in paths[:i]]:
-        raise SpecError(f"the parameter '{twice[0]}' is named twice", key="gradients")
+        raise refused(f"the parameter '{twice[0]}' is named twice")
     return tuple(results)
 
 
@@ -113,7 +113,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         if isinstance(value, str):
             contained = names_in(value) & spec.parameters.keys()
             way = "use the parameters that it contains" if contained else "write its value as a number"
-            raise _refused(f"'{name}' is the expression '{value}'; {way}")
+            raise refused(f"'{name}' is the expression '{value}'; {way}")
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
     if path[:1] == ("parameters",) and len(path) == 2:
@@ -123,7 +123,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     if len(path) < 2:
         raise _unknown(list(spec.parameters), name)
     if path[0] != "model":
-        raise _refused(
+        raise refused(
             f"'{name}' is no parameter of the mechanism; give the name of one of the `parameters` or the key of "
             f"a number of `model`"
         )
@@ -136,22 +136,23 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
         if part not in known:
             where = path_text(path[:i])
             hint = did_you_mean(str(part), [one for one in known if isinstance(one, str)])
-            raise _refused(f"the spec has no key '{name}': there is no '{part}' in {where}{hint}")
+            raise refused(f"the spec has no key '{name}': there is no '{part}' in {where}{hint}")
         holder = holder[part]
     if isinstance(holder, str):
-        raise _refused(f"'{name}' is the text or expression '{holder}', not a number; name a parameter in it")
+        raise refused(f"'{name}' is the text or expression '{holder}', not a number; name a parameter in it")
     if isinstance(holder, bool) or not isinstance(holder, int | float):
-        raise _refused(f"'{name}' should be the key of a number, not of {value_text(holder)}")
+        raise refused(f"'{name}' should be the key of a number, not of {value_text(holder)}")
     return Parameter(name, path, float(holder))
 
 
 def _unknown(known: list[str], name: str) -> SpecError:
     text = f"; parameters: {listed(known)}" if known else "; the spec has no `parameters`"
     hint = did_you_mean(name, known) or text
-    return _refused(
+    return refused(
         f"there is no parameter '{name}'{hint}. Numbers of the model have key paths, such as model.bodies.rod.mass"
     )
 
 
-def _refused(message: str) -> SpecError:
+def refused(message: str) -> SpecError:
+    """Return an error about the parameters of a gradient."""
     return SpecError(message, key="gradients")

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.friction_forces import PIN, SLIDE
@@ -27,6 +26,7 @@ from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
 from mbdkit.engine.law_conditions import LawCondition, gradient_doubts, law_sides
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw, TracedLaw
+from mbdkit_gradients.gradient_parameters import refused
 
 if TYPE_CHECKING:
     import sympy
@@ -152,10 +152,9 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             rows[row, 1] = begins[begin]
             continue
         if np.sum(top.laws[:, LAW_ROW.parameters] == begin) > 1:
-            raise SpecError(
+            raise refused(
                 f"the law of the force '{name}' has first-order states and a discontinuity; gradients of such laws "
-                f"are not available",
-                key="gradients",
+                f"are not available"
             )
         rows[row, 1] = len(values)
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
@@ -188,19 +187,11 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
     for place in without_law[:, STATE_ROW.parameter].tolist():  # their initial values
         places[place - 1 : place + 1] = len(values), len(values) + 1
         values += top.law_parameters[place - 1 : place + 1].tolist()
-    inputs, states, state_places, reactions = (
-        x.copy() for x in (top.inputs, top.states, top.state_places, top.reactions)
-    )
-    for indices, column in ((inputs, 2), (states, 1), (state_places, 1), (reactions, 2)):
-        indices[:, column] = places[indices[:, column]]
-    own_top = top._replace(
-        laws=rows,
-        law_parameters=np.array(values),
-        inputs=inputs,
-        states=states,
-        state_places=state_places,
-        reactions=reactions,
-    )
+    columns = {"inputs": 2, "states": 1, "state_places": 1, "reactions": 2}  # with indices of parameters of laws
+    moved = {name: getattr(top, name).copy() for name in columns}
+    for name, column in columns.items():
+        moved[name][:, column] = places[moved[name][:, column]]
+    own_top = top._replace(laws=rows, law_parameters=np.array(values), **moved)
     return SidedMechanism(replace(mechanism, topology=own_top, laws=tuple(laws)), tuple(conditions), places)
 
 
@@ -257,15 +248,9 @@ def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
     functions = tuple(
         sp.lambdify(variables, [g, *(sp.diff(g, variable) for variable in variables)], modules="math") for g in found
     )
-    return SidedLaw(
-        ExpressionLaw(
-            force.xreplace(replaced),
-            None if law.potential is None else potential.xreplace(replaced),
-            passive=law.passive,
-            parameters=_as_given,
-        ),
-        functions,
-    )
+    own_potential = None if law.potential is None else potential.xreplace(replaced)
+    own = ExpressionLaw(force.xreplace(replaced), own_potential, passive=law.passive, parameters=_as_given)
+    return SidedLaw(own, functions)
 
 
 def _sided_friction(law: TracedLaw, names: tuple[str, ...]) -> SidedLaw:

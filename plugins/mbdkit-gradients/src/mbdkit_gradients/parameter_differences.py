@@ -25,7 +25,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.laws.tabulated import LAW as TABLE
-from mbdkit_gradients.gradient_parameters import Parameter
+from mbdkit_gradients.gradient_parameters import Parameter, refused
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -256,16 +256,12 @@ class Preparation(ABC):
         for name, x in self.mechanism.topology._asdict().items():
             other = getattr(mechanism.topology, name)
             if x.shape != other.shape or (x.dtype.kind == "i" and not np.array_equal(x, other)):
-                raise SpecError(
-                    f"the structure of the mechanism depends on '{parameter.name}': it changes for {value!r}",
-                    key="gradients",
-                )
+                raise refused(f"the structure of the mechanism depends on '{parameter.name}': it changes for {value!r}")
         for one, other in zip(self.mechanism.controllers, mechanism.controllers, strict=True):
             if (one.period, one.delay) != (other.period, other.delay):
-                raise SpecError(
+                raise refused(
                     f"the times of the samples of the controller '{one.name}' depend on '{parameter.name}'; there are "
-                    "no derivatives with respect to such a parameter",
-                    key="gradients",
+                    "no derivatives with respect to such a parameter"
                 )
 
     def require_same_form(self, arrays: Arrays, parameter: Parameter) -> None:
@@ -274,10 +270,9 @@ class Preparation(ABC):
         `arrays` has the numbers in the instructions; see `numbers_of`.
         """
         if any(x.shape != self.base[name].shape for name, x in arrays.items()):
-            raise SpecError(
+            raise refused(
                 f"the form of an expression depends on '{parameter.name}', for example because it is an exponent; "
-                f"derivatives with respect to such a parameter are not available",
-                key="gradients",
+                f"derivatives with respect to such a parameter are not available"
             )
 
     def _scale(self, parameter: Parameter) -> float:
@@ -296,10 +291,9 @@ class Preparation(ABC):
                     return _ArrayDerivatives(*self._with_places(parameter, places), side)
             if error.key == "gradients":
                 raise
-            raise SpecError(
+            raise refused(
                 f"there is no derivative with respect to '{parameter.name}', because the spec is not valid for values "
-                f"close to {parameter.value!r}: {error}",
-                key="gradients",
+                f"close to {parameter.value!r}: {error}"
             ) from None
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:

@@ -30,7 +30,7 @@ from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
-from mbdkit_gradients.gradient_parameters import Parameter
+from mbdkit_gradients.gradient_parameters import Parameter, refused
 from mbdkit_gradients.parameter_differences import (
     CENTRAL,
     RANK,
@@ -385,10 +385,9 @@ class RunPreparation(Preparation):
             return self._arrays(self._own, {**self.initial, str(parameter.path[1]): value}, self.base.get("q"))
         changed = self._with_values({**self.values, parameter.path: value})
         if changed.knots != self._own.knots:
-            raise SpecError(
+            raise refused(
                 f"the time at which a motion, or its derivative, is discontinuous depends on '{parameter.name}'; "
-                f"there are no derivatives with respect to such a parameter",
-                key="gradients",
+                f"there are no derivatives with respect to such a parameter"
             )
         self.require_same_form(changed.numbers, parameter)
         self.require_same_structure(changed.start.mechanism, parameter, value)

@@ -433,18 +433,10 @@ class PreparedSensitivities:
 
 
 #: Arrays of quantities that depend on positions, velocities and first-order states, but not on forces.
-KINEMATIC = frozenset(
-    f"{group}/{name}"
-    for group, names in {
-        "trajectory": ("position", "velocity"),
-        "joints": ("angle",),
-        "markers": ("position", "velocity"),
-        "forces": ("length", "rate"),
-        "states": ("value",),
-        "inputs": ("value",),
-    }.items()
-    for name in names
-)
+KINEMATIC = {
+    "trajectory/position", "trajectory/velocity", "joints/angle", "markers/position", "markers/velocity",
+    "forces/length", "forces/rate", "states/value", "inputs/value",
+}  # fmt: skip
 
 
 def is_smooth(spec: RunSpec) -> bool:

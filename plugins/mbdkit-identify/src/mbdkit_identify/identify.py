@@ -398,18 +398,7 @@ class _Identification:
         except MbdkitError as error:
             self.notes.append(f"effects that the model may lack were not tested: {error}")
             return
-        order = np.concatenate([piece.places for piece in problem.pieces])
-        rows = self.fit.jacobian[len(problem.measured) :], self.fit.white[len(problem.measured) :]
-        self.doubts += doubts_of(
-            residuals,
-            problem.slopes(x)[order],
-            columns[order],
-            probes,
-            stated=[key for key, known in zip(problem.signals, problem.known, strict=True) if known],
-            priors=rows,
-            sides=self.fit.at_high.astype(int) - self.fit.at_low,
-            level=self.spec.intervals.level,
-        )
+        self.doubts += doubts_of(residuals, problem, self.fit, probes, columns, self.spec.intervals.level)
 
     def _probes(self) -> tuple[list[Probe], np.ndarray]:
         """Return effects that the model may lack, and the derivatives (R, P) of the predicted values by them."""

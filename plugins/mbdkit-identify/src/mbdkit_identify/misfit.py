@@ -9,16 +9,18 @@ hide itself. Further tests compare the residuals with white noise (G. M. Ljung, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from mbdkit.plugin import listed
+from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import Doubt, Residuals
 from mbdkit_identify.noise import Noise
 from mbdkit_identify.probes import Probe
+from mbdkit_identify.problem import Problem
 
 LEVEL = 0.005  #: Probability that the tests of one kind doubt a right model.
 INSIDE = 1e-4  #: Effects of which the parameters of the model explain all but this share are not tested.
@@ -275,13 +277,10 @@ def whiteness(white: np.ndarray, estimated: int = 1) -> tuple[float, float]:
 
 def doubts_of(
     residuals: Sequence[Residuals],
-    jacobian: np.ndarray,
-    columns: np.ndarray,
+    problem: Problem,
+    fit: Fit,
     probes: Sequence[Probe],
-    *,
-    stated: Collection[tuple[str, str]],
-    priors: tuple[np.ndarray, np.ndarray],
-    sides: np.ndarray,
+    columns: np.ndarray,
     level: float,
 ) -> tuple[Doubt, ...]:
     """Return the reasons to doubt a fitted model, the most significant first.
@@ -289,28 +288,21 @@ def doubts_of(
     Parameters
     ----------
     residuals
-        The signals. The values of those that were fitted, one after the other, are the R rows of the derivatives.
-    jacobian, columns
-        (R, K) and (R, P) derivatives of the predicted values with respect to the parameters of the model, and to those
-        of the probes.
-    probes
-        The P probes.
-    stated
-        Experiments and quantities of the signals whose deviation was stated.
-    priors
-        (M, K) derivatives and (M,) residuals of priors, divided by their deviations.
-    sides
-        (K,) -1 for parameters at their lower bound, 1 at the upper one, and otherwise 0.
+        The signals of the problem, and those that were held out.
+    columns
+        (R, P) derivatives of the predicted values with respect to the parameters of the probes.
     level
         Share of the values that the bands of predictions should contain.
     """
-    fitted = [one for one in residuals if not one.is_hold_out]
-    is_stated = [(one.experiment, one.quantity) in stated for one in fitted]
-    jacobian, bounded = np.concatenate([jacobian, priors[0]]), np.flatnonzero(sides)
-    columns = np.concatenate([columns, np.zeros((len(priors[1]), columns.shape[1]))])
+    fitted, is_stated = [one for one in residuals if not one.is_hold_out], [bool(known) for known in problem.known]
+    order, count = np.concatenate([piece.places for piece in problem.pieces]), len(problem.measured)
+    slopes, priors = fit.jacobian[count:], fit.white[count:]  # of priors
+    sides = fit.at_high.astype(int) - fit.at_low  # of the bounds at which parameters are
+    jacobian, bounded = np.concatenate([problem.slopes(fit.x)[order], slopes]), np.flatnonzero(sides)
+    columns = np.concatenate([columns[order], np.zeros((len(priors), columns.shape[1]))])
     limits = [one.limits for one in probes] + [(0.0, np.inf) if sides[k] < 0 else (-np.inf, 0.0) for k in bounded]
     columns = np.column_stack([columns, jacobian[:, bounded]])
-    tests = EffectTests(fitted, jacobian[:, sides == 0], columns, is_stated, priors[1], limits, len(bounded))
+    tests = EffectTests(fitted, jacobian[:, sides == 0], columns, is_stated, priors, limits, len(bounded))
     tested = max(len(tests.distinct), 1)
     limit = float(stats.chi2.isf(1 - (1 - LEVEL) ** (1 / tested), 1))  # Sidak
     doubts = []
