@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
+from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed
@@ -22,16 +22,12 @@ from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.watched_events import watch_events
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
+from mbdkit_gradients.differentiated_expressions import slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
-
-
-class NoDerivativeError(MbdkitError, ValueError):
-    """The steps of a method, formulation or stabilization cannot be differentiated."""
 
 
 @dataclass(frozen=True)
@@ -136,25 +132,22 @@ def differentiated_run(
         DifferentiatedCrossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
         for same in zip(*(part.crossings for part in parts), strict=True)
     )
-    return DifferentiatedRun(
-        joined_states([part.rows for part in parts]),
-        joined_states([part.nodes for part in parts if part.nodes is not None]) if parts[0].nodes is not None else None,
-        np.concatenate([part.end for part in parts]),
-        tuple(crossings),
-        parts[0].sizes,
-        tuple(motion for part in parts for motion in part.motions),
-        parts[0].is_split,
-        parts[0].doubts,
+    nodes = [part.nodes for part in parts if part.nodes is not None]
+    return replace(
+        parts[0],
+        rows=joined_states([part.rows for part in parts]),
+        nodes=joined_states(nodes) if nodes else None,
+        end=np.concatenate([part.end for part in parts]),
+        crossings=tuple(crossings),
+        motions=tuple(motion for part in parts for motion in part.motions),
     )
 
 
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with this method cannot be differentiated."""
-    try:
-        require_derivatives(method, spec)
-    except NoDerivativeError as error:
-        message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
-        raise SpecError(message, key="integrator") from None
+    if why := _why_no_derivatives(method, spec):
+        message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {why}"
+        raise SpecError(message, key="integrator")
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
     for name, controller in spec.mechanism().controllers.items():
@@ -169,16 +162,17 @@ def refuse(spec: RunSpec, method: Method) -> None:
         )
 
 
-def require_derivatives(method: Method, spec: RunSpec) -> None:
-    """Raise NoDerivativeError unless the steps of the method of a spec can be differentiated."""
+def _why_no_derivatives(method: Method, spec: RunSpec) -> str:
+    """Return why the steps of the method of a spec cannot be differentiated; empty if they can."""
     if not method.traits.has_derivatives:
-        raise NoDerivativeError(
+        return (
             "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
         )
     if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
-        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
+        return "with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives"
     if spec.stabilized.symmetric:
-        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
+        return "symmetric projections are not differentiated; use `stabilization: projection` or none"
+    return ""
 
 
 def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
@@ -219,7 +213,6 @@ def differentiated_stepper(
     table = replace(table, **{"single": table.single or needs.ends, **changes})
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    require_derivatives(method, spec)
     compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
@@ -411,7 +404,7 @@ class _Pass:
             )
         self._use(at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
-        slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
+        slopes = slopes_of(event.expression.program, self.seeds, f"events.{event.name}")
         try:
             value = series_of(event.expression, here, slopes)
         except SpecError as error:

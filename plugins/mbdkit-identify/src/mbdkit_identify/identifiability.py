@@ -126,7 +126,12 @@ def combinations(
         steps = [*(_steps(3, size) * is_free), *_steps(2, size)]
         moved = [_moved(local, points[0], step) for step in steps]
         near, distant = ([p for p in part if p and p.nullity == nullity] for part in (moved[:3], moved[3:]))
-        nulls = _null_vectors([*points, *near], distant, [*names], spec)
+        known = {symbol(name): x for name, x in spec.numbers.items() if name not in names} if spec else {}
+        every, tolerance = [*points, *near, *distant], max(one.tolerance for one in (*points, *near, *distant))
+        nulls = NullVectors(
+            [symbol(name) for name in names], np.array([one.values for one in every]),
+            np.array([one.null for one in every]), points[0].units, tolerance, len(points) + len(near), known,
+        )  # fmt: skip
         groups = _groups(nulls, is_free, spec, size, units or {})
     return Identifiability(tuple(names), ~is_free, groups, len(start) - nullity)
 
@@ -199,18 +204,6 @@ def _curve(local: Callable[[np.ndarray], _Point], first: _Point, size: np.ndarra
     tangents = np.linalg.qr(middle.null / first.units[:, None])[0]
     end = _moved(local, first, first.units * (tangents @ (tangents.T @ (change / first.units))))
     return [middle, end] if end else [middle]
-
-
-def _null_vectors(
-    near: Sequence[_Point], distant: Sequence[_Point], names: Sequence[str], spec: RunSpec | None
-) -> NullVectors:
-    known = {symbol(name): value for name, value in spec.numbers.items() if name not in names} if spec else {}
-    points = [*near, *distant]
-    return NullVectors(
-        [symbol(name) for name in names], np.array([point.values for point in points]),
-        np.array([point.null for point in points]), near[0].units, max(point.tolerance for point in points), len(near),
-        known,
-    )  # fmt: skip
 
 
 def _groups(

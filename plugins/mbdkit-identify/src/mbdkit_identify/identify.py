@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
@@ -21,7 +21,7 @@ from mbdkit_identify.identification import Doubt, Estimate, Identification, Prof
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.intervals import Goal, covariance_of, interval_of, quantile
 from mbdkit_identify.loading import load_identify_spec, spec_of_base
-from mbdkit_identify.measured_data import ExperimentData, read_experiment
+from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
 from mbdkit_identify.noise import Noise
@@ -193,13 +193,15 @@ class _Identification:
             return
         dice, shifts = np.random.default_rng(self.spec.seed), []
         for _ in range(PERTURBATIONS):
-            noise = {
-                (one.name, name): dice.normal(0.0, deviation, len(one.inputs[name][0]))
+            noise = [
+                {name: dice.normal(0.0, size, len(one.inputs[name][0])) for name, size in one.input_deviations.items()}
                 for one in self.data
-                for name, deviation in one.input_deviations.items()
-            }
+            ]
             for side in (1.0, -1.0):
-                data = [_perturbed(one, noise, side) for one in self.data]
+                data = []
+                for one, own in zip(self.data, noise, strict=True):
+                    moved = {name: (one.inputs[name][0], one.inputs[name][1] + side * x) for name, x in own.items()}
+                    data.append(replace(one, inputs=one.inputs | moved))
                 unknowns, segments, names = segments_of(self.spec, data)
                 other = Problem(unknowns, names, segments)
                 other.noises = problem.noises
@@ -475,11 +477,3 @@ def _finer(spec: RunSpec) -> RunSpec:
         time_section = {"start": spec.time.start, "end": spec.time.final, "stops": list(spec.time.stops)}
         changed["time"] = time_section | {"step": (spec.time.step or 1.0) / 2}
     return spec_of_base(data | changed, spec._document)
-
-
-def _perturbed(data: ExperimentData, noise: Mapping[tuple[str, str], np.ndarray], side: float) -> ExperimentData:
-    inputs = {
-        name: (times, values + side * noise[data.name, name] if (data.name, name) in noise else values)
-        for name, (times, values) in data.inputs.items()
-    }
-    return replace(data, inputs=inputs)

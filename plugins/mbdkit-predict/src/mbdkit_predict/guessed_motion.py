@@ -71,14 +71,10 @@ def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
             rows = run.array("constraints/constraint").tolist()
             known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
         chosen = spec.chosen
-        unknowns = {
-            chosen.controls[index]: (equilibrium.equilibrium.recorded[k], equilibrium.equilibrium.sizes[k])
-            for equilibrium in chosen.equilibria
-            for k, index in enumerate(equilibrium.unknowns)
-        }
         controls = list[np.ndarray]()
         for key, state in zip(chosen.controls, chosen.control_states, strict=True):
-            recorded, size = unknowns.get(key, ("", 1.0))
+            equilibrium, k = chosen.unknowns.get(key, (None, 0))
+            recorded, size = (equilibrium.recorded[k], equilibrium.sizes[k]) if equilibrium else ("", 1.0)
             controls.append(_history(run, state, key, recorded) / size)
         optimized = json.loads(str(run.provenance.get("optimized", "{}")))
         known |= {
