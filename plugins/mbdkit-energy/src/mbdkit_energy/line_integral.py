@@ -180,15 +180,13 @@ class _Trial:
         """Return the residuals of the equations of motion (s, n), and of the constraints as rates (s, m)."""
         equations, p, h = self.equations, self.p, self.h
         nodes = list(zip(self.times, self.q, self.v, self.rate, self.a, self.reactions, strict=True))
-        force = sums(
-            (p.weights[:, None] * p.values).T,
-            np.array([equations.residual(t, q, v, a, lam) for t, q, v, _, a, lam in nodes]),
-        )
+        weights = (p.weights[:, None] * p.values).T
+        force = sums(weights, np.array([equations.residual(t, q, v, a, lam) for t, q, v, _, a, lam in nodes]))
         rows = np.zeros((len(self.lam), equations.m))
         if equations.m:
             if len(rows) > 1:
                 rates = np.array([equations.constraint_rates(t, q, rate) for t, q, _, rate, _, _ in nodes])
-                rows = sums((p.weights[:, None] * p.values).T, rates)
+                rows = sums(weights, rates)
             rows[0] = equations.constraints(self.t + h, self.state.q + h * self.mean) / h
         if self.is_corrected:
             force[0] += self._correction()
@@ -249,9 +247,7 @@ class _Trial:
         result = self.state.moved(h * self.mean, h * self.g[0])
         if equations.m:
             v = equations.project_velocities(end, result.q, result.v)
-            if not equations.constraint_rates(
-                end, result.q, 0 * v
-            ).any():  # a factor leaves only scleronomic rows at zero
+            if not equations.constraint_rates(end, result.q, 0 * v).any():  # a factor leaves only such rows at zero
                 kinetic = equations.kinetic(v)
                 v = v * np.sqrt(self._kinetic(end, result) / kinetic) if kinetic else v
             result = mbdkit.StepState(result.q, v)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -10,36 +11,9 @@ import mbdkit
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 from mbdkit_energy.line_integral import LineIntegral
 
-REFERENCES_OF_DISCRETE_GRADIENT = (
-    """@article{gonzalez1996,
-  author = {Gonzalez, Oscar},
-  title = {Time integration and discrete {H}amiltonian systems},
-  journal = {Journal of Nonlinear Science}, volume = {6}, pages = {449--467}, year = {1996},
-  doi = {10.1007/BF02440162}}""",
-    """@article{gonzalez1999,
-  author = {Gonzalez, Oscar},
-  title = {Mechanical systems subject to holonomic constraints: differential-algebraic formulations and conservative
-    integration},
-  journal = {Physica D}, volume = {132}, pages = {165--174}, year = {1999},
-  doi = {10.1016/S0167-2789(99)00054-8}}""",
-)
-ASCHER_PETZOLD = """@article{ascher1991,
-  author = {Ascher, Uri M. and Petzold, Linda R.},
-  title = {Projected implicit {R}unge-{K}utta methods for differential-algebraic equations},
-  journal = {SIAM Journal on Numerical Analysis}, volume = {28}, pages = {1097--1120}, year = {1991},
-  doi = {10.1137/0728059}}"""
-REFERENCES_OF_HBVM = (
-    """@article{brugnano2010,
-  author = {Brugnano, Luigi and Iavernaro, Felice and Trigiante, Donato},
-  title = {{H}amiltonian boundary value methods (energy preserving discrete line integral methods)},
-  journal = {Journal of Numerical Analysis, Industrial and Applied Mathematics}, volume = {5}, pages = {17--37},
-  year = {2010}}""",
-    r"""@article{brugnano2018,
-  author = {Brugnano, Luigi and Gurioli, Gianmarco and Iavernaro, Felice and Weinm{\"u}ller, Ewa B.},
-  title = {Line integral solution of {H}amiltonian systems with holonomic constraints},
-  journal = {Applied Numerical Mathematics}, volume = {127}, pages = {56--77}, year = {2018},
-  doi = {10.1016/j.apnum.2017.12.014}}""",
-    ASCHER_PETZOLD,
+REFERENCES_OF_DISCRETE_GRADIENT, REFERENCES_OF_HBVM = (
+    tuple(Path(__file__).with_name(f"{name}.bib").read_text(encoding="utf-8").strip().split("\n\n"))
+    for name in ("discrete-gradient", "hbvm")
 )
 
 

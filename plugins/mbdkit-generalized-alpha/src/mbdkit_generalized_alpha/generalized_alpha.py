@@ -15,6 +15,7 @@ run.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -25,25 +26,7 @@ from mbdkit.plugin.seams import integrator_claims, integrator_method
 if TYPE_CHECKING:
     import numpy as np
 
-REFERENCES = (
-    r"""@article{arnold2007,
-  author = {Arnold, Martin and Br{\"u}ls, Olivier},
-  title = {Convergence of the generalized-$\alpha$ scheme for constrained mechanical systems},
-  journal = {Multibody System Dynamics}, volume = {18}, pages = {185--202}, year = {2007},
-  doi = {10.1007/s11044-007-9084-0}}""",
-    r"""@article{arnold2015,
-  author = {Arnold, Martin and Br{\"u}ls, Olivier and Cardona, Alberto},
-  title = {Error analysis of generalized-$\alpha$ {L}ie group time integration methods for constrained mechanical
-    systems},
-  journal = {Numerische Mathematik}, volume = {129}, pages = {149--179}, year = {2015},
-  doi = {10.1007/s00211-014-0633-1}}""",
-    r"""@article{chung1993,
-  author = {Chung, Jintai and Hulbert, Gregory M.},
-  title = {A time integration algorithm for structural dynamics with improved numerical dissipation:
-    the generalized-$\alpha$ method},
-  journal = {Journal of Applied Mechanics}, volume = {60}, pages = {371--375}, year = {1993},
-  doi = {10.1115/1.2900803}}""",
-)
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 CONVERGED, STAGNANT = 4e-16, 1e-9
 
 

@@ -7,10 +7,9 @@ back through the steps to the start; on the way, those with respect to the numbe
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -397,12 +396,14 @@ class _Adjoint:
         status, place = kernels.differentiate_back(*arguments)
         return int(status), int(place)
 
-    def _retried(self, call: Callable[[], tuple[int, int]], is_done: Callable[[int], bool]) -> None:
-        """Call a kernel until it is done; choose new pivots for a state whose system it cannot solve."""
-        failed = -1
+    def _retried(self, call: Callable[[int], tuple[int, int]], begin: int, end: int) -> None:
+        """Call a kernel from `begin` on until it arrives at `end`; choose new pivots for a state whose system it cannot
+        solve.
+        """
+        failed, place = -1, begin
         while True:
-            status, place = call()
-            if status == OK and is_done(int(place)):
+            status, place = call(place)
+            if status == OK and place == end:
                 return
             if status == DIVERGED:
                 raise NotByAdjointError("a fixed-point iteration for the stages of a step does not converge")
@@ -415,7 +416,7 @@ class _Adjoint:
                     "the equations at a stage of a step have no solution, because their system is singular or the "
                     "iteration for the stages diverges"
                 ) from None
-            failed = int(place)
+            failed = place
 
     def pulled(self, one: Bars) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (T, n + 3) with respect to positions and velocities of T states."""
@@ -426,17 +427,14 @@ class _Adjoint:
             np.ascontiguousarray(one.states.v), one.acc, one.reactions, one.forces, one.kinetic, one.gravity,
             one.q.copy(), one.v.copy(), np.zeros((2, one.q.shape[1])), np.zeros((len(self.bundle.nu), 2)),
         )  # fmt: skip
-        begin = 0
 
-        def call() -> tuple[int, int]:
-            nonlocal begin
+        def call(begin: int) -> tuple[int, int]:
             rest = kernels.Given(*(x[begin:] if k < 10 else x for k, x in enumerate(given)))
             pinned = PinnedBundle(rest)
             status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)
-            begin += int(row)
-            return status, begin
+            return status, begin + row
 
-        self._retried(call, partial(operator.eq, count))
+        self._retried(call, 0, count)
         return given.q_bar, given.v_bar
 
     def _steps(self, run: AdjointRun | _Piece, **arrays: Any) -> Any:
@@ -479,15 +477,12 @@ class _Adjoint:
         pinned = PinnedBundle(steps)
         for part in run.parts:
             self.workspace.clamp_motions(*part.plain.sides)
-            begin = part.begin
 
-            def call(part: _Part = part) -> tuple[int, int]:
-                nonlocal begin
+            def call(begin: int, end: int = part.end) -> tuple[int, int]:
                 engine = self.workspace.stepping_engine  # which new pivots may move
-                status, begin = self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, part.end)
-                return status, begin
+                return self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, end)
 
-            self._retried(call, partial(operator.eq, part.end))
+            self._retried(call, part.begin, part.end)
 
     def sweep(
         self, run: AdjointRun | _Piece, q_bar: np.ndarray, v_bar: np.ndarray, stage_bars: Any, stages: int
@@ -498,13 +493,9 @@ class _Adjoint:
         work = self.workspace
         for part in reversed(run.parts):
             work.clamp_motions(*part.plain.sides)
-            left = part.end
 
-            def call(part: _Part = part) -> tuple[int, int]:
-                nonlocal left
-                engine, duals = work.stepping_engine, self._stepping
-                status, left = self._call(engine, duals, pinned.address, kernels.SWEEP, part.begin, left)
-                return status, int(left)
+            def call(left: int, begin: int = part.begin) -> tuple[int, int]:
+                return self._call(work.stepping_engine, self._stepping, pinned.address, kernels.SWEEP, begin, left)
 
-            self._retried(call, partial(operator.eq, part.begin))
+            self._retried(call, part.end, part.begin)
         work.clamp_motions(-np.inf, np.inf)

@@ -9,11 +9,11 @@ import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import path_text
+from mbdkit.events.event_expression import RunExpression
 from mbdkit.expressions.program import Program
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.run_spec import RunSpec
 
 #: One expression, several, or expressions by name, as in the section `measures` of a spec.
 Measures = str | Sequence[str] | Mapping[str, str | Mapping[str, str]]
@@ -58,23 +58,13 @@ def expressions_of(spec: ModelSpec, definitions: Definitions) -> dict[str, Measu
 
 
 def numbers_of(spec: ModelSpec, definitions: Definitions) -> dict[str, np.ndarray]:
-    """Return the numbers in the instructions of all measures, by the names that `of_measure` returns."""
-    return {of_measure(name): _numbers(one.program) for name, one in expressions_of(spec, definitions).items()}
+    """Return the numbers in the instructions of all measures, by names such as ``measures.NAME``."""
+    return numbers_in(expressions_of(spec, definitions), "measures")
 
 
-def numbers_of_events(spec: RunSpec) -> dict[str, np.ndarray]:
-    """Return the numbers in the instructions of all events, by the names that `of_event` returns."""
-    return {of_event(name): _numbers(one.program) for name, one in spec.watched().items()}
-
-
-def of_measure(name: str) -> str:
-    """Return the name of the array with the numbers of a measure."""
-    return f"measures.{name}"
-
-
-def of_event(name: str) -> str:
-    """Return the name of the array with the numbers of an event."""
-    return f"events.{name}"
+def numbers_in(expressions: Mapping[str, MeasureExpression | RunExpression], kind: str) -> dict[str, np.ndarray]:
+    """Return the numbers in the instructions of expressions, by kind and name."""
+    return {f"{kind}.{name}": np.array([number for _, number in x.program]) for name, x in expressions.items()}
 
 
 def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
@@ -84,7 +74,3 @@ def slopes_of(program: Program, seeds: Seeds, name: str) -> np.ndarray:
     """
     found = seeds.get(name)
     return np.zeros((len(program), seeds.count)) if found is None else found
-
-
-def _numbers(program: Program) -> np.ndarray:
-    return np.array([number for _, number in program])

@@ -8,32 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, RunError, SpecError, StepError
+from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
-from mbdkit.engine.observed_states import StateObserver
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
-from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.interface import Moment, Stepper
 from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.watched_events import watch_events
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_gradients.differentiated_expressions import of_event, slopes_of
+from mbdkit_gradients.differentiated_expressions import slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
 from mbdkit_gradients.evaluated_states import StateEvaluator, nearby, rate_of
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.sided_stepper import SidedStepper
-
-
-class NoDerivativeError(MbdkitError, ValueError):
-    """The steps of a method, formulation or stabilization cannot be differentiated."""
 
 
 @dataclass(frozen=True)
@@ -138,63 +132,22 @@ def differentiated_run(
         DifferentiatedCrossing(same[0].name, same[0].time, np.concatenate([one.slope for one in same]))
         for same in zip(*(part.crossings for part in parts), strict=True)
     )
-    return DifferentiatedRun(
-        joined_states([part.rows for part in parts]),
-        joined_states([part.nodes for part in parts if part.nodes is not None]) if parts[0].nodes is not None else None,
-        np.concatenate([part.end for part in parts]),
-        tuple(crossings),
-        parts[0].sizes,
-        tuple(motion for part in parts for motion in part.motions),
-        parts[0].is_split,
-        parts[0].doubts,
+    nodes = [part.nodes for part in parts if part.nodes is not None]
+    return replace(
+        parts[0],
+        rows=joined_states([part.rows for part in parts]),
+        nodes=joined_states(nodes) if nodes else None,
+        end=np.concatenate([part.end for part in parts]),
+        crossings=tuple(crossings),
+        motions=tuple(motion for part in parts for motion in part.motions),
     )
-
-
-def plain_run(spec: RunSpec) -> DifferentiatedRun:
-    """Run a spec without events, and return its recorded states, without derivatives and nodes.
-
-    The check of a gradient uses this function, because `simulate` imports this package. Method, steps and evaluation of
-    states are the same as in `simulate`.
-
-    Raises
-    ------
-    RunError
-        If the run stops early, or if the accelerations of a recorded state are not unique.
-    """
-    setup, none = RunSetup.of(spec), np.zeros(1)
-    workspace, table = setup.workspace, setup.timetable()
-    stepper = setup.stepper(table)
-    stretches = [
-        Stretch(
-            np.array([workspace.t0]), workspace.q0[None], workspace.v0[None], none, none, np.zeros((1, 6)),
-            z=states_at_start(workspace)[None],
-        )
-    ]  # fmt: skip
-    while not (stepper.finished or stepper.failure):
-        stretches.append(stepper.advance())
-    if stepper.failure:
-        raise RunError(f"{stepper.failure.code}: {stepper.failure.sentence}")
-    rows = joined(stretches)
-    workspace.clamp_motions(-np.inf, np.inf)
-    observer = StateObserver(workspace.with_own_pivots())
-    observed = observer.arrays(len(rows.time))
-    assert rows.z is not None
-    q, v, z = (np.ascontiguousarray(x) for x in (rows.q, rows.v, rows.z))
-    if observer.observe(table.before(rows.time), q, v, observed, z=z) is not None:
-        raise RunError("a recorded state has no unique accelerations")
-    energy = np.stack([rows.work, rows.dissipated], axis=-1)
-    q, v, z, energy, *values = (x[..., None] for x in (q, v, z, energy, *observed))
-    states = DifferentiatedStates.of_observed(workspace.mechanism, rows.time, q, v, Observed(*values), energy, z=z)
-    return DifferentiatedRun(states, None, np.zeros(0), (), None)
 
 
 def refuse(spec: RunSpec, method: Method) -> None:
     """Raise SpecError if runs of a spec with this method cannot be differentiated."""
-    try:
-        require_derivatives(method, spec)
-    except NoDerivativeError as error:
-        message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {error}"
-        raise SpecError(message, key="integrator") from None
+    if why := _why_no_derivatives(method, spec):
+        message = f"{spec.integrator_item.id} has no derivatives with respect to parameters here: {why}"
+        raise SpecError(message, key="integrator")
     if spec.settings():
         raise SpecError("runs in which events set states have no derivatives", key="events")
     for name, controller in spec.mechanism().controllers.items():
@@ -209,16 +162,17 @@ def refuse(spec: RunSpec, method: Method) -> None:
         )
 
 
-def require_derivatives(method: Method, spec: RunSpec) -> None:
-    """Raise NoDerivativeError unless the steps of the method of a spec can be differentiated."""
+def _why_no_derivatives(method: Method, spec: RunSpec) -> str:
+    """Return why the steps of the method of a spec cannot be differentiated; empty if they can."""
     if not method.traits.has_derivatives:
-        raise NoDerivativeError(
+        return (
             "only steps of explicit Runge-Kutta methods and of collocation methods (gauss, radau-iia) have derivatives"
         )
     if spec.formulated.coordinates == "joint" and not method.traits.is_explicit:
-        raise NoDerivativeError("with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives")
+        return "with joint-coordinates, only steps of explicit Runge-Kutta methods have derivatives"
     if spec.stabilized.symmetric:
-        raise NoDerivativeError("symmetric projections are not differentiated; use `stabilization: projection` or none")
+        return "symmetric projections are not differentiated; use `stabilization: projection` or none"
+    return ""
 
 
 def _pass(spec: RunSpec, seeds: Seeds, needs: Needs, sizes: Sequence[float] | None) -> DifferentiatedRun:
@@ -259,7 +213,6 @@ def differentiated_stepper(
     table = replace(table, **{"single": table.single or needs.ends, **changes})
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    require_derivatives(method, spec)
     compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
@@ -462,7 +415,7 @@ class _Pass:
             )
         self._use(at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
-        slopes = slopes_of(event.expression.program, self.seeds, of_event(event.name))
+        slopes = slopes_of(event.expression.program, self.seeds, f"events.{event.name}")
         try:
             value = series_of(event.expression, here, slopes)
         except SpecError as error:

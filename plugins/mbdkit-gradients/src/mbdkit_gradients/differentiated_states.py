@@ -41,16 +41,10 @@ class DifferentiatedStates(States):
     names: ArchiveNames | None = None
 
     @staticmethod
-    def of_observed(
-        mechanism: CompiledMechanism,
-        time: np.ndarray,
-        q: np.ndarray,
-        v: np.ndarray,
-        observed: Observed,
-        energy: np.ndarray | None,
-        **more: Any,
+    def of_duals(
+        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: Any
     ) -> DifferentiatedStates:
-        """Return states from their observed quantities and energies.
+        """Return states, with the first `count` of their derivatives, from what a kernel has computed.
 
         Parameters
         ----------
@@ -59,22 +53,13 @@ class DifferentiatedStates(States):
         more
             Further arguments of the class.
         """
-        if energy is not None:
-            start = (observed.kinetic + observed.potential)[:1]
-            more |= {"work": energy[:, 0], "dissipated": energy[:, 1], "start_energy": start}
-        return DifferentiatedStates(mechanism, time, q, v, lambda: observed, **more)
-
-    @staticmethod
-    def of_duals(
-        mechanism: CompiledMechanism, states: DualStates, count: int, energy: np.ndarray | None, **more: object
-    ) -> DifferentiatedStates:
-        """Return states, with the first `count` of their derivatives, from what a kernel has computed; see
-        `of_observed`.
-        """
         some = slice(1 + count)
         observed = Observed(*(np.asarray(x[..., some]) for x in states.observed))
         q, v, power = (np.asarray(x[..., some]) for x in (states.q, states.v, states.power))
-        return DifferentiatedStates.of_observed(mechanism, states.time, q, v, observed, energy, power=power, **more)
+        if energy is not None:
+            start = (observed.kinetic + observed.potential)[:1]
+            more |= {"work": energy[:, 0], "dissipated": energy[:, 1], "start_energy": start}
+        return DifferentiatedStates(mechanism, states.time, q, v, lambda: observed, power=power, **more)
 
 
 def quantity_of(states: DifferentiatedStates, quantity: Quantity) -> DerivedValue:

@@ -250,7 +250,14 @@ def check_gradient(
         if reference_jacobian is not None:
             found = reference_jacobian()
             witness = np.where(np.isnan(found), jacobian, found)  # errors then follow from the direction alone
-        unexplained = _unexplained(direction, reference, witness, other, correction, size)
+        # the part of the deviation of that gradient from its differences that their estimated error does not explain
+        along, scale = witness @ direction.change, np.sum(np.abs(witness * direction.change), axis=1)
+        other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
+        if np.any(np.abs(along - other) > SUSPECT * scale + other_error):
+            wider = direction.difference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
+            scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
+            other_error = other_error + np.minimum(scatter, UNSURE * scale)
+        unexplained = np.maximum(np.abs(along - other) - other_error, 0.0)
     entry_error = np.abs(jacobian - witness) + unexplained[:, None] / np.abs(direction.change)
     scaled = np.abs(direction.change) * np.stack([entry_error, np.abs(jacobian)])
     is_accurate = ~(scaled[0] > np.maximum(LARGEST_ERROR * scaled[1], NEGLIGIBLE * size[:, None]))
@@ -260,35 +267,6 @@ def check_gradient(
         agrees | np.isnan(derivative), tuple(sizes), other, terms, jacobian, entry_error, is_accurate,
         tuple(parameter.name for parameter in direction.parameters),
     )  # fmt: skip
-
-
-def _unexplained(
-    direction: Direction,
-    reference: Measured,
-    witness: np.ndarray,
-    other: np.ndarray,
-    correction: np.ndarray,
-    size: np.ndarray,
-) -> np.ndarray:
-    """Return the part (M,) of the deviation of another method's gradient from its differences that the estimated error
-    of the differences does not explain.
-
-    Parameters
-    ----------
-    witness, other
-        (M, K) gradient and (M,) corrected differences of the other method.
-    correction
-        (M,) the correction of the differences.
-    size
-        (M,) magnitudes of the numbers from which the measures are computed.
-    """
-    along, terms = witness @ direction.change, np.sum(np.abs(witness * direction.change), axis=1)
-    other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
-    if np.any(np.abs(along - other) > SUSPECT * terms + other_error):
-        wider = direction.difference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
-        scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
-        other_error = other_error + np.minimum(scatter, UNSURE * terms)
-    return np.asarray(np.maximum(np.abs(along - other) - other_error, 0.0))
 
 
 def _is_like_steps(

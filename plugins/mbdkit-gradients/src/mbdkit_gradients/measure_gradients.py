@@ -33,7 +33,7 @@ from mbdkit_gradients.adjoint_gradient import AdjointRun, is_ready, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
-from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, plain_run, refuse
+from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, refuse
 from mbdkit_gradients.differentiated_states import require_derivative
 from mbdkit_gradients.gradient_check import (
     DIGITS,
@@ -46,7 +46,7 @@ from mbdkit_gradients.gradient_check import (
 )
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit_gradients.measured_derivatives import DerivedMeasure, derived_measures, needs_of
-from mbdkit_gradients.other_method import Reference
+from mbdkit_gradients.other_method import Reference, measured_values
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
 from mbdkit_report import Cell, Column, Table, View, columns_of
@@ -393,7 +393,8 @@ class _RunProblem(GradientProblem[RunSpec]):
         super().__init__(spec, definitions)
         every = [needs_of(expression) for expression in self.expressions.values()]
         self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
-        self._specs = VariedSpecs(spec.canonical_json())
+        apart: dict[str, Any] = {"measures": {}, "gradients": [], "check": False}
+        self._specs = VariedSpecs(RunSpec(**spec.sections() | apart).canonical_json())
 
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         return prepared_derivatives(self.spec, parameters, self.definitions)
@@ -426,12 +427,14 @@ class _RunProblem(GradientProblem[RunSpec]):
     def measured(self, run: DifferentiatedRun | AdjointRun, settings: Settings) -> list[float]:
         spec = self._specs.spec(settings)
         expressions = expressions_of(spec, self.definitions) if self.spec.parameters else self.expressions
-        is_plain = self._needs == Needs() and not spec.events and not run.is_split and run.sizes is None
+        unknown = [np.nan] * len(expressions)
+        if self._needs == Needs() and not spec.events and not run.is_split and run.sizes is None:
+            return measured_values(expressions, spec) or unknown
         try:
             # Step sizes that depend on the parameters would change the differences by a multiple of the tolerance.
-            other = plain_run(spec) if is_plain else differentiated_run(spec, NO_SEEDS, self._needs, sizes=run.sizes)
+            other = differentiated_run(spec, NO_SEEDS, self._needs, sizes=run.sizes)
         except RunError:
-            return [np.nan] * len(expressions)
+            return unknown
         return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
 
     def reference(self, run: DifferentiatedRun | AdjointRun, prepared: PreparedDerivatives) -> Reference:

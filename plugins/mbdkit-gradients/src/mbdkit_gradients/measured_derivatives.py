@@ -27,7 +27,7 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
 from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
-from mbdkit_gradients.differentiated_expressions import of_measure, slopes_of
+from mbdkit_gradients.differentiated_expressions import slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, quantity_of
@@ -77,7 +77,7 @@ def derived_measures(
     states = MotionStates(run.motions)
     _keep_shared_states(run, states, expressions.values())
     return {
-        name: MeasureEvaluation(run, states, one, slopes_of(one.program, seeds, of_measure(name))).derived()
+        name: MeasureEvaluation(run, states, one, slopes_of(one.program, seeds, f"measures.{name}")).derived()
         for name, one in expressions.items()
     }
 

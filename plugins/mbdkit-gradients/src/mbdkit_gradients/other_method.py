@@ -68,15 +68,13 @@ class Reference:
 
     def values(self, settings: Settings) -> Sequence[float]:
         """Return the measures (M,) of a run with other values of parameters; nan if no method reaches its end."""
-        spec, texts = self._specs.spec(settings), [expression.text for expression in self.expressions.values()]
-        factors = [expression.unit.factor for expression in self.expressions.values()]
+        spec = self._specs.spec(settings)
         others = self._others(spec, _recorded_interval(spec))  # `at` may interpolate between recorded states
         for place in range(len(others)) if self._chosen is None else [self._chosen]:
-            found = measured_in(texts, others[place])
-            if found is not None:
+            if found := measured_values(self.expressions, others[place]):
                 self._chosen = place
-                return [value / factor for value, factor in zip(found, factors, strict=True)]
-        return [math.nan] * len(texts)
+                return found
+        return [math.nan] * len(self.expressions)
 
     def jacobian(self) -> np.ndarray:
         """Return the derivatives (M, K) of the measures by the method that `values` has chosen; nan if they are not
@@ -104,6 +102,12 @@ class Reference:
     def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
         setup = RunSetup.of(spec)
         return other_methods(spec, setup.method, setup.workspace, ASSUMED_STEPS, interval)
+
+
+def measured_values(expressions: Mapping[str, MeasureExpression], spec: RunSpec) -> list[float]:
+    """Return measures (M,) of a run in their units; an empty list if the run fails."""
+    found = measured_in([expression.text for expression in expressions.values()], spec) or ()
+    return [value / one.unit.factor for value, one in zip(found, expressions.values(), strict=False)]
 
 
 def _recorded_interval(spec: RunSpec) -> float | None:

@@ -150,14 +150,11 @@ class Preparation(ABC):
         The numbers of such a law are linear in the values. Unit vectors through the spline give the derivatives with
         respect to all of them; one point confirms those with respect to one, and that no other array changes.
         """
-        tables: dict[object, dict[int, int]] = {}
+        tables: dict[str, dict[int, int]] = {}
         for k, one in enumerate(parameters):
-            if (
-                len(one.path) == 6
-                and one.path[:2] == ("model", "forces")
-                and [*map(str, one.path[3:5])] == ["table", "1"]
-            ):
-                tables.setdefault(one.path[2], {})[k] = int(one.path[5])
+            match [*map(str, one.path)]:
+                case ["model", "forces", force, "table", "1", place]:
+                    tables.setdefault(force, {})[k] = int(place)
         found: dict[int, _ArrayDerivatives] = {}
         for places in tables.values():
             if len(places) < MANY:

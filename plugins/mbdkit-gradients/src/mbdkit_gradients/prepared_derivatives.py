@@ -29,7 +29,7 @@ from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_of, numbers_of_events
+from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_in, numbers_of
 from mbdkit_gradients.gradient_parameters import Parameter, refused
 from mbdkit_gradients.parameter_differences import (
     CENTRAL,
@@ -70,7 +70,7 @@ def prepared_derivatives(
     """
 
     def numbers(spec: RunSpec) -> Arrays:
-        return {**numbers_of(spec, definitions), **numbers_of_events(spec)}
+        return numbers_of(spec, definitions) | numbers_in(spec.watched(), "events")
 
     return RunPreparation(spec, numbers).derivatives(parameters)
 
@@ -88,11 +88,7 @@ class PreparedSpec:
         self.spec, self._starts = spec, starts
         self.numbers = numbers(spec) if spec.parameters else {}
         self.given = GivenStart(spec.mechanism(), spec, starts) if is_given else None
-        self.start = (
-            starts.at_start(spec.mechanism(), spec.time.start, spec.time.final)
-            if self.given is None
-            else self.given.start
-        )
+        self.start = self.given.start if self.given else starts.at_start(spec.mechanism(), *spec.span)
         self.knots = knots_of(spec)
 
     @cached_property
@@ -399,7 +395,5 @@ def knots_of(spec: RunSpec) -> tuple[float, ...]:
 
     Those at the start and at the end of the run are included.
     """
-    start, end = spec.time.start, spec.time.final
-    return tuple(
-        sorted(corner.time for _, motion in spec.mechanism().motions() for corner in corners_of(motion, start, end))
-    )
+    corners = (corner for _, motion in spec.mechanism().motions() for corner in corners_of(motion, *spec.span))
+    return tuple(sorted(corner.time for corner in corners))

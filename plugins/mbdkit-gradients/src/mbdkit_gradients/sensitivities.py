@@ -32,6 +32,7 @@ from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
+from mbdkit_gradients.differentiated_expressions import numbers_in, slopes_of
 from mbdkit_gradients.differentiated_run import Needs, differentiated_stepper, refuse
 from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
@@ -219,10 +220,7 @@ class PreparedSensitivities:
         """Return the numbers in the instructions of the quantities that contain parameters."""
         if not self._uses_parameters:
             return {}
-        return {
-            f"quantities.{index}": np.array([number for _, number in one.program])
-            for index, one in enumerate(self._parsed(spec))
-        }
+        return numbers_in({str(index): one for index, one in enumerate(self._parsed(spec))}, "quantities")
 
     def _why_differences(self) -> str:
         """Return why runs of the spec have no exact derivatives; empty if they have."""
@@ -374,8 +372,7 @@ class PreparedSensitivities:
         values = np.empty((len(expressions), len(self.sorted)))
         slopes = np.empty((*values.shape, seeds.count))
         for index, one in enumerate(expressions):
-            numbers = seeds.get(f"quantities.{index}")
-            found = series_of(one, states, np.zeros((len(one.program), seeds.count)) if numbers is None else numbers)
+            found = series_of(one, states, slopes_of(one.program, seeds, f"quantities.{index}"))
             values[index], slopes[index].T[...] = found.value, found.slope
         return values, slopes
 
@@ -384,38 +381,28 @@ class PreparedSensitivities:
     def _by_differences(
         self, plain: Mapping[str, float], start: Mapping[str, float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return values (Q, T), central differences (Q, T, K) and their errors (K,) at the sorted times."""
-        here = self._stepped(plain, start)
-        slopes = []
-        for one in self._valued(self._prepared.spec_with(plain), start):
-            change = CHANGE * max(abs(one.value), 1.0 if one.path[0] == INITIAL else 0.0) or CHANGE
-            slopes.append(self._difference(one, change, plain, start, here))
-        return here, np.stack(slopes, axis=-1), np.full(len(slopes), np.nan)
+        """Return values (Q, T), central differences (Q, T, K) and their errors (K,) at the sorted times.
 
-    def _difference(
-        self,
-        one: Parameter,
-        change: float,
-        plain: Mapping[str, float],
-        start: Mapping[str, float],
-        here: np.ndarray,
-    ) -> np.ndarray:
-        """Return a difference quotient (Q, T): central, or one-sided if the spec is valid on one side only."""
-        ends = []
-        for value in (one.value + change, one.value - change):
+        Differences are one-sided if the spec is valid on one side of a parameter only.
+        """
+        here, slopes = self._stepped(plain, start), []
+        for one in self._valued(self._prepared.spec_with(plain), start):
             is_initial = one.path[0] == INITIAL
-            changed = {str(one.path[-1]) if is_initial else one.name: value}
-            given = (plain, {**start, **changed}) if is_initial else ({**plain, **changed}, start)
-            try:
-                ends.append((value, self._stepped(*given)))
-            except SpecError:
-                ends.append((one.value, here))
-        (high, above), (low, below) = ends
-        if high == low:
-            raise SpecError(
-                f"the spec is not valid for values close to {one.value!r} of '{one.name}'", key="parameters"
-            )
-        return np.asarray((above - below) / (high - low))
+            change = CHANGE * max(abs(one.value), 1.0 if is_initial else 0.0) or CHANGE
+            ends = []
+            for value in (one.value + change, one.value - change):
+                moved = {str(one.path[-1]) if is_initial else one.name: value}
+                given = (plain, {**start, **moved}) if is_initial else ({**plain, **moved}, start)
+                try:
+                    ends.append((value, self._stepped(*given)))
+                except SpecError:  # the difference is one-sided
+                    ends.append((one.value, here))
+            (high, above), (low, below) = ends
+            if high == low:
+                message = f"the spec is not valid for values close to {one.value!r} of '{one.name}'"
+                raise SpecError(message, key="parameters")
+            slopes.append((above - below) / (high - low))
+        return here, np.stack(slopes, axis=-1), np.full(len(slopes), np.nan)
 
     def _stepped(self, plain: Mapping[str, float], start: Mapping[str, float]) -> np.ndarray:
         """Return the quantities (Q, T) at the sorted times, from a simulation that is advanced to each of them."""

@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import ATTRIBUTES
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit_gradients.differentiated_run import plain_run
 from mbdkit_gradients.differentiated_states import require_derivative
 from mbdkit_gradients.evaluated_states import StateEvaluator
-from mbdkit_gradients.measured_derivatives import derived_measures
 
 FUNCTIONS = (
     "max(sin(rod1.angle), cos(rod2.angle)) - min(0.3, sin(rod1.angle))",
@@ -75,16 +72,6 @@ def test_a_differentiated_run_has_the_numbers_of_the_run(integrator: dict[str, A
     found = mbdkit.gradient(made.spec, measures, "model.bodies.rod2.mass", check=False)
     for name, value in zip(found.measures, found.value, strict=True):
         assert value == pytest.approx(made.measures[name], rel=1e-10, abs=1e-12), measures[name]
-
-
-@pytest.mark.parametrize(("integrator", "formulation"), METHODS, ids=["rk4", "radau-iia"])
-def test_the_runs_of_a_check_have_the_numbers_of_the_run(integrator: dict[str, Any], formulation: str) -> None:
-    given = spec(integrator, formulation)
-    measures = {name: text for name, text in expressions(given).items() if text.startswith("final")}
-    made = mbdkit.run(spec(integrator, formulation, measures=measures))
-    parsed = {name: MeasureExpression.parse(text, given) for name, text in measures.items()}
-    for name, derived in derived_measures(plain_run(given), parsed, NO_SEEDS).items():
-        assert derived.value == pytest.approx(made.measures[name], rel=1e-12, abs=1e-14), measures[name]
 
 
 KINDS_OF_MEASURES = {

@@ -61,7 +61,11 @@ class Definition:
         self._fixed: dict[str, float | str] = {}
         self._drawn: dict[str, Any] = {}
         for name, value in (randomize or {}).items():
-            self._vary(name, value)
+            if isinstance(value, int | float | str):
+                self._fixed[name] = value
+                continue
+            with SpecError.locate(f"randomize.{quoted(name)}"):
+                self._drawn[name] = frozen(value)
 
     def _action_bounds(self, actions: Actions | None) -> tuple[np.ndarray, np.ndarray]:
         inputs = self._mechanism.inputs
@@ -133,13 +137,6 @@ class Definition:
         self.expressions.append(given)
         return len(self.expressions) - 1
 
-    def _vary(self, name: str, value: object) -> None:
-        if isinstance(value, int | float | str):
-            self._fixed[name] = value
-            return
-        with SpecError.locate(f"randomize.{quoted(name)}"):
-            self._drawn[name] = frozen(value)
-
     @property
     def varied(self) -> set[str]:
         """Parameters and numbers of the model in which episodes may differ."""
@@ -170,9 +167,8 @@ class Definition:
         """
         named: dict[str, np.ndarray] = {"t": time}
         if callable(self._reward) or callable(self._terminated):
-            named |= dict(zip(self.observations, values.T, strict=False)) | dict(
-                zip(self.actions, actions.T, strict=True)
-            )
+            named |= zip(self.observations, values.T, strict=False)
+            named |= zip(self.actions, actions.T, strict=True)
         count = len(values)
 
         def judged(given: Function | int) -> np.ndarray:

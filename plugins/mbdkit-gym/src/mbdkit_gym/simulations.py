@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -14,30 +14,6 @@ from mbdkit.plugin.specs import parameters_in_use
 from mbdkit_gym.definition import Definition
 
 Start = tuple[dict[str, Any], dict[str, Any]]  #: Parameters and initial quantities by name.
-
-
-class Simulations(Protocol):
-    """N simulations of an environment."""
-
-    @property
-    def time(self) -> np.ndarray:
-        """(N,) times since the start of the episode [s]."""
-
-    @property
-    def ended(self) -> dict[int, str]:
-        """Why simulations cannot go on, as sentences, by their number; empty while all can."""
-
-    def start(self, which: Sequence[int], starts: Sequence[Start]) -> None:
-        """Start some simulations anew."""
-
-    def advance(self, actions: np.ndarray, which: np.ndarray) -> None:
-        """Set the actions (N, A), and advance by a period, at least those of `which` (N,) that have not ended."""
-
-    def read(self) -> np.ndarray:
-        """Return the values (N, K) of the expressions of the definition."""
-
-    def close(self) -> None:
-        """Give up the simulations."""
 
 
 def simulations_of(definition: Definition, number: int) -> Simulations:
@@ -57,7 +33,7 @@ def why_in_turn(definition: Definition) -> str:
 
 
 class _Batch:
-    """Simulations in lanes."""
+    """N simulations in lanes; see `_Turns` for its methods."""
 
     def __init__(self, definition: Definition, number: int):
         spec = definition.spec
@@ -92,7 +68,7 @@ class _Batch:
 
 
 class _Turns:
-    """Open simulations that advance one after another."""
+    """N open simulations that advance one after another."""
 
     def __init__(self, definition: Definition, number: int):
         self._definition = definition
@@ -100,10 +76,12 @@ class _Turns:
         self._readers = [simulation.reader(definition.expressions) for simulation in self._simulations]
 
     def start(self, which: Sequence[int], starts: Sequence[Start]) -> None:
+        """Start some simulations anew."""
         for i, (parameters, initial) in zip(which, starts, strict=True):
             self._simulations[i].reset(parameters=parameters, initial=initial)
 
     def advance(self, actions: np.ndarray, which: np.ndarray) -> None:
+        """Set the actions (N, A), and advance by a period, at least those of `which` (N,) that have not ended."""
         for i in np.flatnonzero(which).tolist():
             simulation = self._simulations[i]
             if not simulation.ended:
@@ -114,15 +92,22 @@ class _Turns:
                     continue  # `ended` says why
 
     def read(self) -> np.ndarray:
+        """Return the values (N, K) of the expressions of the definition."""
         return np.array([read() for read in self._readers])
 
     def close(self) -> None:
+        """Give up the simulations."""
         self._simulations.clear()
 
     @property
     def time(self) -> np.ndarray:
+        """(N,) times since the start of the episode [s]."""
         return np.array([one.time for one in self._simulations]) - self._definition.spec.time.start
 
     @property
     def ended(self) -> dict[int, str]:
+        """Why simulations cannot go on, as sentences, by their number; empty while all can."""
         return {i: simulation.ended for i, simulation in enumerate(self._simulations) if simulation.ended}
+
+
+Simulations = _Batch | _Turns  #: The simulations of an environment.

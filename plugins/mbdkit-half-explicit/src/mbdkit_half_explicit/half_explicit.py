@@ -52,11 +52,8 @@ class HalfExplicitTableau:
 
     def __post_init__(self) -> None:
         first = 0 if self.consistent[0, 0] else 1
-        if (
-            np.any(np.triu(self.a))
-            or np.any(np.triu(self.consistent, 1))
-            or not np.all(np.diag(self.consistent)[first:])
-        ):
+        is_implicit = np.any(np.triu(self.a)) or np.any(np.triu(self.consistent, 1))
+        if is_implicit or not np.all(np.diag(self.consistent)[first:]):
             raise mbdkit.PluginError("the coefficients of a half-explicit method are not those of explicit stages")
 
 

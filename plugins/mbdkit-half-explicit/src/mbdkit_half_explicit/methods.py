@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -12,28 +13,9 @@ from mbdkit.plugin.methods import ControlledOptions
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 from mbdkit_half_explicit.half_explicit import HalfExplicit, HalfExplicitTableau
 
-BRASEY_HAIRER = """@article{brasey1993,
-  author = {Brasey, Val{\\'e}rie and Hairer, Ernst},
-  title = {Half-explicit {R}unge-{K}utta methods for differential-algebraic systems of index 2},
-  journal = {SIAM Journal on Numerical Analysis}, volume = {30}, pages = {538--552}, year = {1993},
-  doi = {10.1137/0730025}}"""
-REFERENCES_OF_HEM4 = (BRASEY_HAIRER,)
-REFERENCES_OF_HEM5 = (
-    """@article{brasey1992,
-  author = {Brasey, Val{\\'e}rie},
-  title = {A half-explicit {R}unge-{K}utta method of order 5 for solving constrained mechanical systems},
-  journal = {Computing}, volume = {48}, pages = {191--201}, year = {1992}}""",
-    """@techreport{brasey1994,
-  author = {Brasey, Val{\\'e}rie},
-  title = {{HEM5} user's guide},
-  institution = {Universit{\\'e} de Gen{\\`e}ve}, year = {1994}}""",
-    BRASEY_HAIRER,
-)
-REFERENCES_OF_PHEM56 = (
-    """@article{murua1997,
-  author = {Murua, Ander},
-  title = {Partitioned half-explicit {R}unge-{K}utta methods for differential-algebraic systems of index 2},
-  journal = {Computing}, volume = {59}, pages = {43--61}, year = {1997}, doi = {10.1007/BF02684403}}""",
+REFERENCES_OF_HEM4, REFERENCES_OF_HEM5, REFERENCES_OF_PHEM56 = (
+    tuple(Path(__file__).with_name(f"{name}.bib").read_text(encoding="utf-8").strip().split("\n\n"))
+    for name in ("hem4", "hem5", "phem56")
 )
 R6 = 6**0.5
 

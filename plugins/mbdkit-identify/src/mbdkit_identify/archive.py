@@ -90,11 +90,8 @@ def _fill(file: h5py.File, result: Identification) -> None:
     covariance = TableColumn(result.covariance, ("parameter", "other"), "mixed", "covariance", "unit")
     columns = _estimates(result, "parameter", result.parameters)
     others = [name for name in result.estimates if name not in result.parameters]
-    _write(
-        file,
-        "parameters",
-        {**columns, "other": columns["parameter"]._replace(axes=("other",)), "covariance": covariance},
-    )
+    other = columns["parameter"]._replace(axes=("other",))
+    _write(file, "parameters", {**columns, "other": other, "covariance": covariance})
     _write(file, "estimates", _estimates(result, "estimate", others))
     for number, signal in enumerate(result.residuals):
         _write_item(file.require_group("residuals"), number, signal, "time", {"time": "s", "white": "1"}, signal.unit)

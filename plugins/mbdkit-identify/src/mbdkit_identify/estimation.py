@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
 from mbdkit.plugin import RunError
-from mbdkit_identify.noise import LEAST_DEVIATION, Noise, estimated_noise
+from mbdkit_identify.noise import LEAST_DEVIATION, Noise
 from mbdkit_identify.problem import FAILED, Problem
 
 #: Relative change of the sum of squares, and of the unknowns, at which a search ends: with the noise that is estimated,
@@ -45,8 +46,6 @@ class Fit:
         Sum of their squares.
     at_low, at_high
         (n,) whether each unknown is at its lower or upper bound.
-    starts
-        Costs of the searches from all starts.
     loss
         The loss of residuals.
     is_settled
@@ -59,7 +58,6 @@ class Fit:
     cost: float
     at_low: np.ndarray
     at_high: np.ndarray
-    starts: tuple[float, ...] = ()
     loss: str = "linear"
     is_settled: bool = True
 
@@ -96,11 +94,7 @@ def best_fit(
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
         raw = problem.predicted(x) - problem.measured
-        noises = estimated_noise(
-            raw, problem.slopes(x), problem.information, problem.pieces, before, problem.known,
-            problem.may_correlate, problem.scales,
-        )  # fmt: skip
-        problem.noises = problem.pooled(noises)
+        problem.noises = problem.estimated_noises(raw, x)
         if loss != "linear":
             problem.noises = _without_outliers(problem, raw)
         is_settled = _is_settled(before, problem.noises)
@@ -111,17 +105,10 @@ def best_fit(
         is_moved = bool(np.any(x != last))
         notify(f"noise, round {number + 1}: sum of squares {np.sum(problem.residuals(x) ** 2):.6g}")
     x = _search(problem, x, loss, tolerance=FINE)
-    return fit_at(problem, x, tuple(cost for cost, _ in found), loss, is_settled=is_settled)
+    return fit_at(problem, x, loss, is_settled=is_settled)
 
 
-def fit_at(
-    problem: Problem,
-    x: np.ndarray,
-    starts: tuple[float, ...] = (),
-    loss: str = "linear",
-    *,
-    is_settled: bool = True,
-) -> Fit:
+def fit_at(problem: Problem, x: np.ndarray, loss: str = "linear", *, is_settled: bool = True) -> Fit:
     """Return the fit at unknowns x (n,)."""
     jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
     white = problem.residuals(x)
@@ -130,7 +117,7 @@ def fit_at(
     gradient = jacobian.T @ (losses(loss, white)[1] * white)
     at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
     x = np.where(at_low, low, np.where(at_high, high, x))
-    return Fit(x, white, jacobian, float(white @ white), at_low, at_high, starts, loss, is_settled)
+    return Fit(x, white, jacobian, float(white @ white), at_low, at_high, loss, is_settled)
 
 
 def losses(loss: str, white: np.ndarray) -> tuple[float, np.ndarray]:
@@ -188,20 +175,31 @@ def _search(
     """Return the unknowns after a search with at most so many evaluations."""
     low, high = problem.bounds
     inside = np.clip(start, low + 1e-9 * problem.sizes, high - 1e-9 * problem.sizes)
-    size = problem.sizes
+    limits = {"ftol": tolerance, "xtol": tolerance, "gtol": 1e-12}
+    return _least_squares(problem, inside, slice(None), loss=loss, max_nfev=most, **limits)
+
+
+def _least_squares(problem: Problem, start: np.ndarray, places: np.ndarray | slice, **options: Any) -> np.ndarray:
+    """Return the unknowns (n,) after a search for those at some `places` (n,), which changes them relative to their
+    magnitudes.
+    """
+    size = problem.sizes[places]
+    low, high = (bound[places] / size for bound in problem.bounds)
+
+    def whole(y: np.ndarray) -> np.ndarray:
+        x = start.copy()
+        x[places] = y * size
+        return x
+
     result = least_squares(
-        lambda y: problem.residuals(y * size),
-        inside / size,
-        lambda y: problem.jacobian(y * size) * size,
-        bounds=(low / size, high / size),
+        lambda y: problem.residuals(whole(y)),
+        start[places] / size,
+        lambda y: problem.jacobian(whole(y))[:, places] * size,
+        bounds=(low, high),
         x_scale="jac",
-        loss=loss,
-        ftol=tolerance,
-        xtol=tolerance,
-        gtol=1e-12,
-        max_nfev=most,
+        **options,
     )
-    return np.asarray(result.x * size)
+    return whole(np.asarray(result.x))
 
 
 def _starts(problem: Problem, count: int, seed: int) -> list[np.ndarray]:
@@ -251,22 +249,5 @@ def fit_some(problem: Problem, x: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Return unknowns x (n,) of which those at some `places` (n,) are fitted."""
     if not np.any(places):
         return x
-    low, high = (bound[places] for bound in problem.bounds)
-    size = problem.sizes[places]
-
-    def whole(y: np.ndarray) -> np.ndarray:
-        found = x.copy()
-        found[places] = y * size
-        return found
-
-    result = least_squares(
-        lambda y: problem.residuals(whole(y)),
-        np.clip(x[places], low, high) / size,
-        lambda y: problem.jacobian(whole(y))[:, places] * size,
-        bounds=(low / size, high / size),
-        x_scale="jac",
-        ftol=TOLERANCE,
-        xtol=TOLERANCE,
-        max_nfev=MOST_EVALUATIONS,
-    )
-    return whole(np.asarray(result.x))
+    start = np.where(places, np.clip(x, *problem.bounds), x)
+    return _least_squares(problem, start, places, ftol=TOLERANCE, xtol=TOLERANCE, max_nfev=MOST_EVALUATIONS)

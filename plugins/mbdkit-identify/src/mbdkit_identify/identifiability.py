@@ -61,18 +61,12 @@ class Identifiability:
         The parameters that are not determined, in groups.
     rank : int
         Number of independent combinations of parameters that are determined.
-    covariance : (K, K) array
-        Covariance of the parameters to first order; nan for those that are not determined, and for those in `flat`.
-    flat : tuple of str
-        Parameters that are determined, but not by first derivatives at the given values, as at a symmetric optimum.
     """
 
     names: tuple[str, ...]
     identifiable: np.ndarray
     combinations: tuple[Combination, ...]
     rank: int
-    covariance: np.ndarray
-    flat: tuple[str, ...]
 
 
 def combinations(
@@ -127,17 +121,19 @@ def combinations(
     nullity = min(point.nullity for point in points)
     points = [point for point in points if point.nullity == nullity]
     is_free = points[0].involved
-    is_lost = first.involved | is_free
-    covariance = np.where(is_lost | is_lost[:, None], np.nan, first.covariance)
     groups: tuple[Combination, ...] = ()
     if nullity:
         steps = [*(_steps(3, size) * is_free), *_steps(2, size)]
         moved = [_moved(local, points[0], step) for step in steps]
         near, distant = ([p for p in part if p and p.nullity == nullity] for part in (moved[:3], moved[3:]))
-        nulls = _null_vectors([*points, *near], distant, [*names], spec)
+        known = {symbol(name): x for name, x in spec.numbers.items() if name not in names} if spec else {}
+        every, tolerance = [*points, *near, *distant], max(one.tolerance for one in (*points, *near, *distant))
+        nulls = NullVectors(
+            [symbol(name) for name in names], np.array([one.values for one in every]),
+            np.array([one.null for one in every]), points[0].units, tolerance, len(points) + len(near), known,
+        )  # fmt: skip
         groups = _groups(nulls, is_free, spec, size, units or {})
-    flat = tuple(name for name, lost, free in zip(names, is_lost, is_free, strict=True) if lost and not free)
-    return Identifiability(tuple(names), ~is_free, groups, len(start) - nullity, covariance, flat)
+    return Identifiability(tuple(names), ~is_free, groups, len(start) - nullity)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,14 +142,12 @@ class _Point:
 
     - `units` (K,): changes of single parameters that have effects of equal size.
     - `tolerance`: relative error of the null vectors.
-    - `covariance` (K, K): covariance in all other directions.
     """
 
     values: np.ndarray
     null: np.ndarray
     units: np.ndarray
     tolerance: float
-    covariance: np.ndarray
 
     @property
     def nullity(self) -> int:
@@ -178,8 +172,7 @@ def _local(
     rank = int(np.sum(singular > MARGIN * error))
     units = size / np.where(np.isinf(norms), 1.0, norms)
     tolerance = float(np.clip(MARGIN * error / singular[rank - 1] if rank else 0.0, *TOLERANCES))
-    inverse = units[:, None] * rows[:rank].T / singular[:rank]
-    return _Point(values, units[:, None] * rows[rank:].T, units, tolerance, inverse @ inverse.T)
+    return _Point(values, units[:, None] * rows[rank:].T, units, tolerance)
 
 
 def _moved(local: Callable[[np.ndarray], _Point], start: _Point, change: np.ndarray) -> _Point | None:
@@ -211,18 +204,6 @@ def _curve(local: Callable[[np.ndarray], _Point], first: _Point, size: np.ndarra
     tangents = np.linalg.qr(middle.null / first.units[:, None])[0]
     end = _moved(local, first, first.units * (tangents @ (tangents.T @ (change / first.units))))
     return [middle, end] if end else [middle]
-
-
-def _null_vectors(
-    near: Sequence[_Point], distant: Sequence[_Point], names: Sequence[str], spec: RunSpec | None
-) -> NullVectors:
-    known = {symbol(name): value for name, value in spec.numbers.items() if name not in names} if spec else {}
-    points = [*near, *distant]
-    return NullVectors(
-        [symbol(name) for name in names], np.array([point.values for point in points]),
-        np.array([point.null for point in points]), near[0].units, max(point.tolerance for point in points), len(near),
-        known,
-    )  # fmt: skip
 
 
 def _groups(

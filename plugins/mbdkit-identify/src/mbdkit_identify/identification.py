@@ -250,11 +250,8 @@ class Identification(HtmlView):
         ):
             raise SpecError("two models are compared by the same data, but these differ")
         gain = other.information_criterion - self.information_criterion
-        verdict = (
-            f"the {'first' if gain > 0 else 'second'} model explains the data better"
-            if abs(gain) > 2
-            else ("both models explain the data equally well")
-        )
+        better = f"the {'first' if gain > 0 else 'second'} model explains the data better"
+        verdict = better if abs(gain) > 2 else "both models explain the data equally well"
         lines = [f"{verdict}: Akaike's criterion of the second minus that of the first is {gain:.4g}"]
         lines += [
             f"{a.experiment}: {a.quantity} held out, root mean square error {a.rms:.4g} and {b.rms:.4g} {a.unit}"

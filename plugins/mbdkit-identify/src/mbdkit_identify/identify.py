@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any
@@ -19,15 +20,15 @@ from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.intervals import Goal, covariance_of, interval_of, quantile
-from mbdkit_identify.loading import load_identify_spec
-from mbdkit_identify.measured_data import ExperimentData, read_experiment
+from mbdkit_identify.loading import load_identify_spec, spec_of_base
+from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
 from mbdkit_identify.noise import Noise
 from mbdkit_identify.posterior import posterior
 from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
-from mbdkit_identify.segments import segments_of
+from mbdkit_identify.segments import Unknown, segments_of
 
 EXACT, DIFFERENCES = 1e-9, 1e-6  #: Relative errors of exact derivatives and of central differences.
 #: Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated.
@@ -95,6 +96,7 @@ class _Identification:
     def result(self) -> Identification:
         """Return the result of all stages."""
         spec, problem = self.spec, self.problem
+        assert spec._document is not None
         self.fit = best_fit(problem, spec.starts, spec.seed, spec.loss, self.notify)
         if failed(self.fit):
             self.doubts.append(Doubt("", "runs fail at the best fit, so that the estimates mean nothing"))
@@ -108,7 +110,7 @@ class _Identification:
         self.known = self._identifiability()
         self.level = quantile(spec.intervals.level, max(len(self.fit.white) - np.sum(self.fit.free), 1))
         self.bias = self._integration_bias()
-        self.input_bias = self._input_bias()
+        self._note_input_bias()
         estimates, profiles = self._estimates()
         residuals = [*self._residuals(problem, self.fit.x, self.covariance, is_hold_out=False), *self._held_out()]
         self._check(residuals)
@@ -117,8 +119,8 @@ class _Identification:
         is_bad = failed(self.fit)
         raw = problem.white(problem.predicted(self.fit.x) - problem.measured)
         return Identification(
-            spec=self._plain_spec(),
-            base=self._base_with_estimates(),
+            spec=deepcopy(spec._document.data),
+            base=self.base_data(self.fit.x),
             level=spec.intervals.level,
             estimates=estimates,
             parameters=tuple(self.names),
@@ -179,8 +181,8 @@ class _Identification:
                 )  # fmt: skip
         return bias
 
-    def _input_bias(self) -> np.ndarray:
-        """Return the bias (n,) of the estimates due to the noise of measured inputs.
+    def _note_input_bias(self) -> None:
+        """Note the bias of the estimates due to the noise of measured inputs, and add its scatter to their covariance.
 
         The measured values are perturbed once more by noise of the same size, in pairs of opposite signs, whose mean
         effect is the bias of the first order in the variance (J. R. Cook, L. A. Stefanski, Journal of the American
@@ -188,16 +190,18 @@ class _Identification:
         """
         problem, x = self.problem, self.fit.x
         if not any(one.input_deviations for one in self.data):
-            return np.zeros(len(x))
+            return
         dice, shifts = np.random.default_rng(self.spec.seed), []
         for _ in range(PERTURBATIONS):
-            noise = {
-                (one.name, name): dice.normal(0.0, deviation, len(one.inputs[name][0]))
+            noise = [
+                {name: dice.normal(0.0, size, len(one.inputs[name][0])) for name, size in one.input_deviations.items()}
                 for one in self.data
-                for name, deviation in one.input_deviations.items()
-            }
+            ]
             for side in (1.0, -1.0):
-                data = [_perturbed(one, noise, side) for one in self.data]
+                data = []
+                for one, own in zip(self.data, noise, strict=True):
+                    moved = {name: (one.inputs[name][0], one.inputs[name][1] + side * x) for name, x in own.items()}
+                    data.append(replace(one, inputs=one.inputs | moved))
                 unknowns, segments, names = segments_of(self.spec, data)
                 other = Problem(unknowns, names, segments)
                 other.noises = problem.noises
@@ -222,27 +226,14 @@ class _Identification:
             if told
             else f"noise of the measured inputs biases no parameter by more than {MATTERS:g} standard deviations"
         )
-        return np.asarray(bias)
 
     # ---- estimates -------------------------------------------------------------------------------------------------
 
     def goals(self) -> list[Goal]:
         """Return the parameters and expressions whose intervals are computed."""
-        goals = []
-        for place, name in enumerate(self.names):
-            one, direction = self.problem.unknowns[place], np.eye(len(self.fit.x))[place]
-            goals.append(
-                Goal(
-                    name,
-                    lambda x, place=place: float(x[place]),  # type: ignore[misc]
-                    lambda x, direction=direction: direction,  # type: ignore[misc]
-                    one.low,
-                    one.high,
-                )
-            )
-        for name, text in self.spec.intervals.of.items():
-            goals.append(self._expression(name, text))
-        return goals
+        count, unknowns = len(self.fit.x), self.problem.unknowns[: len(self.names)]
+        parameters = [_parameter(one, place, count) for place, one in enumerate(unknowns)]
+        return parameters + [self._expression(name, text) for name, text in self.spec.intervals.of.items()]
 
     def _expression(self, name: str, text: str) -> Goal:
         known = {key: value for key, value in self.spec.run_spec.numbers.items() if key not in self.names}
@@ -334,28 +325,23 @@ class _Identification:
 
     def _residuals(
         self, problem: Problem, x: np.ndarray, covariance: np.ndarray, *, is_hold_out: bool
-    ) -> list[Residuals]:
-        """Return the signals of a problem with their bands."""
+    ) -> Iterator[Residuals]:
+        """Yield the signals of a problem with their bands."""
         predicted, slopes = problem.predicted(x), problem.slopes(x)
         white = problem.white(predicted - problem.measured)
         of_fit = np.maximum(np.einsum("rk,kl,rl->r", slopes, covariance, slopes), 0.0)
         time_of = np.concatenate(
             [segment.time[np.isfinite(signal.values)] for segment in problem.segments for signal in segment.signals]
         )
-        units = {(s.experiment, one.quantity): one.unit for s in problem.segments for one in s.signals}
-        found = []
-        for key, piece, noise in zip(problem.signals, problem.pieces, problem.noises, strict=True):
+        for key, data, piece, noise in zip(problem.signals, problem.data, problem.pieces, problem.noises, strict=True):
             some = piece.places
             band = self.level * np.sqrt(of_fit[some] + noise.deviation**2)
             measured, fitted = problem.measured[some], predicted[some]
             covered = float(np.mean(np.abs(measured - fitted) <= band))
-            found.append(
-                Residuals(
-                    key.experiment, key.quantity, units[key.experiment, key.quantity], time_of[some], measured, fitted,
-                    white[some], noise.deviation, noise.correlation, is_hold_out, band, covered,
-                )
+            yield Residuals(
+                *key, data.unit, time_of[some], measured, fitted, white[some], noise.deviation, noise.correlation,
+                is_hold_out, band, covered,
             )  # fmt: skip
-        return found
 
     def _held_out(self) -> list[Residuals]:
         """Return the signals of the experiments that are held out, predicted with the estimates.
@@ -366,7 +352,7 @@ class _Identification:
         for one in self.held_out:
             unknowns, segments, names = segments_of(self.spec, [one])
             problem = Problem(unknowns, names, segments)
-            x, own = problem.first, np.ones(len(unknowns), dtype=bool)
+            x, own = problem.first.copy(), np.ones(len(unknowns), dtype=bool)
             for name, place in names.items():
                 if name in self.names:
                     x[place], own[place] = self.fit.x[self.names.index(name)], False
@@ -381,7 +367,6 @@ class _Identification:
             try:
                 x = fit_some(problem, x, own)
                 fit = fit_at(problem, x)
-                covariance = np.zeros((len(x), len(x)))
                 places = [names[name] for name in self.names if name in names]
                 of_fit = [self.names.index(name) for name in self.names if name in names]
                 shared = self.covariance[np.ix_(of_fit, of_fit)]
@@ -398,13 +383,11 @@ class _Identification:
     def _check(self, residuals: Sequence[Residuals]) -> None:
         """Add the doubts about the model: effects that the residuals ask for, and residuals that are not noise."""
         problem, x = self.problem, self.fit.x
-        of_signal = {(s.experiment, one.quantity): one for s in problem.segments for one in s.signals}
-        measured = [of_signal[key.experiment, key.quantity] for key in problem.signals]
-        gains = [one.sensor.gain for one in measured]
+        gains = [one.sensor.gain for one in problem.data]
         values = [float(x[problem.names[gain]]) if isinstance(gain, str) else gain for gain in gains]
         turns = [
             2.0 * np.pi * abs(gain) if one.quantity.endswith(".angle") else np.nan
-            for gain, one in zip(values, measured, strict=True)
+            for gain, one in zip(values, problem.data, strict=True)
         ]
         fitted = [one for one in residuals if not one.is_hold_out]
         self.doubts += useless(fitted, turns, is_robust=self.spec.loss != "linear")
@@ -417,23 +400,12 @@ class _Identification:
         except MbdkitError as error:
             self.notes.append(f"effects that the model may lack were not tested: {error}")
             return
-        order = np.concatenate([piece.places for piece in problem.pieces])
-        rows = self.fit.jacobian[len(problem.measured) :], self.fit.white[len(problem.measured) :]
-        self.doubts += doubts_of(
-            residuals,
-            problem.slopes(x)[order],
-            columns[order],
-            probes,
-            stated=[(k.experiment, k.quantity) for k, one in zip(problem.signals, problem.known, strict=True) if one],
-            priors=rows,
-            sides=self.fit.at_high.astype(int) - self.fit.at_low,
-            level=self.spec.intervals.level,
-        )
+        self.doubts += doubts_of(residuals, problem, self.fit, probes, columns, self.spec.intervals.level)
 
     def _probes(self) -> tuple[list[Probe], np.ndarray]:
         """Return effects that the model may lack, and the derivatives (R, P) of the predicted values by them."""
         problem, x = self.problem, self.fit.x
-        units = {one.quantity: one.unit for segment in problem.segments for one in segment.signals}
+        units = {one.quantity: one.unit for one in problem.data}
         sensors = sensor_probes(units, list(dict.fromkeys(one.experiment for one in problem.segments)))
         mechanical: list[Probe] = []
         evaluators: dict[int, list[PreparedSensitivities]] = {}  # of windows that share runs
@@ -472,19 +444,15 @@ class _Identification:
         return data
 
     def _base_at(self, x: np.ndarray) -> RunSpec | None:
-        try:
-            spec = RunSpec(**self.base_data(x))
-            spec.mechanism()
-        except SpecError:
-            return None
-        return spec
+        with suppress(SpecError):
+            return spec_of_base(self.base_data(x), None)
+        return None
 
-    def _base_with_estimates(self) -> Mapping[str, object]:
-        return self.base_data(self.fit.x)
 
-    def _plain_spec(self) -> Mapping[str, object]:
-        assert self.spec._document is not None
-        return dict(deepcopy(self.spec._document.data))
+def _parameter(unknown: Unknown, place: int, count: int) -> Goal:
+    """Return one of `count` unknowns as a goal."""
+    direction = np.eye(count)[place]
+    return Goal(unknown.name, lambda x: float(x[place]), lambda x: direction, unknown.low, unknown.high)
 
 
 def _pooled(noises: Sequence[Noise]) -> Noise:
@@ -508,16 +476,4 @@ def _finer(spec: RunSpec) -> RunSpec:
     else:
         time_section = {"start": spec.time.start, "end": spec.time.final, "stops": list(spec.time.stops)}
         changed["time"] = time_section | {"step": (spec.time.step or 1.0) / 2}
-    assert spec._document is not None
-    made = RunSpec(**(data | changed))
-    made.mechanism()
-    made._document = spec._document
-    return made
-
-
-def _perturbed(data: ExperimentData, noise: Mapping[tuple[str, str], np.ndarray], side: float) -> ExperimentData:
-    inputs = {
-        name: (times, values + side * noise[data.name, name] if (data.name, name) in noise else values)
-        for name, (times, values) in data.inputs.items()
-    }
-    return replace(data, inputs=inputs)
+    return spec_of_base(data | changed, spec._document)

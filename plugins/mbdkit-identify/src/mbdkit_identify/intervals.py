@@ -166,77 +166,106 @@ def profile_of(
     problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float
 ) -> tuple[float, float, Profile]:
     """Return the limits of the interval of a goal, infinite where there is none, and its profile."""
-    slope, best = goal.slope(fit.x), goal.value(fit.x)
-    threshold = quantile(level, freedom_of(problem, fit, slope)) ** 2 * factors(fit)[1]
-    deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-    points: list[tuple[float, float]] = [(best, 0.0)]
+    search = _ProfileSearch(problem, fit, goal, covariance, level)
+    points: list[tuple[float, float]] = [(search.best, 0.0)]
     limits = []
     for side in (-1.0, 1.0):
-        limit, some = _limit(problem, fit, goal, covariance, deviation, side, threshold, level)
+        limit, some = search.limit(side)
         limits.append(limit)
         points += some
     values, costs = np.array(sorted(points)).T
-    return limits[0], limits[1], Profile(goal.name, values, costs, threshold)
+    return limits[0], limits[1], Profile(goal.name, values, costs, search.threshold)
 
 
-def _limit(
-    problem: Problem,
-    fit: Fit,
-    goal: Goal,
-    covariance: np.ndarray,
-    deviation: float,
-    side: float,
-    threshold: float,
-    level: float,
-) -> tuple[float, list[tuple[float, float]]]:
-    """Return the limit of one side, and the points (value, increase) of the profile that were computed."""
-    best, root = goal.value(fit.x), np.sqrt(threshold)
-    bound = goal.low if side < 0 else goal.high
-    if deviation == 0.0:
-        deviation = 1e-3 * max(abs(best), 1e-3)
-    points: list[tuple[float, float]] = []
-    if best == bound:
-        return side * np.inf, points
+class _ProfileSearch:
+    """The search for the limits of the interval of a goal; see `profile_of`."""
 
-    def share(value: float) -> float:
-        return bounded_share(min(value - goal.low, goal.high - value) / deviation, level)
+    def __init__(self, problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float):
+        self.problem, self.fit, self.goal, self.covariance, self.level = problem, fit, goal, covariance, level
+        slope, self.best = goal.slope(fit.x), goal.value(fit.x)
+        self.threshold = quantile(level, freedom_of(problem, fit, slope)) ** 2 * factors(fit)[1]
+        self.deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0))) or 1e-3 * max(abs(self.best), 1e-3)
 
-    lowest = losses(fit.loss, fit.white)[0]
-    known = [(0.0, 0.0, fit.x)]  # distances, roots of the increase, unknowns
-    outer = np.inf
-    distance = root * deviation
-    for _ in range(MOST_STEPS):
-        distance = min(distance, abs(bound - best))
-        value = best + side * distance if distance < abs(bound - best) else bound
-        result = _constrained(problem, fit, goal, value, _between(known, distance), covariance, threshold)
-        inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
-        if result is None:  # the run fails there
-            outer = distance
-            if outer - inner[0] < 1e-3 * outer:
-                return side * np.inf, points
-            distance = 0.5 * (inner[0] + outer)
-            continue
-        increase = max(result[0] - lowest, 0.0)
-        points.append((value, increase))
-        at = distance, float(np.sqrt(increase / share(value))), result[1]
-        near = min(known, key=lambda one: abs(one[1] - root))
-        known.append(at)
-        slope = (at[1] - near[1]) / (at[0] - near[0]) if at[0] != near[0] else 0.0
-        if abs(at[1] - root) <= CLOSE * root and slope > 0.0:
-            limit = best + side * (distance + (root - at[1]) / slope)
-            return limit, [*points, (limit, threshold * share(limit))]
-        if at[1] < root:
-            inner = max(inner, at, key=lambda one: one[0])
-            if value == bound or distance > FAR * deviation:
-                return side * np.inf, points
-        else:
-            outer = min(outer, distance)
-        if np.isinf(outer):
-            distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
-        else:
-            part = (distance + (root - at[1]) / slope - inner[0]) / (outer - inner[0]) if slope > 0.0 else 0.5
-            distance = inner[0] + float(np.clip(part, 0.05, 0.95)) * (outer - inner[0])
-    return best + side * distance, points
+    def limit(self, side: float) -> tuple[float, list[tuple[float, float]]]:
+        """Return the limit of one side, and the points (value, increase) of the profile that were computed."""
+        best, goal, root = self.best, self.goal, np.sqrt(self.threshold)
+        bound = goal.low if side < 0 else goal.high
+        points: list[tuple[float, float]] = []
+        if best == bound:
+            return side * np.inf, points
+
+        def share(value: float) -> float:
+            return bounded_share(min(value - goal.low, goal.high - value) / self.deviation, self.level)
+
+        lowest = losses(self.fit.loss, self.fit.white)[0]
+        known = [(0.0, 0.0, self.fit.x)]  # distances, roots of the increase, unknowns
+        outer = np.inf
+        distance = root * self.deviation
+        for _ in range(MOST_STEPS):
+            distance = min(distance, abs(bound - best))
+            value = best + side * distance if distance < abs(bound - best) else bound
+            result = self._constrained(value, _between(known, distance))
+            inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
+            if result is None:  # the run fails there
+                outer = distance
+                if outer - inner[0] < 1e-3 * outer:
+                    return side * np.inf, points
+                distance = 0.5 * (inner[0] + outer)
+                continue
+            increase = max(result[0] - lowest, 0.0)
+            points.append((value, increase))
+            at = distance, float(np.sqrt(increase / share(value))), result[1]
+            near = min(known, key=lambda one: abs(one[1] - root))
+            known.append(at)
+            slope = (at[1] - near[1]) / (at[0] - near[0]) if at[0] != near[0] else 0.0
+            if abs(at[1] - root) <= CLOSE * root and slope > 0.0:
+                limit = best + side * (distance + (root - at[1]) / slope)
+                return limit, [*points, (limit, self.threshold * share(limit))]
+            if at[1] < root:
+                inner = max(inner, at, key=lambda one: one[0])
+                if value == bound or distance > FAR * self.deviation:
+                    return side * np.inf, points
+            else:
+                outer = min(outer, distance)
+            if np.isinf(outer):
+                distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
+            else:
+                part = (distance + (root - at[1]) / slope - inner[0]) / (outer - inner[0]) if slope > 0.0 else 0.5
+                distance = inner[0] + float(np.clip(part, 0.05, 0.95)) * (outer - inner[0])
+        return best + side * distance, points
+
+    def _constrained(self, value: float, x: np.ndarray) -> tuple[float, np.ndarray] | None:
+        """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
+
+        Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one,
+        which would reduce it by a small share of the threshold, is not evaluated.
+        """
+        problem, (low, high) = self.problem, self.problem.bounds
+        best: tuple[float, np.ndarray] | None = None
+        step = np.zeros(len(x))
+        for _ in range(MOST_ITERATIONS):
+            x = np.clip(_on_goal(x, self.goal, value, self.covariance), low, high)
+            jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
+            white = problem.residuals(x)
+            cost, weights = losses(self.fit.loss, white)
+            is_failed = bool(np.any(np.abs(white) >= FAILED))
+            if is_failed and best is None:
+                return None
+            if best is not None and (is_failed or cost > best[0]):
+                step *= 0.5
+                x = best[1] + step
+                continue
+            best = cost, x
+            jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
+            slope, gradient = self.goal.slope(x), jacobian.T @ white
+            free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
+            step = np.zeros(len(x))
+            step[free] = _step(jacobian[:, free], white, slope[free])
+            gain = float(np.sum((jacobian @ step) ** 2))
+            if gain < SMALL * self.threshold:
+                return cost - gain, np.clip(x + step, low, high)
+            x = x + step
+        return best
 
 
 def _between(known: list[tuple[float, float, np.ndarray]], distance: float) -> np.ndarray:
@@ -246,48 +275,6 @@ def _between(known: list[tuple[float, float, np.ndarray]], distance: float) -> n
         return first[2]
     share = (distance - first[0]) / (others[0][0] - first[0])
     return np.asarray(first[2] + share * (others[0][2] - first[2]))
-
-
-def _constrained(
-    problem: Problem,
-    fit: Fit,
-    goal: Goal,
-    value: float,
-    x: np.ndarray,
-    covariance: np.ndarray,
-    threshold: float,
-) -> tuple[float, np.ndarray] | None:
-    """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
-
-    Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one, which
-    would reduce it by a small share of the threshold, is not evaluated.
-    """
-    low, high = problem.bounds
-    best: tuple[float, np.ndarray] | None = None
-    step = np.zeros(len(x))
-    for _ in range(MOST_ITERATIONS):
-        x = np.clip(_on_goal(x, goal, value, covariance), low, high)
-        jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
-        white = problem.residuals(x)
-        cost, weights = losses(fit.loss, white)
-        is_failed = bool(np.any(np.abs(white) >= FAILED))
-        if is_failed and best is None:
-            return None
-        if best is not None and (is_failed or cost > best[0]):
-            step *= 0.5
-            x = best[1] + step
-            continue
-        best = cost, x
-        jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
-        slope, gradient = goal.slope(x), jacobian.T @ white
-        free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
-        step = np.zeros(len(x))
-        step[free] = _step(jacobian[:, free], white, slope[free])
-        gain = float(np.sum((jacobian @ step) ** 2))
-        if gain < SMALL * threshold:
-            return cost - gain, np.clip(x + step, low, high)
-        x = x + step
-    return best
 
 
 def _on_goal(x: np.ndarray, goal: Goal, value: float, covariance: np.ndarray) -> np.ndarray:

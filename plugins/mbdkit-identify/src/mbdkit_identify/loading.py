@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
@@ -125,18 +125,35 @@ def base_of(spec: IdentifySpec, name: str, experiment: Experiment) -> RunSpec:
     SpecError
         If its overrides are not valid.
     """
-    document, overrides = spec.run_spec._document, experiment.overrides
+    document = spec.run_spec._document
     assert document is not None
-    if not overrides:
+    if not experiment.overrides:
         return spec.run_spec
-    data = deepcopy(document.data)
+    return overridden(document, deepcopy(document.data), experiment.overrides, ("experiments", name))
+
+
+def overridden(
+    document: Document, data: dict[str, object], overrides: Mapping[str, object], place: tuple[str, ...]
+) -> RunSpec:
+    """Return the base in a document with other `data`, in which dotted keys are set.
+
+    Raises
+    ------
+    SpecError
+        If the overrides, which the spec has at `place`, are not valid.
+    """
     for key, value in overrides.items():
-        with SpecError.rekey(path_text(("experiments", name, "overrides", key))):
+        with SpecError.rekey(path_text((*place, "overrides", key))):
             put(data, parse_key(key), value)
-    with SpecError.rekey(path_text(("experiments", name, "overrides"))):
-        base = RunSpec(**data)
-        base.mechanism()
-    base._document = replace(document, data=data)
+    with SpecError.rekey(path_text((*place, "overrides"))):
+        return spec_of_base(data, replace(document, data=data))
+
+
+def spec_of_base(data: Mapping[str, object], document: Document | None) -> RunSpec:
+    """Return the validated spec of a run of a base, whose errors are placed in a document."""
+    base = RunSpec(**data)
+    base.mechanism()
+    base._document = document
     return base
 
 
@@ -163,7 +180,7 @@ def _check_names(spec: IdentifySpec) -> None:
             message = f"is the expression '{base.parameters[name]}' in the base; estimate the parameters in it"
             raise SpecError(message, key=path_text(("parameters", name)))
         if known and name not in base.parameters and one.start is None:
-            _check_number(base, name)
+            number_of(base, name)
         if not known and one.start is None and one.bounds is None:
             raise SpecError(
                 "needs `start` or `bounds`, because the base has no value", key=path_text(("parameters", name))
@@ -180,8 +197,8 @@ def _check_names(spec: IdentifySpec) -> None:
                 raise SpecError(message, key=path_text(("candidates", name, "observed")))
 
 
-def _check_number(base: RunSpec, name: str) -> None:
-    """Raise SpecError unless the base has a number with this key."""
+def number_of(base: RunSpec, name: str) -> float:
+    """Return the number of the base with this key; raise SpecError if there is none."""
     holder: object = base.model_dump()
     for part in variable_path(name):
         try:
@@ -192,6 +209,7 @@ def _check_number(base: RunSpec, name: str) -> None:
             raise SpecError(message, key=path_text(("parameters", name))) from None
     if not isinstance(holder, int | float):
         raise SpecError(f"'{name}' is not a number in the base", key=path_text(("parameters", name)))
+    return float(holder)
 
 
 @spec_schema

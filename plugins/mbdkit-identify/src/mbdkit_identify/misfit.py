@@ -9,15 +9,18 @@ hide itself. Further tests compare the residuals with white noise (G. M. Ljung, 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from mbdkit.plugin import listed
+from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import Doubt, Residuals
+from mbdkit_identify.noise import Noise
 from mbdkit_identify.probes import Probe
+from mbdkit_identify.problem import Problem
 
 LEVEL = 0.005  #: Probability that the tests of one kind doubt a right model.
 INSIDE = 1e-4  #: Effects of which the parameters of the model explain all but this share are not tested.
@@ -40,14 +43,6 @@ LITTLE = 0.1  #: Share of the deviation of the data below which the deviation of
 OUTLYING = 5.0
 WITHOUT_NOISE = 1e-6  #: Residuals below this share of the deviation of the data are not noise.
 CORRELATIONS = (-0.95, 0.999)  #: Smallest and largest correlation of noise from sample to sample.
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """Deviation of the noise of a signal, in units of the one of the fit, and its correlation from sample to sample."""
-
-    deviation: float
-    correlation: float
 
 
 @dataclass(frozen=True)
@@ -97,9 +92,9 @@ class _Signal:
             total = total + (now - power * cross + power**2 * before) / (1 - power**2)
         return total
 
-    def noise(self, weights: np.ndarray, present: _Noise) -> _Noise:
+    def noise(self, weights: np.ndarray, present: Noise) -> Noise:
         """Return the noise of the combination of the columns with these weights (C,), by maximum likelihood given the
-        first value.
+        first value; its deviation is relative to that of the fit.
         """
         deviation, correlation = present.deviation, present.correlation
         if not self.is_white and 1 in self.steps:
@@ -109,9 +104,9 @@ class _Signal:
         if not self.is_stated:
             square = float(weights @ self.product(correlation) @ weights) / self.count
             deviation = max(square, SMALLEST**2) ** 0.5
-        return _Noise(deviation, correlation)
+        return Noise(deviation, correlation)
 
-    def cost(self, weights: np.ndarray, noise: _Noise) -> float:
+    def cost(self, weights: np.ndarray, noise: Noise) -> float:
         """Return -2 times the logarithm of the likelihood of this combination of the columns."""
         squares = weights @ self.product(noise.correlation) @ weights / noise.deviation**2
         powers = sum(count * np.log1p(-(noise.correlation ** (2 * n))) for n, (count, *_) in self.steps.items())
@@ -124,7 +119,7 @@ class _Fit:
 
     weights: np.ndarray
     costs: np.ndarray
-    noise: tuple[_Noise, ...]
+    noise: tuple[Noise, ...]
 
 
 @dataclass(frozen=True)
@@ -200,9 +195,9 @@ class EffectTests:
             start = end
         self._priors = every[start:].T @ every[start:]
         self._limits = limits
-        self._noise = tuple(_Noise(1.0, one.correlation) for one in residuals)
+        self._noise = tuple(Noise(1.0, one.correlation) for one in residuals)
 
-    def _fit(self, effects: Sequence[int], noise: tuple[_Noise, ...]) -> _Fit:
+    def _fit(self, effects: Sequence[int], noise: tuple[Noise, ...]) -> _Fit:
         """Return the fit with some effects; `noise` is where the estimate of the noise begins."""
         moved = self._bounded
         for _ in range(ROUNDS):
@@ -282,13 +277,10 @@ def whiteness(white: np.ndarray, estimated: int = 1) -> tuple[float, float]:
 
 def doubts_of(
     residuals: Sequence[Residuals],
-    jacobian: np.ndarray,
-    columns: np.ndarray,
+    problem: Problem,
+    fit: Fit,
     probes: Sequence[Probe],
-    *,
-    stated: Collection[tuple[str, str]],
-    priors: tuple[np.ndarray, np.ndarray],
-    sides: np.ndarray,
+    columns: np.ndarray,
     level: float,
 ) -> tuple[Doubt, ...]:
     """Return the reasons to doubt a fitted model, the most significant first.
@@ -296,28 +288,21 @@ def doubts_of(
     Parameters
     ----------
     residuals
-        The signals. The values of those that were fitted, one after the other, are the R rows of the derivatives.
-    jacobian, columns
-        (R, K) and (R, P) derivatives of the predicted values with respect to the parameters of the model, and to those
-        of the probes.
-    probes
-        The P probes.
-    stated
-        Experiments and quantities of the signals whose deviation was stated.
-    priors
-        (M, K) derivatives and (M,) residuals of priors, divided by their deviations.
-    sides
-        (K,) -1 for parameters at their lower bound, 1 at the upper one, and otherwise 0.
+        The signals of the problem, and those that were held out.
+    columns
+        (R, P) derivatives of the predicted values with respect to the parameters of the probes.
     level
         Share of the values that the bands of predictions should contain.
     """
-    fitted = [one for one in residuals if not one.is_hold_out]
-    is_stated = [(one.experiment, one.quantity) in stated for one in fitted]
-    jacobian, bounded = np.concatenate([jacobian, priors[0]]), np.flatnonzero(sides)
-    columns = np.concatenate([columns, np.zeros((len(priors[1]), columns.shape[1]))])
+    fitted, is_stated = [one for one in residuals if not one.is_hold_out], [bool(known) for known in problem.known]
+    order, count = np.concatenate([piece.places for piece in problem.pieces]), len(problem.measured)
+    slopes, priors = fit.jacobian[count:], fit.white[count:]  # of priors
+    sides = fit.at_high.astype(int) - fit.at_low  # of the bounds at which parameters are
+    jacobian, bounded = np.concatenate([problem.slopes(fit.x)[order], slopes]), np.flatnonzero(sides)
+    columns = np.concatenate([columns[order], np.zeros((len(priors), columns.shape[1]))])
     limits = [one.limits for one in probes] + [(0.0, np.inf) if sides[k] < 0 else (-np.inf, 0.0) for k in bounded]
     columns = np.column_stack([columns, jacobian[:, bounded]])
-    tests = EffectTests(fitted, jacobian[:, sides == 0], columns, is_stated, priors[1], limits, len(bounded))
+    tests = EffectTests(fitted, jacobian[:, sides == 0], columns, is_stated, priors, limits, len(bounded))
     tested = max(len(tests.distinct), 1)
     limit = float(stats.chi2.isf(1 - (1 - LEVEL) ** (1 / tested), 1))  # Sidak
     doubts = []
@@ -341,14 +326,11 @@ def _name(signal: Residuals) -> str:
 
 
 def _amount(probe: Probe, value: float) -> str:
-    if probe.unit == "":
-        return f"about {100 * value:+.2g} %, "
-    return f"about {value:.2g} {probe.unit}, "
+    return f"about {value:.2g} {probe.unit}, " if probe.unit else f"about {100 * value:+.2g} %, "
 
 
-def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
-    """Return the signals whose whitened residuals are correlated, although no effect explains them."""
-    doubts = []
+def _unexplained(fitted: Sequence[Residuals], tested: int) -> Iterator[Doubt]:
+    """Yield the signals whose whitened residuals are correlated, although no effect explains them."""
     for one in fitted:
         statistic, p = whiteness(one.white, int(one.correlation != 0.0))
         if p < LEVEL / len(fitted):
@@ -359,12 +341,11 @@ def _unexplained(fitted: Sequence[Residuals], tested: int) -> list[Doubt]:
                 f"statistic {statistic:.4g}, limit {limit:.3g}), and none of the {tested} effects that were tested "
                 "explains them"
             )
-            doubts.append(Doubt("", text, (statistic, limit)))
-    return doubts
+            yield Doubt("", text, (statistic, limit))
 
 
-def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> list[Doubt]:
-    """Return the fitted signals of which the model explains nothing, and those that do not measure what they should.
+def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust: bool) -> Iterator[Doubt]:
+    """Yield the fitted signals of which the model explains nothing, and those that do not measure what they should.
 
     Parameters
     ----------
@@ -373,7 +354,6 @@ def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust
     is_robust
         Whether the loss reduces the influence of outliers.
     """
-    doubts = []
     for one, turn in zip(residuals, turns, strict=True):
         rest, name = one.measured - one.fitted, _name(one)
         jumps = np.flatnonzero(np.abs(np.abs(np.diff(rest)) / turn - 1.0) < WRAPPED)
@@ -383,26 +363,20 @@ def useless(residuals: Sequence[Residuals], turns: Sequence[float], *, is_robust
         if np.ptp(one.measured) == 0.0:
             text = f"the column of {name} never changes: if its sensor is dead, leave it out"
         elif len(jumps):
-            text = (
-                f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: unwrap"
-            )
-            text += " it, for example by numpy.unwrap, and estimate again"
+            text = f"the column of {name} jumps by a whole turn at {one.time[jumps[0] + 1]:.6g} s, as if it wraps: "
+            text += "unwrap it, for example by numpy.unwrap, and estimate again"
         elif np.std(one.fitted) > LITTLE * varied and rms > varied:
-            text = (
-                f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, standard"
-            )
-            text += f" deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
+            text = f"the fit explains {name} no better than a constant would (root mean square error {rms:.3g}, "
+            text += f"standard deviation of the data {varied:.3g}): check columns, units, initial state and bounds"
         elif rms > OUTLYING * usual and not is_robust:
             text = f"few values determine the noise of {name}, such as the one at {last:.6g} s: remove them, or use a"
             text += " robust loss"
         else:
             continue
-        doubts.append(Doubt("", text))
-    return doubts
+        yield Doubt("", text)
 
 
-def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:
-    doubts = []
+def _larger_than_stated(fitted: Sequence[Residuals]) -> Iterator[Doubt]:
     for one in fitted:
         statistic = float(one.white @ one.white)
         limit = float(stats.chi2.isf(LEVEL / len(fitted), len(one.white)))
@@ -412,17 +386,15 @@ def _larger_than_stated(fitted: Sequence[Residuals]) -> list[Doubt]:
                 f"the residuals of {_name(one)} are {ratio:.3g} times as large as the stated deviation (sum of squares "
                 f"{statistic:.4g}, limit {limit:.4g}): the model lacks an effect, or the deviation is larger"
             )
-            doubts.append(Doubt("", text, (statistic, limit)))
-    return doubts
+            yield Doubt("", text, (statistic, limit))
 
 
-def _missed(held: Sequence[Residuals], level: float) -> list[Doubt]:
-    """Return the signals that were held out and lie far outside of their bands.
+def _missed(held: Sequence[Residuals], level: float) -> Iterator[Doubt]:
+    """Yield the signals that were held out and lie far outside of their bands.
 
     The errors of a prediction may be those of the parameters and thus a single random number; a doubt therefore needs
     errors that are large themselves, not only many values outside of the band.
     """
-    doubts = []
     for one in held:
         errors = (one.measured - one.fitted) / one.band * stats.norm.isf((1 - level) / 2)
         size = float(np.sqrt(np.mean(errors**2)))
@@ -431,5 +403,4 @@ def _missed(held: Sequence[Residuals], level: float) -> list[Doubt]:
                 f"the prediction of {_name(one)} misses the data: {100 * one.covered:.0f} % of the values lie within "
                 f"the band that should contain {100 * level:g} %, and the errors are {size:.3g} times their deviation"
             )
-            doubts.append(Doubt("", text, (size, FAR)))
-    return doubts
+            yield Doubt("", text, (size, FAR))

@@ -3,47 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.plugin import RunSpec, SpecError, path_text
-from mbdkit.plugin.specs import parse_key, put
 from mbdkit.plugin.studies import PreparedSensitivities
-from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import NextExperiment
-from mbdkit_identify.identify_spec import IdentifySpec, Signal
 from mbdkit_identify.intervals import Goal, covariance_of
-from mbdkit_identify.measured_data import ExperimentData, SignalData
+from mbdkit_identify.loading import overridden
+from mbdkit_identify.measured_data import SignalData
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
+
+if TYPE_CHECKING:
+    from mbdkit_identify.identify import _Identification
 
 TIMES = 101  #: Number of times at which the interval of a quantity is computed.
 
 
-class Done(Protocol):
-    """What is known after the estimation; see `mbdkit_identify.identify`."""
-
-    spec: IdentifySpec
-    problem: Problem
-    fit: Fit
-    names: list[str]
-    data: list[ExperimentData]
-    level: float
-
-    def goals(self) -> list[Goal]:
-        """Return the parameters and expressions whose intervals are computed."""
-
-    def is_determined(self, slope: np.ndarray) -> bool:
-        """Return whether the data determine a goal with these derivatives (n,)."""
-
-    def base_data(self, x: np.ndarray) -> dict[str, Any]:
-        """Return the base with unknowns x (n,) as plain data."""
-
-
-def next_experiment(done: Done) -> NextExperiment:
+def next_experiment(done: _Identification) -> NextExperiment:
     """Return the expected intervals after each candidate was added to the experiments.
 
     The derivatives of the candidate's signals at the estimates are added to those of the experiments. To be narrowed is
@@ -67,7 +47,7 @@ def next_experiment(done: Done) -> NextExperiment:
     return NextExperiment(narrows, widths, best)
 
 
-def _asked(done: Done) -> list[Goal]:
+def _asked(done: _Identification) -> list[Goal]:
     """Return what `narrow` of the spec asks for, if it does, as one goal for each time of its run."""
     if (narrow := done.spec.narrow) is None:
         return []
@@ -81,20 +61,14 @@ def _asked(done: Done) -> list[Goal]:
     return [Goal(narrow.quantity, lambda x: np.nan, lambda x, slope=slope: slope) for slope in wide]  # type: ignore[misc]
 
 
-def _base_with(done: Done, overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
+def _base_with(done: _Identification, overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
     """Return the base with the estimates and other settings."""
-    settings = done.base_data(done.fit.x)
-    for key, value in overrides.items():
-        with SpecError.rekey(path_text((*place, "overrides", key))):
-            put(settings, parse_key(key), value)
-    with SpecError.rekey(path_text((*place, "overrides"))):
-        base = RunSpec(**settings)
-        base.mechanism()
-    base._document = replace(done.spec.run_spec._document, data=settings)  # type: ignore[type-var]
-    return base
+    document = done.spec.run_spec._document
+    assert document is not None
+    return overridden(document, done.base_data(done.fit.x), overrides, place)
 
 
-def _widths(done: Done, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
+def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
     scaled = jacobian[:, free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     _, values, directions = np.linalg.svd(scaled, full_matrices=False)
@@ -111,7 +85,7 @@ def _widths(done: Done, goals: list[Goal], jacobian: np.ndarray, free: np.ndarra
     return found
 
 
-def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives of the whitened residuals with those of a candidate, and which unknowns are free."""
     spec, problem = done.spec, done.problem
     candidate = spec.candidates[name]
@@ -120,47 +94,29 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     data = next((one for one in done.data if one.name == like), None)
     if data is None:
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
-    own = IdentifySpec(**deepcopy(spec._document.data))  # type: ignore[union-attr]
-    own._document = spec._document
+    own = spec.model_copy()
     own._base = _base_with(done, candidate.overrides, ("candidates", name))
     time = data.time
     if candidate.duration is not None:
         interval = float(np.median(np.diff(time)))
         time = time[0] + interval * np.arange(max(3, round(candidate.duration / interval) + 1))
-    quantities = candidate.observed or [signal.quantity for signal in data.signals]
     noise_of = {key.quantity: one for key, one in zip(problem.signals, problem.noises, strict=True)}
-    signals = []
-    for quantity in quantities:
-        if quantity not in noise_of:
-            raise SpecError(f"the noise of '{quantity}' is not known from an experiment", key=f"{where}.observed")
-        sensor = next((one.sensor for one in data.signals if one.quantity == quantity), None)
-        sensor = (
-            sensor
-            or spec.sensors.get(quantity)
-            or next(one.sensor for other in done.data for one in other.signals if one.quantity == quantity)
-        )
-        signals.append(SignalData(quantity, "", sensor, np.zeros(len(time)), noise_of[quantity].deviation, False))
-    experiment = data.experiment.model_copy(
-        update={"observed": {quantity: Signal(column="none") for quantity in quantities}}
+    sensors = {one.quantity: one.sensor for other in reversed(done.data) for one in other.signals} | spec.sensors
+    sensors |= {one.quantity: one.sensor for one in data.signals}
+    signals = tuple(
+        SignalData(quantity, "", sensors[quantity], np.zeros(len(time)), noise_of[quantity].deviation, False)
+        for quantity in candidate.observed or [signal.quantity for signal in data.signals]
     )
-    added = replace(data, name=name, experiment=experiment, time=time, signals=tuple(signals))
+    added = replace(data, name=name, time=time, signals=signals)
     unknowns, segments, names = segments_of(own, [added])
     extra = Problem(unknowns, names, segments)
     extra.noises = [noise_of[key.quantity] for key in extra.signals]
-    x = extra.first
+    x = extra.first.copy()
     for parameter, place in names.items():
         x[place] = done.fit.x[done.names.index(parameter)]
     slopes = extra.white(extra.slopes(x))
-    count = len(done.fit.x)
-    wide = np.zeros((len(slopes), count + len(x) - len(names)))
-    fresh = count
-    for place, one in enumerate(unknowns):
-        if one.is_initial:
-            wide[:, fresh] = slopes[:, place]
-            fresh += 1
-        else:
-            wide[:, done.names.index(one.name)] = slopes[:, place]
-    jacobian = np.zeros((len(done.fit.jacobian) + len(wide), wide.shape[1]))
-    jacobian[: len(done.fit.jacobian), :count] = done.fit.jacobian
-    jacobian[len(done.fit.jacobian) :] = wide
-    return jacobian, np.concatenate([done.fit.free, np.ones(wide.shape[1] - count, dtype=bool)])
+    count, fresh = len(done.fit.x), len(x) - len(names)  # parameters are the first unknowns
+    wide = np.zeros((len(slopes), count + fresh))
+    wide[:, [*map(done.names.index, names), *range(count, count + fresh)]] = slopes
+    known = np.pad(done.fit.jacobian, ((0, 0), (0, fresh)))
+    return np.concatenate([known, wide]), np.concatenate([done.fit.free, np.ones(fresh, dtype=bool)])

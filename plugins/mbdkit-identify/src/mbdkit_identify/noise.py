@@ -8,7 +8,6 @@ independent with the variance ``deviation**2*(1 - phi**2)``; see G. E. P. Box, G
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -83,6 +82,11 @@ class Pieces:
         more = (slice(None), *(None,) * (own.ndim - 1))
         return np.asarray((own - power[more] * before) / (noise.deviation * np.sqrt(1.0 - power**2)[more]))
 
+    def normal(self, values: np.ndarray, noise: Noise) -> np.ndarray:
+        """Return the products (K, K) of whitened derivatives, from those (R, K) of all signals."""
+        white = self.white(values, noise)
+        return np.asarray(white.T @ white)
+
     def _powers(self, correlation: float) -> np.ndarray:
         """Return the correlation (N,) of each sample with the one before."""
         with np.errstate(invalid="ignore"):
@@ -97,56 +101,12 @@ class Pieces:
         return float(np.sum(np.log(noise.deviation) + 0.5 * np.log1p(-(power**2))))
 
 
-def estimated_noise(
-    residuals: np.ndarray,
-    jacobian: np.ndarray,
-    information: np.ndarray,
-    pieces: Sequence[Pieces],
-    noises: Sequence[Noise],
-    known: Sequence[float | None],
-    may_correlate: Sequence[bool],
-    scales: Sequence[float],
-) -> list[Noise]:
-    """Return the noise of each signal, by restricted likelihood, one signal after another.
-
-    Parameters
-    ----------
-    residuals, jacobian
-        (R,) residuals at the best fit, and their derivatives (R, K).
-    information
-        (K, K) what priors know.
-    pieces, noises
-        Samples and present noise of each signal.
-    known
-        Given deviations, or None.
-    may_correlate
-        Whether the noise of each signal may be correlated.
-    scales
-        Magnitudes of the measured values.
-    """
-    found = list(noises)
-    parts = [_normal(piece, jacobian, noise) for piece, noise in zip(pieces, found, strict=True)]
-    for s, piece in enumerate(pieces):
-        others = information + sum(part for k, part in enumerate(parts) if k != s)
-        own = residuals[piece.places], jacobian[piece.places]
-        likelihood = _Likelihood(piece, *own, others, known[s], found[s].deviation, LEAST_DEVIATION * scales[s])
-        z = error = 0.0
-        if may_correlate[s]:
-            cost = likelihood.cost
-            result = minimize_scalar(cost, bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4})
-            z = float(result.x)
-            curvature = (cost(z - CHANGE) - 2.0 * cost(z) + cost(z + CHANGE)) / CHANGE**2
-            error = 1.0 / float(np.sqrt(max(curvature, 1.0)))
-        found[s] = replace(likelihood.best(float(np.tanh(z)))[0], error=error)
-        parts[s] = _normal(piece, jacobian, found[s])
-    return found
-
-
 @dataclass(frozen=True)
-class _Likelihood:
+class Likelihood:
     """The restricted likelihood of one signal as a function of its correlation.
 
-    `others` (K, K) is what priors and other signals know, `known` the given deviation, and `first` a first guess.
+    `others` (K, K) is what priors and other signals know, `known` the given deviation, `first` a first guess, and
+    `least` the smallest deviation.
     """
 
     piece: Pieces
@@ -156,6 +116,17 @@ class _Likelihood:
     known: float | None
     first: float
     least: float
+
+    def noise(self, *, may_correlate: bool) -> Noise:
+        """Return the most likely noise, whose samples may be correlated or not."""
+        z = error = 0.0
+        if may_correlate:
+            cost = self.cost
+            result = minimize_scalar(cost, bounds=(-2.0, np.arctanh(MOST)), method="bounded", options={"xatol": 1e-4})
+            z = float(result.x)
+            curvature = (cost(z - CHANGE) - 2.0 * cost(z) + cost(z + CHANGE)) / CHANGE**2
+            error = 1.0 / float(np.sqrt(max(curvature, 1.0)))
+        return replace(self.best(float(np.tanh(z)))[0], error=error)
 
     def cost(self, z: float) -> float:
         """Return the negative logarithm of the likelihood for an inverse hyperbolic tangent of the correlation."""
@@ -175,11 +146,6 @@ class _Likelihood:
         logs = self.piece.log_deviations(unit) + len(e) * float(np.log(deviation))
         noise = Noise(deviation, correlation, freedom)
         return noise, 0.5 * total / deviation**2 + logs + 0.5 * (log_det if np.isfinite(log_det) else 0.0)
-
-
-def _normal(piece: Pieces, jacobian: np.ndarray, noise: Noise) -> np.ndarray:
-    white = piece.white(jacobian, noise)
-    return np.asarray(white.T @ white)
 
 
 def _solve(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mbdkit.plugin import MbdkitError
 from mbdkit_identify.measured_data import SignalData
-from mbdkit_identify.noise import LEAST_DEVIATION, Noise, Pieces
+from mbdkit_identify.noise import LEAST_DEVIATION, Likelihood, Noise, Pieces
 from mbdkit_identify.segments import KinematicSegment, Segment, Unknown
 
 FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
@@ -18,8 +19,7 @@ FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search e
 SAME = 1e-9
 
 
-@dataclass(frozen=True)
-class SignalKey:
+class SignalKey(NamedTuple):
     """A signal: experiment and quantity."""
 
     experiment: str
@@ -42,20 +42,28 @@ class Problem:
     ----------
     measured
         (R,) measured values of all signals, without gaps.
-    signals
-        The S signals.
+    signals, data
+        The S signals, and the data of each in its first window.
     pieces
         Samples of each signal among the residuals.
     noises
         Present noise of each signal.
     valid
         (S, T) of each window: whether a value was measured.
+    first, sizes
+        First values (n,) and magnitudes (n,) of the unknowns.
+    bounds
+        Lower and upper bounds (n,) of the unknowns.
     runs, derived
         Numbers of runs, and of runs with derivatives.
     """
 
     def __init__(self, unknowns: Sequence[Unknown], names: dict[str, int], segments: Sequence[Segment]):
         self.unknowns, self.names, self.segments = list(unknowns), names, list(segments)
+        self.first, self.sizes, low, high = (
+            np.array([getattr(unknown, name) for unknown in self.unknowns]) for name in ("start", "size", "low", "high")
+        )
+        self.bounds = low, high
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
         self._slopes: tuple[np.ndarray, np.ndarray] | None = None
@@ -83,8 +91,9 @@ class Problem:
         self.measured = np.concatenate(measured)
         self.signals = tuple(keys)
         self.pieces = [Pieces(*map(np.concatenate, zip(*parts, strict=True))) for parts in keys.values()]
-        self.known = [first[key].deviation for key in keys]
-        self.may_correlate = [first[key].may_correlate for key in keys]
+        self.data = list(first.values())
+        self.known = [one.deviation for one in self.data]
+        self.may_correlate = [one.may_correlate for one in self.data]
         self.measure(self.measured)
 
     def measure(self, values: np.ndarray) -> None:
@@ -96,6 +105,20 @@ class Problem:
             for known, piece, scale in zip(self.known, self.pieces, self.scales, strict=True)
         ]
         self.noises = self.pooled(noises)
+
+    def estimated_noises(self, residuals: np.ndarray, x: np.ndarray) -> list[Noise]:
+        """Return the noise of the signals with these residuals (R,) for unknowns (n,), by restricted likelihood, one
+        signal after another.
+        """
+        jacobian, found = self.slopes(x), list(self.noises)
+        parts = [piece.normal(jacobian, noise) for piece, noise in zip(self.pieces, found, strict=True)]
+        for s, piece in enumerate(self.pieces):
+            others = self.information + sum(part for k, part in enumerate(parts) if k != s)
+            own, least = (residuals[piece.places], jacobian[piece.places]), LEAST_DEVIATION * self.scales[s]
+            likelihood = Likelihood(piece, *own, others, self.known[s], found[s].deviation, least)
+            found[s] = likelihood.noise(may_correlate=self.may_correlate[s])
+            parts[s] = piece.normal(jacobian, found[s])
+        return self.pooled(found)
 
     def pooled(self, noises: Sequence[Noise]) -> list[Noise]:
         """Return the noise of the signals, with equal estimated deviations if the positions of all samples are unknown.
@@ -109,23 +132,6 @@ class Problem:
         deviation = float(np.sqrt(np.average([noises[row].deviation ** 2 for row in some], weights=weights)))
         own = [replace(one, deviation=deviation) for one in noises]
         return [own[row] if known is None else noises[row] for row, known in enumerate(self.known)]
-
-    @property
-    def first(self) -> np.ndarray:
-        """First values (n,) of the unknowns."""
-        return np.array([unknown.start for unknown in self.unknowns])
-
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds (n,) of the unknowns."""
-        return np.array([unknown.low for unknown in self.unknowns]), np.array(
-            [unknown.high for unknown in self.unknowns]
-        )
-
-    @property
-    def sizes(self) -> np.ndarray:
-        """Magnitudes (n,) of the unknowns."""
-        return np.array([unknown.size for unknown in self.unknowns])
 
     @property
     def differences(self) -> str:

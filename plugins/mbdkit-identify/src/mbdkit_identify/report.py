@@ -52,24 +52,7 @@ _PROFILES = (
     "Limits of intervals are the values at which the sum of squares of the whitened residuals, minimized over all "
     "other unknowns, exceeds its minimum by the threshold (profile likelihood)."
 )
-_SOURCES = """
-@book{seber1989,
-  author = {G. A. F. Seber and C. J. Wild},
-  title = {Nonlinear Regression},
-  publisher = {Wiley},
-  year = {1989}
-}
-
-@article{raue2009,
-  author = {A. Raue and others},
-  title = {Structural and practical identifiability analysis of partially observed dynamical models by exploiting the
-    profile likelihood},
-  journal = {Bioinformatics},
-  volume = {25},
-  pages = {1923--1929},
-  year = {2009}
-}
-"""
+_SOURCES = Path(__file__).with_name("references.bib").read_text(encoding="utf-8")
 
 
 @report_of_folder

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -16,13 +16,16 @@ from mbdkit.plugin.specs import parse_key, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec, Sensor
 from mbdkit_identify.kinematic import Positions
-from mbdkit_identify.loading import base_of, sensor_names
+from mbdkit_identify.loading import base_of, number_of, sensor_names, spec_of_base
 from mbdkit_identify.measured_data import LEAST_SAMPLES, RATES, ExperimentData, SignalData, plain_name
 
 INITIAL = "initial"  #: First part of the names of initial values among the parameters of a run.
 UNIFORM = 1e-6  #: Largest deviation of times from a grid, in sampling intervals, for each sample.
 FEW = 12  #: Number of samples by which initial values are guessed.
 SPLINE = 5  #: Degree of the splines in time by which signals are delayed.
+
+#: Name, first value, and bounds, which are None for values that are exact.
+_InitialValue = tuple[str, float, tuple[float, float] | None]
 
 
 @dataclass
@@ -63,8 +66,6 @@ class Segment:
     ----------
     experiment
         Name of the experiment.
-    is_hold_out
-        Whether its data do not affect the parameters.
     time
         (T,) times [s].
     signals
@@ -80,7 +81,6 @@ class Segment:
     """
 
     experiment: str
-    is_hold_out: bool
     time: np.ndarray
     signals: tuple[SignalData, ...]
     spec: RunSpec
@@ -196,15 +196,13 @@ def segments_of(
         base, fixed = base_of(spec, one.name, one.experiment), set(map(parse_key, one.experiment.overrides))
         places = {name: names[name] for name in of_run if variable_path(name) not in fixed}
         if spec.kinematic:
-            is_held_out = one.experiment.role == "hold-out"
             with SpecError.locate(path_text(("experiments", one.name))):
-                whole = KinematicSegment(one.name, is_held_out, one.time, one.signals, base, places, {})
+                whole = KinematicSegment(one.name, one.time, one.signals, base, places, {})
                 whole.start_with(unknowns)
             segments.append(whole)
             continue
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
-            segment = _segment(spec, base, one, some, number, unknowns, places)
-            segments.append(replace(segment, shared=shared))
+            segments.append(_segment(spec, base, one, some, number, unknowns, places, shared))
     return unknowns, segments, names
 
 
@@ -217,10 +215,7 @@ def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[float | str, s
     if start is None and name in base.numbers:
         start = base.numbers[name]
     if start is None and name.startswith("model."):
-        holder: object = base.model_dump()
-        for part in variable_path(name):
-            holder = holder[int(part) if isinstance(holder, list | tuple) else part]  # type: ignore[index]
-        start = float(holder)  # type: ignore[arg-type]
+        start = number_of(base, name)
     if start is None:
         start = 0.5 * (low + high)
     prior = None if given.prior is None else (given.prior.mean, given.prior.deviation)
@@ -251,33 +246,24 @@ def _windows(data: ExperimentData, duration: float | None) -> list[np.ndarray]:
 
 
 def _segment(
-    spec: IdentifySpec,
-    base: RunSpec,
-    data: ExperimentData,
-    some: np.ndarray,
-    number: int,
-    unknowns: list[Unknown],
-    parameters: dict[str, int],
-) -> Segment:
+    spec: IdentifySpec, base: RunSpec, data: ExperimentData, some: np.ndarray, number: int, unknowns: list[Unknown],
+    parameters: dict[str, int], shared: dict[object, PreparedSensitivities],
+) -> Segment:  # fmt: skip
     """Return a window of an experiment; its unknown initial values are added to the unknowns."""
-    experiment, time = data.experiment, data.time[some]
+    time = data.time[some]
     signals = tuple(_in_window(signal, time, some, spec) for signal in data.signals)
     run = run_of_window(base, time, data.inputs)
-    choice = experiment.initial if number == 0 or experiment.initial is not None else "estimated"
-    if number > 0 and choice != "estimated":
-        choice = "estimated"
+    choice = data.experiment.initial if number == 0 else "estimated"
     initial: dict[str, int | float] = {}
-    where = path_text(("experiments", data.name, "initial"))
     if choice is not None:
         label = data.name if number == 0 else f"{data.name}, window {number + 1}"
-        with SpecError.rekey(where):
+        with SpecError.rekey(path_text(("experiments", data.name, "initial"))):
             given = GivenStart(run.mechanism(), run)
             numbers = {one.name: one.start for one in unknowns}
-            values = _initial_values(given, choice, run, numbers, signals, time)
-            if not isinstance(choice, str):
-                given.state(
-                    {name: value for name, value, _ in values}
-                )  # raises errors of names and values with the key
+            guess = partial(_guess, given=given, numbers=numbers, signals=signals, time=time)
+            values = _initial_values(given, choice, run.mechanism().bodies, signals, guess)
+            if not isinstance(choice, str):  # raises errors of names and values with the key
+                given.state({name: value for name, value, _ in values})
             for name, value, bounds in values:
                 if bounds is None:
                     initial[name] = value
@@ -285,7 +271,7 @@ def _segment(
                 initial[name] = len(unknowns)
                 size = max(abs(value), 1.0 if "angle" in name or "angular" in name else given.length)
                 unknowns.append(Unknown(f"{label}: {name}", value, *bounds, size=size, is_initial=True))
-    return Segment(data.name, experiment.role == "hold-out", time, signals, run, parameters, initial)
+    return Segment(data.name, time, signals, run, parameters, initial, shared)
 
 
 def _in_window(signal: SignalData, time: np.ndarray, some: np.ndarray, spec: IdentifySpec) -> SignalData:
@@ -295,7 +281,7 @@ def _in_window(signal: SignalData, time: np.ndarray, some: np.ndarray, spec: Ide
     if np.isnan(low):
         raise SpecError("the delay of a sensor needs bounds", key=path_text(("parameters", str(delay), "bounds")))
     values[(time < time[0] + max(high, 0.0)) | (time > time[-1] + min(low, 0.0))] = np.nan
-    return SignalData(signal.quantity, signal.unit, signal.sensor, values, signal.deviation, signal.may_correlate)
+    return replace(signal, values=values)
 
 
 def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> RunSpec:
@@ -323,51 +309,39 @@ def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np
             some = slice(first, int(np.searchsorted(times, end, side="right")) + 1)
             tables[name] = {"table": [times[some].tolist(), values[some].tolist()]}
         data["inputs"] = data.get("inputs", {}) | tables
-    spec = RunSpec(**data)
-    spec.mechanism()
-    spec._document = base._document
-    return spec
+    return spec_of_base(data, base._document)
 
 
 def _initial_values(
     given: GivenStart,
     choice: str | Mapping[str, float | tuple[float, float]],
-    run: RunSpec,
-    numbers: Mapping[str, float],
+    bodies: Iterable[str],
     signals: Sequence[SignalData],
-    time: np.ndarray,
-) -> list[tuple[str, float, tuple[float, float] | None]]:
-    """Return initial values as name, first value, and bounds, which are None for values that are exact."""
+    guess: Callable[[str], float],
+) -> list[_InitialValue]:
+    """Return initial values; `guess` returns first values by name."""
     if not isinstance(choice, str):
-        found: list[tuple[str, float, tuple[float, float] | None]] = []
-        for name, value in choice.items():
-            if isinstance(value, tuple):
-                found.append((name, float(np.clip(_guess(name, given, numbers, signals, time), *value)), value))
-            else:
-                found.append((name, float(value), None))
-        return found
-    observed = [plain_name(signal.quantity) for signal in signals]
-    bodies = [f"{body}.{axis}" for axis in ("angle", "x", "y") for body in run.mechanism().bodies]
-    names = given.independent(dict.fromkeys([*observed, *bodies]))
+        return [
+            (name, float(np.clip(guess(name), *value)), value)
+            if isinstance(value, tuple)
+            else (name, float(value), None)
+            for name, value in choice.items()
+        ]
+    coordinates = [f"{body}.{axis}" for axis in ("angle", "x", "y") for body in bodies]
+    names = given.independent(dict.fromkeys([*(plain_name(signal.quantity) for signal in signals), *coordinates]))
+    rates = [f"{element}.{RATES[axis]}" for element, _, axis in (name.rpartition(".") for name in names)]
     free = (-np.inf, np.inf)
-    found = [(name, _guess(name, given, numbers, signals, time), free) for name in names]
-    for name in names:
-        element, _, axis = name.rpartition(".")
-        rate = f"{element}.{RATES[axis]}"
-        found.append(
-            (rate, 0.0, None) if choice == "rest" else (rate, _guess(rate, given, numbers, signals, time), free)
-        )
-    return found
+    of_rates = [(name, 0.0, None) if choice == "rest" else (name, guess(name), free) for name in rates]
+    return [*((name, guess(name), free) for name in names), *of_rates]
 
 
 def _guess(
-    name: str, given: GivenStart, numbers: Mapping[str, float], signals: Sequence[SignalData], time: np.ndarray
+    name: str, *, given: GivenStart, numbers: Mapping[str, float], signals: Sequence[SignalData], time: np.ndarray
 ) -> float:
     """Return a first value of an initial value: by the first samples if it is measured, or else that of the base."""
     element, _, axis = name.rpartition(".")
-    of_rate = {rate: coordinate for coordinate, rate in RATES.items()}
-    is_rate = axis in of_rate
-    coordinate = f"{element}.{of_rate[axis]}" if is_rate else name
+    is_rate = axis in RATES.values()
+    coordinate = next((f"{element}.{own}" for own, rate in RATES.items() if rate == axis), name)
     for signal in signals:
         known = np.flatnonzero(np.isfinite(signal.values))[:FEW]
         gain, offset, _ = sensor_numbers(signal.sensor, numbers)

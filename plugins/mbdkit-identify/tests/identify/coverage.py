@@ -190,9 +190,7 @@ class InterpolatedProblem(Problem):
             super().slopes(x)
             wrong = np.abs(self.predicted(x) - super().predicted(x)) / deviations
             self.error = max(self.error, float(np.max(wrong)))
-        start = center + self.factor @ np.full(count, AWAY / REACH / np.sqrt(count))
-        for unknown, value in zip(self.unknowns, start, strict=True):
-            unknown.start = float(value)
+        self.first = center + self.factor @ np.full(count, AWAY / REACH / np.sqrt(count))
 
     def _terms(self, u: np.ndarray) -> np.ndarray:
         return np.asarray(np.prod(u**self.powers, axis=1))

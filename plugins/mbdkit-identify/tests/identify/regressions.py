@@ -50,7 +50,7 @@ class Regression:
         signal = SignalData("y", "", Sensor(), np.array(self.y), None, may_correlate=False)
         prepared: Any = SimpleNamespace(values=values, at=at, differences="")
         spec: Any = None
-        segment = Segment("data", False, np.arange(len(x)), (signal,), spec, places, {})
+        segment = Segment("data", np.arange(len(x)), (signal,), spec, places, {})
         segment.prepared = prepared
         unknowns = [Unknown(name, start, size=abs(start)) for name, start in zip(names, self.start, strict=True)]
         return Problem(unknowns, places, [segment])

@@ -8,6 +8,7 @@ VI.4; Hairer and Wanner, Solving ODEs II, IV.5; IIID after Chan 1990).
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Annotated, Literal
 
 import mpmath
@@ -17,34 +18,20 @@ import mbdkit
 from mbdkit.plugin import ImplicitOptions, Method, collocation
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 
-REFERENCES = (
-    """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}""",
-    """@article{chan1990,
-  author = {Chan, Robert P. K.},
-  title = {On symmetric {R}unge-{K}utta methods of high order},
-  journal = {Computing}, volume = {45}, pages = {301--309}, year = {1990}, doi = {10.1007/BF02238798}}""",
-)
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 DIGITS = 75
 
 
-class FixedStepOptions(ImplicitOptions):
-    """Options of an implicit method without an error estimate."""
+class LobattoOptions(ImplicitOptions):
+    """Options of a Lobatto method with any number of stages."""
 
     adaptive: Literal[False] = False
     """Steps are fixed."""
-
-
-class LobattoOptions(FixedStepOptions):
-    """Options of a Lobatto method with any number of stages."""
-
     stages: Annotated[int, Field(ge=2, le=6)] = 3
     """Number of stages s; the order is 2 s - 2."""
 
 
-class LobattoIIIBOptions(FixedStepOptions):
+class LobattoIIIBOptions(LobattoOptions):
     """Options of Lobatto IIIB, which needs at least three stages: with two, its rows do not sum to its nodes."""
 
     stages: Annotated[int, Field(ge=3, le=6)] = 3

@@ -8,6 +8,7 @@ former.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -16,23 +17,9 @@ from pydantic import Field
 import mbdkit
 from mbdkit.plugin.methods import lagrange
 from mbdkit.plugin.seams import integrator_claims, integrator_method
-from mbdkit_multistep.control import (
-    HAIRER_NORSETT_WANNER,
-    HINDMARSH,
-    MultistepOptions,
-    choice,
-    norm,
-    scale,
-)
+from mbdkit_multistep.control import MultistepOptions, choice, norm, scale
 
-REFERENCES = (
-    """@book{shampine1975,
-  author = {Shampine, Lawrence F. and Gordon, Marilyn K.},
-  title = {Computer Solution of Ordinary Differential Equations: The Initial Value Problem},
-  publisher = {W. H. Freeman}, year = {1975}}""",
-    HAIRER_NORSETT_WANNER,
-    HINDMARSH,
-)
+REFERENCES = tuple(Path(__file__).with_name("adams.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 #: Gauss-Legendre quadrature on [0, 1], exact for the polynomials of all orders.
 NODES, WEIGHTS = ((1 + x) / 2 if i == 0 else x / 2 for i, x in enumerate(np.polynomial.legendre.leggauss(8)))
 

@@ -13,6 +13,7 @@ estimates the error (Brayton, Gustavson and Hachtel 1972).
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -21,34 +22,9 @@ from pydantic import Field
 import mbdkit
 from mbdkit.plugin.methods import lagrange
 from mbdkit.plugin.seams import integrator_claims, integrator_method
-from mbdkit_multistep.control import (
-    HAIRER_NORSETT_WANNER,
-    HINDMARSH,
-    MultistepOptions,
-    choice,
-    norm,
-    scale,
-)
+from mbdkit_multistep.control import MultistepOptions, choice, norm, scale
 
-REFERENCES = (
-    """@article{brayton1972,
-  author = {Brayton, R. K. and Gustavson, F. G. and Hachtel, G. D.},
-  title = {A new efficient algorithm for solving differential-algebraic systems using implicit backward
-    differentiation formulas},
-  journal = {Proceedings of the IEEE}, volume = {60}, pages = {98--108}, year = {1972},
-  doi = {10.1109/PROC.1972.8562}}""",
-    """@book{brenan1996,
-  author = {Brenan, K. E. and Campbell, S. L. and Petzold, L. R.},
-  title = {Numerical Solution of Initial-Value Problems in Differential-Algebraic Equations},
-  publisher = {SIAM}, year = {1996}, doi = {10.1137/1.9781611971224}}""",
-    """@article{gear1985,
-  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
-  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
-  journal = {Journal of Computational and Applied Mathematics},
-  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}""",
-    HAIRER_NORSETT_WANNER,
-    HINDMARSH,
-)
+REFERENCES = tuple(Path(__file__).with_name("bdf.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 #: Largest error of the iteration over the tolerance, largest change over the tolerance at which an iteration that does
 #: not converge any more has reached rounding, and number of iterations; chosen.
 ACCURACY, IDLE, MOST_ITERATIONS = 0.01, 1.0, 10
@@ -105,19 +81,14 @@ class Bdf(mbdkit.StepMethod):
         chosen = choice({k: norm(gap, scales) for k, gap in gaps.items()}, order, wait, h)
         inside = np.vstack([new, past[:order, : len(y)]])
         kept = 1 if is_first else self.max_order + 1
-        memory = (
-            chosen.order,
-            chosen.wait,
-            np.append(end, times[:kept]),
-            np.vstack([np.append(new, lam), past[:kept]]),
-        )
+        points = np.append(end, times[:kept]), np.vstack([np.append(new, lam), past[:kept]])
 
         def dense(theta: float) -> tuple[np.ndarray, ...]:
             """Return (q, v, z) of the polynomial of the formula."""
             return tuple(np.split(lagrange(nodes, np.array([t + theta * h]))[0] @ inside, (n, 2 * n)))
 
         q, v, z = np.split(new, (n, 2 * n))
-        end_state = mbdkit.StepState(q, v, lam, memory, z=z)
+        end_state = mbdkit.StepState(q, v, lam, (chosen.order, chosen.wait, *points), z=z)
         return mbdkit.Step(
             end_state, dense=dense, next_step=chosen.size, next_order=float(chosen.order), accepted=chosen.accepted
         )

@@ -16,17 +16,6 @@ import numpy as np
 import mbdkit
 from mbdkit.plugin.methods import ControlledOptions
 
-HINDMARSH = """@article{hindmarsh2005,
-  author = {Hindmarsh, Alan C. and Brown, Peter N. and Grant, Keith E. and Lee, Steven L. and Serban, Radu and
-    Shumaker, Dan E. and Woodward, Carol S.},
-  title = {{SUNDIALS}: Suite of nonlinear and differential/algebraic equation solvers},
-  journal = {ACM Transactions on Mathematical Software}, volume = {31}, pages = {363--396}, year = {2005},
-  doi = {10.1145/1089014.1089020}}"""
-HAIRER_NORSETT_WANNER = """@book{hairer1993,
-  author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
-  edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
-
 #: Factors of the estimated errors of the present and the lower order, and of the higher one, in the choice of the next
 #: step. CVODE has 6 and 10, with which errors at the end of runs were two to twenty times as large, in steps that were
 #: longer by a tenth to a fifth (pendulum, car axis, Andrews' mechanism).

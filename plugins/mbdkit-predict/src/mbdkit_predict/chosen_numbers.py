@@ -50,6 +50,8 @@ class ChosenNumbers:
         Names of the states that are the controls; the keys of unknowns of equilibria, which are no states.
     equilibria
         Equilibria of elements, such as fibres with an elastic tendon, whose unknowns are controls.
+    unknowns
+        Equilibrium of each of these controls by key, and which of its unknowns it is.
     control_start, parameter_start
         Present values; 0 for controls that are not numbers.
     """
@@ -67,13 +69,15 @@ class ChosenNumbers:
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.equilibria = chosen_equilibria(mechanism, controls)
-        unknowns = {controls[i] for equilibrium in self.equilibria for i in equilibrium.unknowns}
-        self.control_start = [0.0 if key in unknowns else self._start(key) for key in controls]
+        self.unknowns = {
+            controls[i]: (one.equilibrium, k) for one in self.equilibria for k, i in enumerate(one.unknowns)
+        }
+        self.control_start = [0.0 if key in self.unknowns else self._start(key) for key in controls]
         if both := set(controls) & set(parameters):
             raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
         self.parameter_start = [self._number(key) for key in parameters]
         self.control_states = [
-            key if key in unknowns else self._add_control(self._spec, key, start)
+            key if key in self.unknowns else self._add_control(self._spec, key, start)
             for key, start in zip(controls, self.control_start, strict=True)
         ]
         try:

@@ -89,13 +89,21 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
 
 def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the state at the end of an interval, given its start, its end and the discontinuities in between."""
+    absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
+    options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}
     for span in pairwise(stops):
-        state = _between_stops(rates, span, state, scale)
+        try:
+            result = solve_ivp(_counted(rates), span, state, EXPLICIT, **options)
+        except StepError:
+            result = solve_ivp(rates, span, state, IMPLICIT, **options)
+        state = np.asarray(result.y[:, -1])
+        if not (result.success and np.all(np.isfinite(state))):
+            raise StepError("not-finite", "the forward run stopped")
     return state
 
 
-def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
+def _counted(rates: Rates) -> Rates:
+    """Return a function that refuses more evaluations than the explicit method may need in an interval."""
     evaluations = count(1)
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
@@ -103,14 +111,7 @@ def _between_stops(rates: Rates, span: tuple[float, float], state: np.ndarray, s
             raise StepError("step-too-small", "the explicit method needs too many evaluations")
         return rates(t, y)
 
-    options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}
-    try:
-        result = solve_ivp(counted, span, state, EXPLICIT, **options)
-    except StepError:
-        result = solve_ivp(rates, span, state, IMPLICIT, **options)
-    if result.success and np.all(np.isfinite(result.y[:, -1])):
-        return np.asarray(result.y[:, -1])
-    raise StepError("not-finite", "the forward run stopped")
+    return counted
 
 
 def _scale(states: np.ndarray, n: int) -> np.ndarray:

@@ -71,22 +71,15 @@ def archived_motion(spec: PredictSpec, system: CasadiSystem) -> GuessedMotion:
             rows = run.array("constraints/constraint").tolist()
             known["lam"] = _chosen(system.constraint_names, rows, run.array("constraints/multiplier"))
         chosen = spec.chosen
-        unknowns = {
-            chosen.controls[index]: (equilibrium.equilibrium.recorded[k], equilibrium.equilibrium.sizes[k])
-            for equilibrium in chosen.equilibria
-            for k, index in enumerate(equilibrium.unknowns)
-        }
-        controls = zip(chosen.controls, chosen.control_states, strict=True)
+        controls = list[np.ndarray]()
+        for key, state in zip(chosen.controls, chosen.control_states, strict=True):
+            equilibrium, k = chosen.unknowns.get(key, (None, 0))
+            recorded, size = (equilibrium.recorded[k], equilibrium.sizes[k]) if equilibrium else ("", 1.0)
+            controls.append(_history(run, state, key, recorded) / size)
         optimized = json.loads(str(run.provenance.get("optimized", "{}")))
         known |= {
             "z": np.array([_history(run, name) for name in system.state_names]),
-            "u": np.array(
-                [
-                    _history(run, state, key, recorded) / size
-                    for key, state in controls
-                    for recorded, size in [unknowns.get(key, ("", 1.0))]
-                ]
-            ),
+            "u": np.array(controls),
             "p": np.array([np.full(len(run.time), optimized.get(key, np.nan)) for key in system.parameter_names]),
         }
         return GuessedMotion(time, known, json.loads(str(run.provenance.get("durations", "[]"))))
@@ -123,11 +116,8 @@ def _history(run: Run, state: str, control: str = "", recorded: str = "") -> np.
     sources = [("states", state, "value"), ("muscles", owner, attribute)]
     if control and len(path := parse_path(control)) == 3:
         kind, name, value = map(str, path)
-        sources[1:] = [
-            ("actuators", name, value),
-            (kind, name, value),
-            (kind, name, recorded or IN_PLACE.get(value, value)),
-        ]
+        in_place = recorded or IN_PLACE.get(value, value)
+        sources[1:] = [("actuators", name, value), (kind, name, value), (kind, name, in_place)]
     for kind, name, value in sources:
         with suppress(AttributeError, LookupError, MbdkitError):
             values = np.asarray(getattr(getattr(run, kind)[name], value))

@@ -214,10 +214,8 @@ class _Rewriter(ast.NodeTransformer):
         return node if rewrite is None else rewrite(node)
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        node.body, node.decorator_list = (
-            _block("with _merged.MergedExecution() as _run:", node.body, "return _run.result"),
-            [],
-        )
+        node.body = _block("with _merged.MergedExecution() as _run:", node.body, "return _run.result")
+        node.decorator_list = []
         return node
 
     def visit_Assign(self, node: ast.Assign) -> list[ast.stmt]:

@@ -382,7 +382,8 @@ class _MeshSearch:
         It can after three meshes, or if the objective does not change any more. Where conditions become active, two
         meshes may agree by accident: then it takes four meshes, or two changes of nothing.
         """
-        floor, is_smooth = self._floor(), _solution(self.meshes[-1]).is_smooth
+        last = _solution(self.meshes[-1])
+        floor, is_smooth = max(ROUNDING * abs(last.objective), 2.0 * last.gap), last.is_smooth
         changes = np.abs(np.diff([_solution(mesh).objective for mesh in self.meshes[self.halved :]]))
         if not len(changes):
             return np.inf, False
@@ -391,12 +392,8 @@ class _MeshSearch:
             return max(floor, float(changes[-1])), settled
         stages = len(self.transcription.c)
         order = 2 * stages if self.transcription.has_nodes else 2 * stages - 1
-        last, accident = (2, ACCIDENT) if is_smooth else (3, ACCIDENT_OF_ACTIVE)
-        return max(floor, extrapolated(changes[-last:], order, accident)), is_smooth or len(changes) > 2
-
-    def _floor(self) -> float:
-        solution = _solution(self.meshes[-1])
-        return max(ROUNDING * abs(solution.objective), 2.0 * solution.gap)
+        count, accident = (2, ACCIDENT) if is_smooth else (3, ACCIDENT_OF_ACTIVE)
+        return max(floor, extrapolated(changes[-count:], order, accident)), is_smooth or len(changes) > 2
 
     def _branches(self, mesh: Mesh, opens: np.ndarray, joints: Sequence[str]) -> str:
         place, ends = int(opens.argmax()), mesh.values["duration"] @ mesh.grid.ends

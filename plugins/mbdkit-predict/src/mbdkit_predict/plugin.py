@@ -12,6 +12,22 @@ from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
+#: Attributes of runs: name, summary, and function.
+_OF_RUNS = (
+    ("objective", "Smallest value of what is minimized.", "mbdkit_predict.run_results:objective"),
+    ("objective_error", "Estimated error of the objective.", "mbdkit_predict.run_results:objective_error"),
+    ("mesh", "Intervals and objective of each mesh.", "mbdkit_predict.run_results:mesh"),
+    ("parameters", "Optimized numbers.", "mbdkit_predict.run_results:parameters"),
+    ("controls", "Histories of the controls.", "mbdkit_predict.run_results:controls"),
+    ("sensitivities", "Derivatives of the optimum from the multipliers.", "mbdkit_predict.run_results:sensitivities"),
+    ("starts", "Objectives on the first mesh from several first guesses.", "mbdkit_predict.run_results:starts"),
+    (
+        "forward_run",
+        "Differences of a run with the controls from the motion.",
+        "mbdkit_predict.run_results:forward_run",
+    ),
+    ("gain", "Difference of the optimum from that of another motion.", "mbdkit_predict.run_results:gain"),
+)
 
 
 @hookimpl
@@ -41,60 +57,7 @@ def mbdkit_items() -> Iterable[Item]:
             order=45,
             target=Target("mbdkit_predict.commands:predict"),
         ),
-        Accessor(
-            name="objective",
-            summary="Smallest value of what is minimized.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:objective"),
-        ),
-        Accessor(
-            name="objective_error",
-            summary="Estimated error of the objective.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:objective_error"),
-        ),
-        Accessor(
-            name="mesh",
-            summary="Intervals and objective of each mesh.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:mesh"),
-        ),
-        Accessor(
-            name="parameters",
-            summary="Optimized numbers.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:parameters"),
-        ),
-        Accessor(
-            name="controls",
-            summary="Histories of the controls.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:controls"),
-        ),
-        Accessor(
-            name="sensitivities",
-            summary="Derivatives of the optimum from the multipliers.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:sensitivities"),
-        ),
-        Accessor(
-            name="starts",
-            summary="Objectives on the first mesh from several first guesses.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:starts"),
-        ),
-        Accessor(
-            name="forward_run",
-            summary="Differences of a run with the controls from the motion.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:forward_run"),
-        ),
-        Accessor(
-            name="gain",
-            summary="Difference of the optimum from that of another motion.",
-            of="Run",
-            target=Target("mbdkit_predict.run_results:gain"),
-        ),
+        *(Accessor(name=name, summary=summary, of="Run", target=Target(target)) for name, summary, target in _OF_RUNS),
         Accessor(
             name="to_casadi",
             summary="Equations of motion and quantities as functions of CasADi.",

@@ -283,15 +283,13 @@ class PredictSpec(ModelSpec):
 
     def control(self, name: str) -> Variable:
         """Return the bounds and the start of a control; unknowns of equilibria have bounds and starts of their own."""
-        own = {
-            self.chosen.controls[index]: Variable.model_construct(
-                bounds=(one.equilibrium.lowest[k], math.inf), start=one.equilibrium.starts[k]
-            )
-            for one in self.chosen.equilibria
-            for k, index in enumerate(one.unknowns)
-        }
-        free = Variable.model_construct(bounds=(-math.inf, math.inf), start=0.0)  # measured functions
-        return self.controls.get(name) or own.get(name, free)
+        if name in self.controls:
+            return self.controls[name]
+        low, start = -math.inf, 0.0  # of measured functions
+        if name in self.chosen.unknowns:
+            equilibrium, k = self.chosen.unknowns[name]
+            low, start = equilibrium.lowest[k], equilibrium.starts[k]
+        return Variable.model_construct(bounds=(low, math.inf), start=start)
 
     @contextmanager
     def blaming(self, key: str) -> Iterator[None]:

@@ -77,14 +77,10 @@ def transcribed(spec: PredictSpec) -> Transcription:
         system = CasadiSystem(spec.chosen, 0.0, is_joint=spec.coordinates == "joint")
         with spec.blaming("minimize"):
             objective = objective_of(spec, system)
-        return Transcription(spec, system, objective, _simpler(spec))
-
-
-def _simpler(spec: PredictSpec) -> Transcription | None:
-    """Return the simpler problem whose optimum is the first guess; None without one."""
-    with SpecError.locate("guess"):
-        simpler = simpler_spec(spec)
-        return None if simpler is None else transcribed(simpler)
+        with SpecError.locate("guess"):
+            simpler = simpler_spec(spec)
+            guessed = None if simpler is None else transcribed(simpler)
+        return Transcription(spec, system, objective, guessed)
 
 
 def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -84,14 +84,13 @@ def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
     """
     if sys.platform != "linux":
         return [task(lambda result: None) for task in tasks]
-    children, waiting = dict[int, _Child[T]](), list(enumerate(tasks))
+    children, waiting = list[_Child[T]](), list(tasks)
     try:
         while True:
-            running = [child for child in children.values() if child.is_running]
+            running = [child for child in children if child.is_running]
             while waiting and len(running) < (os.cpu_count() or 1) and not (stop.now and children):
-                index, task = waiting.pop(0)
-                children[index] = _started(task)
-                running.append(children[index])
+                children.append(_started(waiting.pop(0)))
+                running.append(children[-1])
             if not running or stop.interrupted or time.perf_counter() > stop.end + GRACE:
                 break
             ready = wait([child.connection for child in running], LOOK)
@@ -99,13 +98,12 @@ def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
                 if child.connection in ready:
                     child.receive()
     finally:
-        for child in children.values():
+        for child in children:
             child.end()
-    for child in children.values():
+    for child in children:
         if not child.found and not stop.now:
             raise RunError("the process of the optimizer ended without a result: the memory may be too small")
-    results = [children[index].found if index in children else [] for index in range(len(tasks))]
-    return [last[0] if last else None for last in results]
+    return [child.found[0] if child.found else None for child in children] + [None] * len(waiting)
 
 
 def _started(task: Task[T]) -> _Child[T]:

@@ -144,10 +144,8 @@ class Transcription:
         self.spec, self.system, self._given_objective = spec, system, objective
         is_fixed = len(system.q0) <= len(system.constraint_names) and not system.state_names
         if is_fixed and not any(joint.is_driver for joint in spec.mechanism().joints.values()):
-            reason = (
-                "has no degree of freedom, and neither drivers nor first-order states: there is no motion to predict"
-            )
-            raise SpecError(f"the mechanism {reason}", key="model.joints")
+            why = "has no degree of freedom, and neither drivers nor first-order states: there is no motion to predict"
+            raise SpecError(f"the mechanism {why}", key="model.joints")
         self.balanced = StatesInEquilibrium(spec.chosen, self.system)
         self.simpler = simpler
         self._simple: Mesh | None = None  # its solution
@@ -328,10 +326,8 @@ class Transcription:
         counts = [phase.intervals or spec.collocation.intervals for phase in spec.whole.values()]
         lengths = self.limits["duration"][2]
         shares = lengths / np.bincount(self.phase_of, lengths)[self.phase_of]
-        grid = IntervalGrid.uniform(
-            [max(math.ceil(counts[k] * x), min(FEWEST, counts[k])) for k, x in zip(self.phase_of, shares, strict=True)],
-            self.c,
-        )
+        parts = zip([counts[k] for k in self.phase_of], shares, strict=True)
+        grid = IntervalGrid.uniform([max(math.ceil(n * share), min(FEWEST, n)) for n, share in parts], self.c)
         for k, (low, high, _) in enumerate(self.limits["duration"].T.tolist()):
             if low < high:
                 break
@@ -486,9 +482,8 @@ class Transcription:
         """Return which positions and velocities (2 n,) affect nothing, such as the angle of a point mass."""
         system, n = self.system, len(self.system.q0)
         ends = [x for conditions in (self._initial, *self._ends) for x, _, _ in conditions.values()]
-        results = self.stage(
-            *system.symbols.values(), ca.SX.sym("mu", len(system.constraint_names)), ca.DM(self.sides[:, :1])
-        )
+        mu = ca.SX.sym("mu", len(system.constraint_names))
+        results = self.stage(*system.symbols.values(), mu, ca.DM(self.sides[:, :1]))
         known = [x for k, x in enumerate(results) if k != 1]  # without q'
         everything = ca.vertcat(*known, self.objective.finals, *ends, *(x for _, *both in self._periodic for x in both))
         of_q, of_v = (np.array(ca.which_depends(everything, system.symbols[name], 1)) for name in "qv")
@@ -602,14 +597,10 @@ class Transcription:
         slope = ca.Function("slope", given, [ca.jacobian(self.objective.value(*given), given[0])])
         end, duration = self.nodes(mesh)[:, -1], mesh.values["duration"].sum()
         finals = at_node(self.system, self.objective.finals)(end, mesh.values["p"], duration)
-        of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / np.kron(
-            mesh.values["duration"] @ mesh.grid.lengths, self.b
-        )
-        return (
-            np.array(slope(integrals, finals, mesh.values["peak"], duration)).ravel(),
-            of_motion,
-            self._costates(mesh)[self._rows["z"]],
-        )
+        by_integrals = np.array(slope(integrals, finals, mesh.values["peak"], duration)).ravel()
+        quadrature = np.kron(mesh.values["duration"] @ mesh.grid.lengths, self.b)
+        of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / quadrature
+        return by_integrals, of_motion, self._costates(mesh)[self._rows["z"]]
 
     def _costates(self, mesh: Mesh) -> np.ndarray:
         """Return the costates (2 n + Z, N s) at the collocation points: derivatives of the objective by the states."""
@@ -743,12 +734,8 @@ class Transcription:
         values, count = {**mesh.values, "u": u}, len(mesh.times)
         own = [values[name] for name in ("q", "v", "a", "lam", "z", "u")]
         p = np.tile(values["p"][:, None], count)
-        return [
-            *map(
-                np.array,
-                self.stage.map(count)(*own, p, mesh.times[None], values["mu"], self.sides_at(mesh.grid, len(self.c))),
-            )
-        ]
+        given = *own, p, mesh.times[None], values["mu"], self.sides_at(mesh.grid, len(self.c))
+        return list(map(np.array, self.stage.map(count)(*given)))
 
     @property
     def _length(self) -> float:
@@ -796,9 +783,8 @@ class Transcription:
         the joints and, at the start or the end of a phase, a `node` from 0 on, the values that the spec gives.
         """
         system = self.system
-        asked = (
-            [] if node is None else [x for x, low, high in (self._initial, *self._ends)[node].values() if low == high]
-        )
+        wanted = {} if node is None else (self._initial, *self._ends)[node]
+        asked = [x for x, low, high in wanted.values() if low == high]
         known = system.z[np.flatnonzero(~self._is_free).tolist()] if node == 0 else ca.SX(0, 1)
         rows = ca.vertcat(*system.constraints(*system.symbols.values())[:2], *asked, known)
         slopes = ca.jacobian(rows, ca.vertcat(system.q, system.v, system.z, system.t))

@@ -17,7 +17,7 @@ def mbdkit_integrators() -> list[IntegratorPlugin]:
             options=Target("mbdkit_radau.radau:RadauOptions"),
             create=Target("mbdkit_radau.radau:Radau"),
             claims=Target("mbdkit_radau.radau:claims"),
-            references=Target("mbdkit_radau.radau:REFERENCES"),
+            references=Target("mbdkit_radau.coefficients:REFERENCES"),
             dense_output=True,
         )
     ]

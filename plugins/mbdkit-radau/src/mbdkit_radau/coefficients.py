@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import mpmath
@@ -12,10 +13,7 @@ import mbdkit
 from mbdkit.plugin import collocation
 from mbdkit.plugin.methods import collocation_polynomials
 
-HAIRER_WANNER = """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 DIGITS = 75
 
 
@@ -59,7 +57,7 @@ def tableau(s: int) -> mbdkit.ButcherTableau:
         difference = mpmath.taylor(lambda x: mpmath.legendre(s, x) - mpmath.legendre(s - 1, x), 0, s)
         roots = sorted(mpmath.re(x) for x in mpmath.polyroots(difference[::-1], maxsteps=200, extraprec=200))
         nodes = [(1 + x) / 2 for x in roots[:-1]] + [mpmath.mpf(1)]
-    return collocation(f"radau-iia-{s}", nodes, order=2 * s - 1, reference=HAIRER_WANNER)
+    return collocation(f"radau-iia-{s}", nodes, order=2 * s - 1, reference=REFERENCES[1])
 
 
 @cache

@@ -26,21 +26,8 @@ import mbdkit
 from mbdkit.plugin import IterationMatrixWithStates, Orders
 from mbdkit.plugin.methods import ControlledOptions, lagrange
 from mbdkit.plugin.seams import integrator_claims, integrator_method
-from mbdkit_radau.coefficients import HAIRER_WANNER, coefficients
+from mbdkit_radau.coefficients import coefficients
 
-REFERENCES = (
-    """@article{hairer1999,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Stiff differential equations solved by {R}adau methods},
-  journal = {Journal of Computational and Applied Mathematics}, volume = {111}, pages = {93--111}, year = {1999},
-  doi = {10.1016/S0377-0427(99)00134-X}}""",
-    HAIRER_WANNER,
-    """@article{gear1985,
-  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
-  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
-  journal = {Journal of Computational and Applied Mathematics},
-  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}""",
-)
 #: Rates of convergence below and above which the order changes, and the steps after a decrease during which it does not
 #: increase; all from Hairer and Wanner (1999) and their code RADAU.
 RAISED, LOWERED, WAIT = 0.002, 0.8, 10

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -24,18 +25,7 @@ import mbdkit
 from mbdkit.plugin import Method, SciPySolver
 from mbdkit.plugin.seams import integrator_claims, integrator_method
 
-REFERENCES = (
-    """@article{hindmarsh2005,
-  author = {Hindmarsh, Alan C. and Brown, Peter N. and Grant, Keith E. and Lee, Steven L. and Serban, Radu and
-    Shumaker, Dan E. and Woodward, Carol S.},
-  title = {{SUNDIALS}: Suite of nonlinear and differential/algebraic equation solvers},
-  journal = {ACM Transactions on Mathematical Software}, volume = {31}, pages = {363--396}, year = {2005},
-  doi = {10.1145/1089014.1089020}}""",
-    """@article{randall2024,
-  author = {Randall, Corey R.},
-  title = {scikit-{SUNDAE}: {P}ython bindings to {SUNDIALS} differential algebraic equation solvers},
-  year = {2024}, doi = {10.11578/dc.20241104.3}}""",
-)
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text(encoding="utf-8").strip().split("\n\n"))
 
 Rates = Callable[[float, np.ndarray], np.ndarray]
 
@@ -79,26 +69,15 @@ class SundialsSolver(OdeSolver, ABC):  # type: ignore[misc]
     t: float
     y: np.ndarray
 
-    def __init__(
-        self,
-        fun: Rates,
-        t0: float,
-        y0: np.ndarray,
-        t_bound: float,
-        *,
-        jac: Rates,
-        family: str,
-        max_order: int,
-        **options: Any,
-    ):
+    def __init__(self, fun: Rates, t0: float, y0: np.ndarray, t_bound: float, *, jac: Rates, **options: Any):
         super().__init__(fun, t0, y0, t_bound, vectorized=False)
-        self.jac, self.family, self.max_order = jac, family, max_order
+        self.jac = jac
         self.solver = self.new_solver(options)
         self.start(y0)
 
     @abstractmethod
     def new_solver(self, options: dict[str, Any]) -> Any:
-        """Return the SUNDIALS solver with the given tolerances and first step."""
+        """Return the SUNDIALS solver with the given tolerances, first step, order and formulas."""
 
     def start(self, y0: np.ndarray) -> None:
         """Pass the initial values to the solver."""
@@ -131,8 +110,7 @@ class Cvode(SundialsSolver):
         def jacobian(t: float, y: np.ndarray, yp: np.ndarray, out: np.ndarray) -> None:
             out[:] = self.jac(t, y)
 
-        order = {"max_order": self.max_order} if self.family == "BDF" else {}
-        return CVODE(rates, jacfn=jacobian, method=self.family, **order, **options)
+        return CVODE(rates, jacfn=jacobian, **options)
 
 
 class Ida(SundialsSolver):
@@ -147,7 +125,7 @@ class Ida(SundialsSolver):
         def matrix(t: float, y: np.ndarray, yp: np.ndarray, res: np.ndarray, c: float, out: np.ndarray) -> None:
             out[:] = c * np.eye(len(y)) - self.jac(t, y)
 
-        return IDA(residual, jacfn=matrix, max_order=self.max_order, **options)
+        return IDA(residual, jacfn=matrix, **options)
 
     def start(self, y0: np.ndarray) -> None:
         """Pass the initial values and rates to the solver."""
@@ -157,8 +135,9 @@ class Ida(SundialsSolver):
 def _create(solver: type[SundialsSolver]) -> Callable[[SundialsOptions], Method]:
     @integrator_method
     def create(chosen: SundialsOptions) -> SciPySolver:
-        family = getattr(chosen, "family", "BDF")
-        configured: Any = partial(solver, family=family, max_order=chosen.max_order)
+        family = {"method": chosen.family} if isinstance(chosen, CvodeOptions) else {}
+        order = {"max_order": chosen.max_order} if family.get("method") != "Adams" else {}
+        configured: Any = partial(solver, **family, **order)
         return SciPySolver(configured, chosen.rtol, chosen.atol, needs_jacobian=True)
 
     return create
