@@ -279,9 +279,7 @@ def _weights(time: np.ndarray, at: np.ndarray, uses_accelerations: bool) -> tupl
     ends of steps.
     """
     count, axes = len(time), 3 if uses_accelerations else 2
-    unit = np.zeros((axes, count, axes * count))
-    for axis in range(axes):
-        unit[axis, :, axis * count : (axis + 1) * count] = np.eye(count)
+    unit = np.eye(axes * count).reshape(axes, count, -1)
     ends = StepEnds(time, unit[0], unit[1], unit[2] if uses_accelerations else None)
     return tuple(np.split(x, axes, axis=1) for x in ends.at(at))  # type: ignore[return-value]
 
