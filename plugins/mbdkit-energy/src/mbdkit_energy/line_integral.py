@@ -76,15 +76,9 @@ def polynomials(k: int, s: int) -> Polynomials:
     nodes, weights = gauss_on_unit(k)
     on_nodes = legendre.legvander(2 * nodes - 1, s)
     norms = np.sqrt(2 * np.arange(s) + 1)
-    integrals = np.empty((k, s))
-    integrals[:, 0] = nodes
-    for j in range(1, s):
-        integrals[:, j] = (on_nodes[:, j + 1] - on_nodes[:, j - 1]) / (2 * norms[j])
-    coupling = np.zeros((s, s))
-    coupling[0, 0] = 0.5
-    for j in range(1, s):
-        coupling[j, j - 1] = 0.5 / np.sqrt(4 * j**2 - 1)
-        coupling[j - 1, j] = -coupling[j, j - 1]
+    integrals = np.column_stack([nodes, (on_nodes[:, 2:] - on_nodes[:, :-2]) / (2 * norms[1:])])
+    beside = 0.5 / np.sqrt(4 * np.arange(1, s) ** 2 - 1)
+    coupling = np.diag([0.5] + [0.0] * (s - 1)) + np.diag(beside, -1) - np.diag(beside, 1)
     roots, right = np.linalg.eig(coupling)
     left = np.linalg.inv(right)
     modes: list[tuple[complex, np.ndarray, np.ndarray]] = []

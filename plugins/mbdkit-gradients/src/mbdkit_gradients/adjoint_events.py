@@ -17,8 +17,7 @@ from mbdkit.quantities.states import States
 from mbdkit_gradients.adjoint_measures import Bars, Columns, NotByAdjointError
 from mbdkit_gradients.derived_values import DerivedValue
 from mbdkit_gradients.differentiated_run import PassedEvent
-from mbdkit_gradients.differentiated_states import series_of
-from mbdkit_gradients.evaluated_states import nearby, rate_of
+from mbdkit_gradients.differentiated_states import nearby, rate_of, series_of
 
 #: Returns the states with these times (T,), positions and velocities (T, n + 3).
 MakeStates = Callable[[np.ndarray, np.ndarray, np.ndarray], States]

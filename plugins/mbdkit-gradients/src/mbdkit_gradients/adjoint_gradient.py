@@ -43,7 +43,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.adjoint_events import AdjointEvent
 from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, Nodes, NotByAdjointError
 from mbdkit_gradients.differentiated_run import Needs, PassedEvent, events_of
-from mbdkit_gradients.evaluated_states import nearby
+from mbdkit_gradients.differentiated_states import nearby
 from mbdkit_gradients.kernels import adjoint as kernels
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
 from mbdkit_gradients.measured_derivatives import DerivedMeasure
@@ -337,9 +337,7 @@ def _weights(time: np.ndarray, at: np.ndarray, uses_accelerations: bool) -> tupl
     ends of steps.
     """
     count, axes = len(time), 3 if uses_accelerations else 2
-    unit = np.zeros((axes, count, axes * count))
-    for axis in range(axes):
-        unit[axis, :, axis * count : (axis + 1) * count] = np.eye(count)
+    unit = np.eye(axes * count).reshape(axes, count, -1)
     ends = StepEnds(time, unit[0], unit[1], unit[2] if uses_accelerations else None)
     return tuple(np.split(x, axes, axis=1) for x in ends.at(at))  # type: ignore[return-value]
 

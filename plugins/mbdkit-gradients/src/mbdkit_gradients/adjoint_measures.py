@@ -22,7 +22,7 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_motion import Peak
 from mbdkit_gradients.derived_values import DerivedValue
 from mbdkit_gradients.differentiated_run import DifferentiatedCrossing, PassedEvent
-from mbdkit_gradients.evaluated_states import rate_of
+from mbdkit_gradients.differentiated_states import rate_of
 from mbdkit_gradients.measured_derivatives import DerivedMeasure, MeasureEvaluation
 
 

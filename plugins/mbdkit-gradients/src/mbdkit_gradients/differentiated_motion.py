@@ -16,13 +16,12 @@ import numpy as np
 from mbdkit.engine.native.number_arrays import Duals, new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
-from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.quantities.names import archive_names
+from mbdkit.runs.continuous_functionals import beside_stop
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit.runs.step_interpolation import StepEnds
-from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, merged_states
-from mbdkit_gradients.evaluated_states import StateEvaluator
-from mbdkit_gradients.sided_stepper import LawCorner, SidedStepper
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, joined_states, merged_states
+from mbdkit_gradients.sided_stepper import LawCorner, SidedStepper, sides_of, use_sides
 
 
 @dataclass
@@ -60,7 +59,6 @@ class DifferentiatedMotion:
 
     def __init__(self, stepper: DifferentiatedStepper, evaluator: StateEvaluator, *, uses_accelerations: bool):
         self._stepper, self._evaluator, self._uses_accelerations = stepper, evaluator, uses_accelerations
-        self._sided = stepper if isinstance(stepper, SidedStepper) else None
         self._corners = 0
         self._parts = [_Part()]
         self._begin_at(stepper.time, *self._state())
@@ -77,26 +75,15 @@ class DifferentiatedMotion:
         """Begin a new part of the motion. If the last part has no step, the new part replaces it."""
         if len(self._parts[-1].time) < 2:
             self._parts.pop()
-        law_sides = None if self._sided is None else self._sided.sides if corner is None else corner.sides
-        part = _Part(corner, law_sides, (self._beside_stop(time, 1.0), np.inf))
+        law_sides = sides_of(self._stepper) if corner is None else corner.sides
+        part = _Part(corner, law_sides, (beside_stop(self._stepper.timetable, time, 1.0), np.inf))
         part.add(time, q, v)
         self._parts.append(part)
-
-    def _beside_stop(self, time: float, side: float) -> float:
-        """Return the time just before (`side` -1) or after (1) the discontinuity of a motion at `time`.
-
-        Without a discontinuity, the result is -side * inf.
-        """
-        table = self._stepper.timetable
-        for stop, margin in zip(table.stops, table.stop_margins, strict=True):
-            if abs(time - stop) <= SAME_TIME * margin:
-                return stop + side * margin
-        return -side * np.inf
 
     def add(self) -> None:
         """Add the corners (discontinuities of force laws) that the last step has passed, and the end of this step."""
         reached = self._stepper.time
-        for corner in [] if self._sided is None else self._sided.corners[self._corners :]:
+        for corner in self._stepper.corners[self._corners :] if isinstance(self._stepper, SidedStepper) else ():
             self._corners += 1
             time, before, after = float(corner.before.time[0]), corner.before, corner.after
             if time > self._parts[-1].time[-1]:
@@ -109,7 +96,7 @@ class DifferentiatedMotion:
 
     def _add_end(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
         self._parts[-1].add(time, q, v)
-        end = self._beside_stop(time, -1.0)
+        end = beside_stop(self._stepper.timetable, time, -1.0)
         if np.isfinite(end):
             self._parts[-1].sides = self._parts[-1].sides[0], end
             self._begin_at(time, q, v)
@@ -123,7 +110,7 @@ class DifferentiatedMotion:
     def parts(self) -> Sequence[DifferentiatedPart]:
         """The parts of the motion."""
         whole = [part for part in self._parts if len(part.time) > 1]
-        return [DifferentiatedPart(part, self._sided, self._evaluator, self._uses_accelerations) for part in whole]
+        return [DifferentiatedPart(part, self._stepper, self._evaluator, self._uses_accelerations) for part in whole]
 
 
 class DifferentiatedPart:
@@ -137,8 +124,10 @@ class DifferentiatedPart:
         The discontinuity of a force law at which this part begins; None if there is none.
     """
 
-    def __init__(self, part: _Part, sided: SidedStepper | None, evaluator: StateEvaluator, uses_accelerations: bool):
-        self._evaluator, self._sided, self._law_sides = evaluator, sided, part.law_sides
+    def __init__(
+        self, part: _Part, stepper: DifferentiatedStepper, evaluator: StateEvaluator, uses_accelerations: bool
+    ):
+        self._evaluator, self._stepper, self._law_sides = evaluator, stepper, part.law_sides
         self.corner, self._sides = part.before, part.sides
         time, q, v = np.array(part.time), np.array(part.q), np.array(part.v)
         accelerations = self._evaluated(time, q, v).observed.acc if uses_accelerations else None
@@ -151,12 +140,8 @@ class DifferentiatedPart:
     @property
     def plain(self) -> MotionPart:
         """The motion without derivatives, with the sides of force laws that apply in this part."""
-        self._use()
+        use_sides(self._stepper, self._law_sides)
         return self._plain
-
-    def _use(self) -> None:
-        if self._sided is not None and self._law_sides is not None:
-            self._sided.set_sides(self._law_sides)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -168,7 +153,7 @@ class DifferentiatedPart:
         return self._evaluated(time, *self._ends.at(time))
 
     def _evaluated(self, time: np.ndarray, q: np.ndarray, v: np.ndarray) -> DifferentiatedStates:
-        self._use()
+        use_sides(self._stepper, self._law_sides)
         return self._evaluator.states(np.clip(time, *self._sides), _whole(q), _whole(v), new_duals(len(time), 0))
 
 

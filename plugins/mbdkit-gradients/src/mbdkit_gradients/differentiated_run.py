@@ -24,10 +24,17 @@ from mbdkit.runs.watched_events import watch_events
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.differentiated_expressions import slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion
-from mbdkit_gradients.differentiated_states import DifferentiatedStates, joined_states, one_after_another, series_of
-from mbdkit_gradients.evaluated_states import StateEvaluator, nearby, rate_of
+from mbdkit_gradients.differentiated_states import (
+    DifferentiatedStates,
+    StateEvaluator,
+    joined_states,
+    nearby,
+    one_after_another,
+    rate_of,
+    series_of,
+)
 from mbdkit_gradients.law_corners import doubts_of_kinds, with_sides, with_unknown_corners
-from mbdkit_gradients.sided_stepper import SidedStepper
+from mbdkit_gradients.sided_stepper import SidedStepper, sides_of, use_sides
 
 
 @dataclass(frozen=True)
@@ -262,20 +269,20 @@ class _Pass:
         waiting, at_events = list(events), []
         last: tuple[float, Moment, np.ndarray] | None = None
         while not (stepper.finished or stepper.failure):
-            sides = None if self._sided is None else self._sided.sides
+            sides = sides_of(stepper)
             stretch = stepper.advance()
             step = stepper.last_step
             while waiting and step is not None and last is None and waiting[0].time <= step.t1:
                 event = waiting.pop(0)
                 theta = min(1.0, (event.time - step.t0) / (step.t1 - step.t0))
-                now = None if self._sided is None else self._sided.sides
-                self._use(sides)
+                now = sides_of(stepper)
+                use_sides(stepper, sides)
                 if event.stops:
                     last = stepper.cut_with_derivatives(theta)
                     at_events.append(_AtEvent(last[1], sides))
                 else:
                     at_events.append(_AtEvent(stepper.derivatives_within(theta), sides))
-                    self._use(now)
+                    use_sides(stepper, now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
             if self.motion is not None and last is None:
                 self.motion.add()
@@ -285,10 +292,6 @@ class _Pass:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
         return self._observed(np.concatenate(times), last, events, at_events)
-
-    def _use(self, sides: np.ndarray | None) -> None:
-        if self._sided is not None and sides is not None:
-            self._sided.set_sides(sides)
 
     def _observed(
         self,
@@ -374,7 +377,7 @@ class _Pass:
         parts = []
         for begin, end, (_, sides) in zip(begins, [*begins[1:], len(time)], history, strict=True):
             if end > begin:
-                self._use(sides)
+                use_sides(self.stepper, sides)
                 part = slice(begin, end)
                 some = (None if x is None else x[part] for x in arrays)
                 parts.append(self._evaluator.states(time[part], *some))  # type: ignore[arg-type]
@@ -413,7 +416,7 @@ class _Pass:
                 "the time of this event has no derivative: its expression jumps there from one sign to the other",
                 key=path_text(("events", event.name, "when")),
             )
-        self._use(at.sides)
+        use_sides(self.stepper, at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, f"events.{event.name}")
         try:

@@ -116,11 +116,10 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
             raise refused(f"'{name}' is the expression '{value}'; {way}")
         return Parameter(name, ("parameters", name), float(value))
     path = parse_key(name)
-    if path[:1] == ("parameters",) and len(path) == 2:
-        if path[1] in spec.parameters:
-            return _resolved(spec, data, str(path[1]))
-        raise _unknown(list(spec.parameters), name)
-    if len(path) < 2:
+    is_named = path[:1] == ("parameters",) and len(path) == 2
+    if is_named and path[1] in spec.parameters:
+        return _resolved(spec, data, str(path[1]))
+    if is_named or len(path) < 2:
         raise _unknown(list(spec.parameters), name)
     if path[0] != "model":
         raise refused(
@@ -130,9 +129,7 @@ def _resolved(spec: ModelSpec, data: dict[str, Any], name: str) -> Parameter:
     holder: Any = data
     for i, key in enumerate(path):
         part = int(key) if isinstance(holder, list) and str(key).isdecimal() else key
-        known = (
-            list(range(len(holder))) if isinstance(holder, list) else list(holder) if isinstance(holder, dict) else []
-        )
+        known = range(len(holder)) if isinstance(holder, list) else holder if isinstance(holder, dict) else ()
         if part not in known:
             where = path_text(path[:i])
             hint = did_you_mean(str(part), [one for one in known if isinstance(one, str)])

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.force_laws import CompiledLaw, bind_law
+from mbdkit.engine.force_laws import bind_law
 from mbdkit.engine.friction_forces import PIN, SLIDE
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
@@ -158,7 +158,8 @@ def with_sides(mechanism: CompiledMechanism) -> SidedMechanism | None:
             )
         rows[row, 1] = len(values)
         sides = {SIDE.format(i): 1.0 for i in range(len(own.conditions))}
-        bound, _ = bind_law(own.law, _named(compiled, given) | sides, name)
+        named = zip((parameter for parameter, _ in compiled.parameters), given[1:].tolist(), strict=True)
+        bound, _ = bind_law(own.law, dict(named) | sides, name)
         rows[row, LAW_ROW.address], rows[row, LAW_ROW.program], laws[row] = bound.address, bound.program, (name, bound)
         names = [parameter for parameter, _ in bound.parameters]  # in alphabetical order
         own_places = np.array([k for k, one in enumerate(names) if one not in sides], dtype=np.int64)
@@ -208,10 +209,6 @@ def doubts_of_kinds(mechanism: CompiledMechanism) -> tuple[str, ...]:
     """Return what the kinds of elements doubt about derivatives of runs."""
     every = ((handle, kind.derivatives.doubts) for handle, kind in mechanism.kinds())
     return tuple(text for handle, doubts in every if doubts is not None for text in gradient_doubts.of(doubts)(handle))
-
-
-def _named(compiled: CompiledLaw, given: np.ndarray) -> dict[str, float]:
-    return dict(zip((name for name, _ in compiled.parameters), given[1:].tolist(), strict=True))
 
 
 @cache

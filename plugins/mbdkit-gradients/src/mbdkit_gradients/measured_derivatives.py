@@ -406,9 +406,9 @@ class MeasureEvaluation(DoubtedMeasure):
         rows, at = self.run.rows.time, float(time.value.reshape(-1)[0])
         if not rows[0] <= at <= rows[-1]:
             return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
-        if functional is None or not self.run.motions:
-            return self._between_rows(at, time, operand)
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
+        if functional is None or not self.run.motions:
+            return self._between_rows(at, moved, operand)
         before, after = (self._part_at(replace(functional, reduction=name), at) for name in ("at", "after"))
         number, is_after = (after, True) if functional.reduction == "after" else (before, False)
         if number is None:
@@ -453,15 +453,14 @@ class MeasureEvaluation(DoubtedMeasure):
         _, rate, _ = self._limit(number, Peak(np.nan, at), index, side)
         return DerivedValue(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 
-    def _between_rows(self, at: float, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
-        """Return an operand at a time, interpolated linearly between the neighbouring rows."""
+    def _between_rows(self, at: float, moved: np.ndarray, operand: DerivedValue) -> DerivedValue:
+        """Return an operand at a time, interpolated linearly between the neighbouring rows; see `_on_part`."""
         rows = self.run.rows.time
         k = int(np.clip(np.searchsorted(rows, at, side="right") - 1, 0, len(rows) - 2))
         share = (at - rows[k]) / (rows[k + 1] - rows[k])
         rate = (operand.value[..., k + 1] - operand.value[..., k]) / (rows[k + 1] - rows[k])
         value = (1.0 - share) * operand.value[..., k] + share * operand.value[..., k + 1]
         slope = (1.0 - share) * operand.slope[..., k] + share * operand.slope[..., k + 1]
-        moved = time.slope.reshape(self.count, time.value.size)[:, 0]
         if k == len(rows) - 2:  # the time of the last row depends on the parameters
             moved = moved - share * self.run.end
         slope = slope + np.multiply.outer(moved, rate)

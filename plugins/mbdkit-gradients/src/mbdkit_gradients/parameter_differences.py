@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from math import prod
 
 import numpy as np
 
@@ -363,11 +364,8 @@ def _slope_of_line(base: np.ndarray, points: Mapping[int, tuple[float, np.ndarra
 @cache
 def weights(places: tuple[int, ...]) -> tuple[float, ...]:
     """Return the weights of ``f(x) - f(0)`` in the derivative at 0 of the polynomial through 0 and all positions."""
-    found = []
-    for place in places:
-        weight = Fraction(1, place)
-        for other in places:
-            if other != place:
-                weight *= Fraction(-other, place - other)
-        found.append(float(weight))
-    return tuple(found)
+
+    def weight(place: int) -> Fraction:
+        return prod((Fraction(-other, place - other) for other in places if other != place), start=Fraction(1, place))
+
+    return tuple(float(weight(place)) for place in places)

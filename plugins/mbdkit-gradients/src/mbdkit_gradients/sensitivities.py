@@ -181,9 +181,8 @@ class PreparedSensitivities:
         self.quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
         self.time = _times(spec, times)
         self.sorted, self._places = np.unique(self.time, return_inverse=True)
-        plain = [name for name in names if not name.startswith(f"{INITIAL}.")]
-        known = {one.name: one for one in resolved(spec, plain)} if plain else {}
-        self.parameters = tuple(known[name] if name in known else self._initial(name) for name in names)
+        self._names = names
+        self.parameters = tuple(self._valued(spec, self.initial))
         self._expressions = self._parsed(spec)
         self._uses_parameters = bool(set().union(*map(names_in, self.quantities)) & spec.parameters.keys())
         self.units = tuple(_unit(text, spec) for text in self.quantities)
@@ -199,13 +198,6 @@ class PreparedSensitivities:
     @cached_property
     def _prepared(self) -> Any:  # a `PreparedRun`, of a part above
         return higher_layers.prepared_run(self.spec)
-
-    def _initial(self, name: str) -> Parameter:
-        quantity = name.removeprefix(f"{INITIAL}.")
-        if quantity not in self.initial:
-            hint = did_you_mean(quantity, list(self.initial)) or f"; `initial` has {listed([*self.initial]) or 'none'}"
-            raise SpecError(f"there is no initial value of '{quantity}'{hint}", key="parameters")
-        return Parameter(name, (INITIAL, quantity), float(self.initial[quantity]))
 
     def _parsed(self, spec: RunSpec) -> list[RunExpression]:
         found = []
@@ -262,16 +254,17 @@ class PreparedSensitivities:
             found = self.values(values, initial)
             names = self.quantities, self.units, (), self.time
             return Sensitivities(*names, found, np.zeros((*found.shape, 0)), self.differences, np.zeros(0))
+        exact, some = None, self._places
         if not self.differences:
             try:
-                found, slopes, error = self._exact(plain, start)
-                return self._made(found, slopes, "", error)
+                exact = self._exact(plain, start)
             except SpecError as failure:
                 if failure.key != "gradients":
                     raise
                 self.differences = failure.message.rstrip(".")
-        found, slopes, error = self._by_differences(plain, start)
-        return self._made(found, slopes, self.differences, error)
+        found, slopes, error = exact or self._by_differences(plain, start)
+        names = self.quantities, self.units, tuple(parameter.name for parameter in self.parameters), self.time
+        return Sensitivities(*names, found[:, some], slopes[:, some], self.differences, error)
 
     def values(self, values: Mapping[str, float], initial: Mapping[str, float] | None = None) -> np.ndarray:
         """Return the quantities (Q, T) without derivatives; see `at`."""
@@ -293,13 +286,6 @@ class PreparedSensitivities:
             else:
                 plain[name] = float(value)
         return plain, start
-
-    def _made(self, values: np.ndarray, slopes: np.ndarray, why: str, error: np.ndarray) -> Sensitivities:
-        names = tuple(parameter.name for parameter in self.parameters)
-        some = self._places
-        return Sensitivities(
-            self.quantities, self.units, names, self.time, values[:, some], slopes[:, some], why, error
-        )
 
     # ---- exact derivatives -----------------------------------------------------------------------------------------
 
@@ -346,12 +332,9 @@ class PreparedSensitivities:
 
     def _valued(self, spec: RunSpec, start: Mapping[str, float]) -> list[Parameter]:
         """Return the parameters with their present values."""
-        plain = [one.name for one in self.parameters if one.path[0] != INITIAL]
-        known = {one.name: one for one in resolved(spec, plain)} if plain else {}
-        return [
-            known[one.name] if one.name in known else Parameter(one.name, one.path, start[str(one.path[1])])
-            for one in self.parameters
-        ]
+        plain = [name for name in self._names if not name.startswith(f"{INITIAL}.")]
+        known = dict(zip(plain, resolved(spec, plain), strict=True)) if plain else {}
+        return [known[name] if name in known else _initial(name, start) for name in self._names]
 
     def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
         """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
@@ -434,6 +417,14 @@ def is_smooth(spec: RunSpec) -> bool:
     if setup.timetable().stops or mechanism.state_names() or mechanism.held_names():
         return False
     return spec.claims.adaptive or with_sides(setup.workspace.mechanism) is None
+
+
+def _initial(name: str, start: Mapping[str, float]) -> Parameter:
+    quantity = name.removeprefix(f"{INITIAL}.")
+    if quantity not in start:
+        hint = did_you_mean(quantity, list(start)) or f"; `initial` has {listed([*start]) or 'none'}"
+        raise SpecError(f"there is no initial value of '{quantity}'{hint}", key="parameters")
+    return Parameter(name, (INITIAL, quantity), float(start[quantity]))
 
 
 def _is_kinematic(expression: RunExpression) -> bool:

@@ -26,8 +26,7 @@ from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run.run_state import MODIFIED
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
-from mbdkit_gradients.differentiated_states import DifferentiatedStates
-from mbdkit_gradients.evaluated_states import StateEvaluator, rate_of
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import ForceCondition
 
 PLACES = (0.25, 0.5, 0.75, 1.0)  #: Shares of a step at which conditions are evaluated.
@@ -75,6 +74,17 @@ class LawCorner:
     after: DifferentiatedStates
     slope: np.ndarray
     sides: np.ndarray
+
+
+def sides_of(stepper: DifferentiatedStepper) -> np.ndarray | None:
+    """Return the sides (C,) that the laws of a run use; None if its mechanism has none."""
+    return stepper.sides if isinstance(stepper, SidedStepper) else None
+
+
+def use_sides(stepper: DifferentiatedStepper, sides: np.ndarray | None) -> None:
+    """Use the given sides from now on in a run; None changes nothing."""
+    if isinstance(stepper, SidedStepper) and sides is not None:
+        stepper.set_sides(sides)
 
 
 class SidedStepper(DifferentiatedStepper):

@@ -17,9 +17,8 @@ from mbdkit.integrators.duals.dual_run import constants
 from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.runs.step_interpolation import StepEnds
-from mbdkit_gradients.differentiated_states import DifferentiatedStates, one_after_another
-from mbdkit_gradients.evaluated_states import StateEvaluator
-from mbdkit_gradients.sided_stepper import SidedStepper
+from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, one_after_another
+from mbdkit_gradients.sided_stepper import SidedStepper, use_sides
 
 Way = Literal["rows", "ends", "within"]
 
@@ -173,7 +172,6 @@ class DifferentiatedRunAtTimes(RunAtTimes):
     def __init__(self, stepper: DifferentiatedStepper, count: int, way: Way, *, uses_accelerations: bool):
         super().__init__(stepper, stepper.workspace, way, uses_accelerations=uses_accelerations)
         self._evaluator, self._width = StateEvaluator(stepper.steps, count), 1 + count
-        self._sided = stepper if isinstance(stepper, SidedStepper) else None
 
     def _at_start(self) -> Moment:
         run = self.stepper.steps.run
@@ -185,29 +183,26 @@ class DifferentiatedRunAtTimes(RunAtTimes):
 
     def _moment(self, share: float, sides: Sides) -> Moment:
         after = self._here()
-        self._use(sides)
+        use_sides(self.stepper, sides)
         moment = self.stepper.derivatives_within(share)
-        self._use(after)
+        use_sides(self.stepper, after)
         return moment
 
     def _here(self) -> Sides:
-        return None if self._sided is None else self._sided.history[-1].sides
+        return self.stepper.history[-1].sides if isinstance(self.stepper, SidedStepper) else None
 
     def _sides(self, places: np.ndarray) -> Sequence[Sides]:
-        if self._sided is None:
-            return [None] * len(places)
-        begins = [one.rows + 1 for one in self._sided.history[1:]]
-        return [self._sided.history[k].sides for k in np.searchsorted(begins, places, side="right")]
-
-    def _use(self, sides: Sides) -> None:
-        if self._sided is not None and sides is not None:
-            self._sided.set_sides(sides)
+        if not isinstance(self.stepper, SidedStepper):
+            return super()._sides(places)
+        history = self.stepper.history
+        begins = [one.rows + 1 for one in history[1:]]
+        return [history[k].sides for k in np.searchsorted(begins, places, side="right")]
 
     def _states(
         self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray, sides: Sides, *, is_kinematic: bool
     ) -> DifferentiatedStates:
         def observe() -> Observed:
-            self._use(sides)
+            use_sides(self.stepper, sides)
             # kernels evaluate states with equal first-order states together, on which motion alone does not depend
             states = new_duals(len(time), 0) if is_kinematic else z
             own_q, own_v = (constants(x[..., 0], x[..., 1:]) for x in (q, v))

@@ -12,8 +12,7 @@ import mbdkit
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.measured_quantities import ATTRIBUTES
 from mbdkit.spec import RunSpec, load_spec
-from mbdkit_gradients.differentiated_states import require_derivative
-from mbdkit_gradients.evaluated_states import StateEvaluator
+from mbdkit_gradients.differentiated_states import StateEvaluator, require_derivative
 
 FUNCTIONS = (
     "max(sin(rod1.angle), cos(rod2.angle)) - min(0.3, sin(rod1.angle))",

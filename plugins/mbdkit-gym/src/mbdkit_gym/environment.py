@@ -80,9 +80,7 @@ class Environment(gymnasium.Env[Array, NDArray[np.float32]]):
         self.action_space, self.observation_space = definition.action_space, definition.observation_space
         self._frames = None
         if render_mode == "rgb_array":
-            from mbdkit_gym.frames import Frames  # Matplotlib takes long to import
-
-            self._frames = Frames(definition)
+            self._frames = _Frames(definition)
         self._episodes = Episodes(definition, 1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
@@ -108,3 +106,27 @@ class Environment(gymnasium.Env[Array, NDArray[np.float32]]):
     def close(self) -> None:
         """Give up the simulation."""
         self._episodes.simulations.close()
+
+
+class _Frames:
+    """Draws states of the mechanism of an environment; adds the poses of the bodies to what is read."""
+
+    def __init__(self, definition: Definition):
+        from mbdkit.plugin.reports import PosePictures  # Matplotlib takes long to import
+
+        mechanism = definition.spec.mechanism()
+        self._pictures = PosePictures(mechanism, definition.spec.title or "")
+        self._columns = []
+        for number, (name, body) in enumerate(mechanism.bodies.items()):
+            axes = ("x", "y") if body.inertia is None else ("x", "y", "angle")
+            for axis, coordinate in enumerate(axes):
+                self._columns.append((number, axis, len(definition.expressions)))
+                definition.expressions.append(f'bodies["{name}"].{coordinate}')
+        self._bodies = len(mechanism.bodies)
+
+    def picture(self, values: np.ndarray) -> NDArray[np.uint8]:
+        """Return the picture of a state, (height, width, 3), from the values of all expressions that are read."""
+        pose = np.zeros((self._bodies, 3))
+        for body, axis, column in self._columns:
+            pose[body, axis] = values[column]
+        return self._pictures.draw(pose)

@@ -6,36 +6,27 @@ from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
 mbdkit_api = {"methods": 1}
 
+#: What each of the methods is.
+KINDS = {
+    "hem4": "half-explicit, index 2, 5 stages, order 4",
+    "hem5": "half-explicit, index 2, 8 stages, order 5",
+    "phem56": "partitioned half-explicit, index 2, 6 stages, order 5",
+}
+
 
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Register the methods, whose code is imported when a spec names them."""
+    code = "mbdkit_half_explicit.methods"
     return [
         IntegratorPlugin(
-            name="hem4",
-            summary="HEM4: half-explicit, index 2, 5 stages, order 4, fixed or adaptive steps.",
+            name=name,
+            summary=f"{name.upper()}: {kind}, fixed or adaptive steps.",
             options=Target("mbdkit.plugin.methods:ControlledOptions"),
-            create=Target("mbdkit_half_explicit.methods:create_hem4"),
-            claims=Target("mbdkit_half_explicit.methods:claims_of_hem4"),
-            references=Target("mbdkit_half_explicit.methods:REFERENCES_OF_HEM4"),
+            create=Target(f"{code}:create_{name}"),
+            claims=Target(f"{code}:claims_of_{name}"),
+            references=Target(f"{code}:REFERENCES_OF_{name.upper()}"),
             dense_output=True,
-        ),
-        IntegratorPlugin(
-            name="hem5",
-            summary="HEM5: half-explicit, index 2, 8 stages, order 5, fixed or adaptive steps.",
-            options=Target("mbdkit.plugin.methods:ControlledOptions"),
-            create=Target("mbdkit_half_explicit.methods:create_hem5"),
-            claims=Target("mbdkit_half_explicit.methods:claims_of_hem5"),
-            references=Target("mbdkit_half_explicit.methods:REFERENCES_OF_HEM5"),
-            dense_output=True,
-        ),
-        IntegratorPlugin(
-            name="phem56",
-            summary="PHEM56: partitioned half-explicit, index 2, 6 stages, order 5, fixed or adaptive steps.",
-            options=Target("mbdkit.plugin.methods:ControlledOptions"),
-            create=Target("mbdkit_half_explicit.methods:create_phem56"),
-            claims=Target("mbdkit_half_explicit.methods:claims_of_phem56"),
-            references=Target("mbdkit_half_explicit.methods:REFERENCES_OF_PHEM56"),
-            dense_output=True,
-        ),
+        )
+        for name, kind in KINDS.items()
     ]

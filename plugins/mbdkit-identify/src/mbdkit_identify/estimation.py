@@ -210,12 +210,9 @@ def _starts(problem: Problem, count: int, seed: int) -> list[np.ndarray]:
     low, high = problem.bounds
     bounded = np.flatnonzero(np.isfinite(low) & np.isfinite(high))
     points = qmc.Sobol(len(bounded), seed=seed).random_base2(int(np.ceil(np.log2(count - 1))) if count > 2 else 0)
-    found = [first]
-    for point in points[: count - 1]:
-        start = first.copy()
-        start[bounded] = low[bounded] + point * (high - low)[bounded]
-        found.append(start)
-    return found
+    found = np.tile(first, (count, 1))
+    found[1:, bounded] = low[bounded] + points[: count - 1] * (high - low)[bounded]
+    return list(found)
 
 
 def _why(problem: Problem, start: np.ndarray) -> str:

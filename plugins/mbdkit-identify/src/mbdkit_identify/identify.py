@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from copy import deepcopy
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +19,7 @@ from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
 from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.intervals import Goal, covariance_of, interval_of, quantile
-from mbdkit_identify.loading import load_identify_spec, spec_of_base
+from mbdkit_identify.loading import data_of, load_identify_spec, spec_of_base
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
 from mbdkit_identify.next_experiment import next_experiment
@@ -28,7 +27,7 @@ from mbdkit_identify.noise import Noise
 from mbdkit_identify.posterior import posterior
 from mbdkit_identify.probes import Probe, probe_sensitivities, probes_of, sensor_derivatives, sensor_probes
 from mbdkit_identify.problem import Problem
-from mbdkit_identify.segments import Unknown, segments_of
+from mbdkit_identify.segments import Unknown, segments_of, sensor_numbers
 
 EXACT, DIFFERENCES = 1e-9, 1e-6  #: Relative errors of exact derivatives and of central differences.
 #: Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated.
@@ -96,7 +95,6 @@ class _Identification:
     def result(self) -> Identification:
         """Return the result of all stages."""
         spec, problem = self.spec, self.problem
-        assert spec._document is not None
         self.fit = best_fit(problem, spec.starts, spec.seed, spec.loss, self.notify)
         if failed(self.fit):
             self.doubts.append(Doubt("", "runs fail at the best fit, so that the estimates mean nothing"))
@@ -119,7 +117,7 @@ class _Identification:
         is_bad = failed(self.fit)
         raw = problem.white(problem.predicted(self.fit.x) - problem.measured)
         return Identification(
-            spec=deepcopy(spec._document.data),
+            spec=data_of(spec),
             base=self.base_data(self.fit.x),
             level=spec.intervals.level,
             estimates=estimates,
@@ -205,11 +203,8 @@ class _Identification:
                 unknowns, segments, names = segments_of(self.spec, data)
                 other = Problem(unknowns, names, segments)
                 other.noises = problem.noises
-                jacobian = other.jacobian(x)
-                white = other.residuals(x)
-                free = self.fit.free
-                step = np.zeros(len(x))
-                step[free] = np.linalg.lstsq(jacobian[:, free], -white, rcond=1e-12)[0]
+                free, step = self.fit.free, np.zeros(len(x))
+                step[free] = np.linalg.lstsq(other.jacobian(x)[:, free], -other.residuals(x), rcond=1e-12)[0]
                 shifts.append(step)
         bias = np.mean(shifts, axis=0)
         spread = np.std(np.mean(np.reshape(shifts, (PERTURBATIONS, 2, -1)), axis=1), axis=0) / np.sqrt(PERTURBATIONS)
@@ -383,12 +378,10 @@ class _Identification:
     def _check(self, residuals: Sequence[Residuals]) -> None:
         """Add the doubts about the model: effects that the residuals ask for, and residuals that are not noise."""
         problem, x = self.problem, self.fit.x
-        gains = [one.sensor.gain for one in problem.data]
-        values = [float(x[problem.names[gain]]) if isinstance(gain, str) else gain for gain in gains]
-        turns = [
-            2.0 * np.pi * abs(gain) if one.quantity.endswith(".angle") else np.nan
-            for gain, one in zip(values, problem.data, strict=True)
-        ]
+        numbers = {name: float(x[place]) for name, place in problem.names.items()}
+        gains = [sensor_numbers(one.sensor, numbers)[0] for one in problem.data]
+        angles = [one.quantity.endswith(".angle") for one in problem.data]
+        turns = np.where(angles, 2.0 * np.pi * np.abs(gains), np.nan).tolist()
         fitted = [one for one in residuals if not one.is_hold_out]
         self.doubts += useless(fitted, turns, is_robust=self.spec.loss != "linear")
 
@@ -435,8 +428,7 @@ class _Identification:
     def base_data(self, x: np.ndarray) -> dict[str, Any]:
         """Return the base with unknowns x (n,) as plain data."""
         base = self.spec.run_spec
-        assert base._document is not None
-        data: dict[str, Any] = deepcopy(base._document.data)
+        data = data_of(base)
         for place, name in enumerate(self.names):
             path = variable_path(name)
             if name in base.parameters or path[0] != "parameters":

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from mbdkit.plugin import RunSpec, SpecError, did_you_mean, listed, path_text
 from mbdkit.plugin.seams import spec_loader, spec_schema
@@ -125,17 +126,19 @@ def base_of(spec: IdentifySpec, name: str, experiment: Experiment) -> RunSpec:
     SpecError
         If its overrides are not valid.
     """
-    document = spec.run_spec._document
-    assert document is not None
     if not experiment.overrides:
         return spec.run_spec
-    return overridden(document, deepcopy(document.data), experiment.overrides, ("experiments", name))
+    return overridden(spec.run_spec, data_of(spec.run_spec), experiment.overrides, ("experiments", name))
 
 
-def overridden(
-    document: Document, data: dict[str, object], overrides: Mapping[str, object], place: tuple[str, ...]
-) -> RunSpec:
-    """Return the base in a document with other `data`, in which dotted keys are set.
+def data_of(spec: RunSpec | IdentifySpec) -> dict[str, Any]:
+    """Return a copy of the data in the document of a spec."""
+    assert spec._document is not None
+    return deepcopy(spec._document.data)
+
+
+def overridden(base: RunSpec, data: dict[str, Any], overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
+    """Return a base with other `data`, in which dotted keys are set.
 
     Raises
     ------
@@ -146,7 +149,7 @@ def overridden(
         with SpecError.rekey(path_text((*place, "overrides", key))):
             put(data, parse_key(key), value)
     with SpecError.rekey(path_text((*place, "overrides"))):
-        return spec_of_base(data, replace(document, data=data))
+        return spec_of_base(data, replace(base._document, data=data))  # type: ignore[type-var]
 
 
 def spec_of_base(data: Mapping[str, object], document: Document | None) -> RunSpec:

@@ -63,22 +63,18 @@ def _asked(done: _Identification) -> list[Goal]:
 
 def _base_with(done: _Identification, overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
     """Return the base with the estimates and other settings."""
-    document = done.spec.run_spec._document
-    assert document is not None
-    return overridden(document, done.base_data(done.fit.x), overrides, place)
+    return overridden(done.spec.run_spec, done.base_data(done.fit.x), overrides, place)
 
 
 def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
-    scaled = jacobian[:, free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
-    _, values, directions = np.linalg.svd(scaled, full_matrices=False)
+    norms = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
+    _, values, directions = np.linalg.svd(jacobian[:, free] / norms, full_matrices=False)
     lost = directions[values < 1e-7 * values[0]]
     found: dict[str, float] = {}
     for goal in goals:
-        slope = np.zeros(jacobian.shape[1])
-        own = goal.slope(done.fit.x)
-        slope[: len(own)] = own
-        weighted = slope[free] / np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
+        slope = np.pad(goal.slope(done.fit.x), (0, jacobian.shape[1] - len(done.fit.x)))
+        weighted = slope[free] / norms
         is_lost = np.any(np.abs(lost @ weighted) > 1e-3 * np.linalg.norm(weighted))
         width = np.inf if is_lost else done.level * float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
         found[goal.name] = max(found.get(goal.name, 0.0), width)  # of all times of a quantity
@@ -111,12 +107,11 @@ def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.nd
     unknowns, segments, names = segments_of(own, [added])
     extra = Problem(unknowns, names, segments)
     extra.noises = [noise_of[key.quantity] for key in extra.signals]
-    x = extra.first.copy()
-    for parameter, place in names.items():
-        x[place] = done.fit.x[done.names.index(parameter)]
+    x, columns = extra.first.copy(), [done.names.index(parameter) for parameter in names]
+    x[: len(names)] = done.fit.x[columns]  # parameters are the first unknowns
     slopes = extra.white(extra.slopes(x))
-    count, fresh = len(done.fit.x), len(x) - len(names)  # parameters are the first unknowns
+    count, fresh = len(done.fit.x), len(x) - len(names)
     wide = np.zeros((len(slopes), count + fresh))
-    wide[:, [*map(done.names.index, names), *range(count, count + fresh)]] = slopes
+    wide[:, [*columns, *range(count, count + fresh)]] = slopes
     known = np.pad(done.fit.jacobian, ((0, 0), (0, fresh)))
     return np.concatenate([known, wide]), np.concatenate([done.fit.free, np.ones(fresh, dtype=bool)])

@@ -64,6 +64,7 @@ class Problem:
             np.array([getattr(unknown, name) for unknown in self.unknowns]) for name in ("start", "size", "low", "high")
         )
         self.bounds = low, high
+        self._priors = {place: one.prior for place, one in enumerate(self.unknowns) if one.prior is not None}
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
         self._slopes: tuple[np.ndarray, np.ndarray] | None = None
@@ -180,26 +181,20 @@ class Problem:
                 self.slopes(x)
         self._is_jacobian_next = False
         raw = self.predicted(x) - self.measured
-        results = [self.white(raw), self._priors(x)]
-        return np.asarray(np.nan_to_num(np.concatenate(results), nan=FAILED, posinf=FAILED, neginf=-FAILED))
+        priors = [(x[place] - mean) / deviation for place, (mean, deviation) in self._priors.items()]
+        white = np.concatenate([self.white(raw), priors])
+        return np.asarray(np.nan_to_num(white, nan=FAILED, posinf=FAILED, neginf=-FAILED))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R + P, n) of `residuals`."""
         self._is_jacobian_next = True
-        priors = [index for index, unknown in enumerate(self.unknowns) if unknown.prior is not None]
-        rows = np.zeros((len(priors), len(x)))
-        for row, prior in enumerate(priors):
-            rows[row, prior] = 1.0 / self.unknowns[prior].prior[1]  # type: ignore[index]
+        rows = [np.eye(len(x))[place] / deviation for place, (_, deviation) in self._priors.items()]
         try:
             slopes = self.white(self.slopes(x))
         except MbdkitError:
             slopes = np.zeros((len(self.measured), len(x)))
         slopes = np.nan_to_num(slopes, copy=False)
-        return np.concatenate([slopes, rows]) if priors else slopes
-
-    def _priors(self, x: np.ndarray) -> np.ndarray:
-        pairs = [(x[index], unknown.prior) for index, unknown in enumerate(self.unknowns) if unknown.prior is not None]
-        return np.array([(value - prior[0]) / prior[1] for value, prior in pairs])
+        return np.concatenate([slopes, rows]) if rows else slopes
 
     @property
     def information(self) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
@@ -16,7 +15,7 @@ from mbdkit.plugin.specs import parse_key, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, is_smooth
 from mbdkit_identify.identify_spec import IdentifySpec, Sensor
 from mbdkit_identify.kinematic import Positions
-from mbdkit_identify.loading import base_of, number_of, sensor_names, spec_of_base
+from mbdkit_identify.loading import base_of, data_of, number_of, sensor_names, spec_of_base
 from mbdkit_identify.measured_data import LEAST_SAMPLES, RATES, ExperimentData, SignalData, plain_name
 
 INITIAL = "initial"  #: First part of the names of initial values among the parameters of a run.
@@ -290,8 +289,7 @@ def run_of_window(base: RunSpec, time: np.ndarray, inputs: Mapping[str, tuple[np
     Equidistant samples are at ends of steps, which are shortened for that, except samples within steps over which the
     motion is smooth.
     """
-    assert base._document is not None
-    data = deepcopy(base._document.data)
+    data = data_of(base)
     step, end = base.time.step, float(time[-1])
     section = {"stops": [stop for stop in base.time.stops if time[0] < stop < end]} if base.time.stops else {}
     places = (time - time[0]) / np.median(np.diff(time))

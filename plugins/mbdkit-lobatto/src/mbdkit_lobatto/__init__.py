@@ -6,41 +6,22 @@ from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
 mbdkit_api = {"methods": 1}
 
+#: Properties of each of the methods, by the last letter of its name.
+PROPERTIES = {"a": "symmetric", "b": "symmetric", "c": "L-stable", "d": "symmetric, symplectic"}
+
 
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Register the methods, whose code is imported when a spec names them."""
+    code = "mbdkit_lobatto.tableaus"
     return [
         IntegratorPlugin(
-            name="lobatto-iiia",
-            summary="Lobatto IIIA: implicit, up to 6 stages, order 2 s - 2, symmetric, fixed steps.",
-            options=Target("mbdkit_lobatto.tableaus:LobattoOptions"),
-            create=Target("mbdkit_lobatto.tableaus:create_a"),
-            claims=Target("mbdkit_lobatto.tableaus:claims_a"),
-            references=Target("mbdkit_lobatto.tableaus:REFERENCES"),
-        ),
-        IntegratorPlugin(
-            name="lobatto-iiib",
-            summary="Lobatto IIIB: implicit, up to 6 stages, order 2 s - 2, symmetric, fixed steps.",
-            options=Target("mbdkit_lobatto.tableaus:LobattoIIIBOptions"),
-            create=Target("mbdkit_lobatto.tableaus:create_b"),
-            claims=Target("mbdkit_lobatto.tableaus:claims_b"),
-            references=Target("mbdkit_lobatto.tableaus:REFERENCES"),
-        ),
-        IntegratorPlugin(
-            name="lobatto-iiic",
-            summary="Lobatto IIIC: implicit, up to 6 stages, order 2 s - 2, L-stable, fixed steps.",
-            options=Target("mbdkit_lobatto.tableaus:LobattoOptions"),
-            create=Target("mbdkit_lobatto.tableaus:create_c"),
-            claims=Target("mbdkit_lobatto.tableaus:claims_c"),
-            references=Target("mbdkit_lobatto.tableaus:REFERENCES"),
-        ),
-        IntegratorPlugin(
-            name="lobatto-iiid",
-            summary="Lobatto IIID: implicit, up to 6 stages, order 2 s - 2, symmetric, symplectic, fixed steps.",
-            options=Target("mbdkit_lobatto.tableaus:LobattoOptions"),
-            create=Target("mbdkit_lobatto.tableaus:create_d"),
-            claims=Target("mbdkit_lobatto.tableaus:claims_d"),
-            references=Target("mbdkit_lobatto.tableaus:REFERENCES"),
-        ),
+            name=f"lobatto-iii{kind}",
+            summary=f"Lobatto III{kind.upper()}: implicit, up to 6 stages, order 2 s - 2, {properties}, fixed steps.",
+            options=Target(f"{code}:{'LobattoIIIBOptions' if kind == 'b' else 'LobattoOptions'}"),
+            create=Target(f"{code}:create_{kind}"),
+            claims=Target(f"{code}:claims_{kind}"),
+            references=Target(f"{code}:REFERENCES"),
+        )
+        for kind, properties in PROPERTIES.items()
     ]

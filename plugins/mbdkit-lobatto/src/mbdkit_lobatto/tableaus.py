@@ -50,20 +50,14 @@ def tableau(kind: str, s: int) -> mbdkit.ButcherTableau:
             return iiia
         a, b = mpmath.matrix(iiia.a), iiia.b
         if kind != "b":  # IIIC: the first column is b_1, and condition C(s - 1) determines the other columns
-            powers = mpmath.matrix(s - 1, s - 1)
-            for k in range(s - 1):
-                for j in range(s - 1):
-                    powers[k, j] = nodes[j + 1] ** k
+            powers = mpmath.matrix([[node**k for node in nodes[1:]] for k in range(s - 1)])
             for i in range(s):
                 right = [nodes[i] ** (k + 1) / (k + 1) - b[0] * nodes[0] ** k for k in range(s - 1)]
                 a[i, 0], rest = b[0], mpmath.lu_solve(powers, mpmath.matrix(right))
                 for j in range(1, s):
                     a[i, j] = rest[j - 1]
         if kind != "c":  # the method a' that forms a symplectic pair with a: b_i a'_ij + b_j a_ji = b_i b_j
-            partner = mpmath.matrix(s, s)
-            for i in range(s):
-                for j in range(s):
-                    partner[i, j] = b[j] * (1 - a[j, i] / b[i])
+            partner = mpmath.matrix([[b[j] * (1 - a[j, i] / b[i]) for j in range(s)] for i in range(s)])
             # IIIB is the partner of IIIA; IIID is the mean of IIIC and its partner
             a = partner if kind == "b" else (a + partner) / 2
         return mbdkit.ButcherTableau(name, a.tolist(), b, nodes, order, REFERENCES[int(kind == "d")])

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
@@ -15,10 +16,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, path_text, quoted
 from mbdkit.base.strict_model import FormatVersion, description
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.units import read_unit
 from mbdkit.mechanism.checks import check_name, check_tables
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
-from mbdkit.mechanism.values import Number, Positive, Table, curve_of
+from mbdkit.mechanism.values import Columns, Ends, Interpolation, Number, Positive, Table, curve_of, number_or_table
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.spec.choices import Choice
 from mbdkit.spec.loading import loaded
@@ -26,9 +28,9 @@ from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document
 from mbdkit.spec.sections import Count, Section
 from mbdkit.spec.study_measures import DefinedMeasure
+from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
-from mbdkit_predict.measured_functions import MeasuredFunction
 
 SAME = 1e-4  #: Optima on one mesh whose relative difference is below this count as one.
 STAGES = {"radau": (2, 3, 5, 7), "gauss": (1, 2, 3, 4, 5, 6)}  #: Numbers of collocation points of each method.
@@ -139,6 +141,45 @@ class Collocation(Section):
             known = listed(map(str, STAGES[self.method]), "or")
             raise SpecError(f"{self.method} has {known} points, not {self.points}", key="points")
         return self
+
+
+class MeasuredFunction(Section):
+    """A function of time: a table, or two columns of a file."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("table", "interpolation", "ends", "file", "x", "y", "unit")
+
+    table: Columns | None = None
+    """Times [s] and values: `[[t, ...], [value, ...]]`."""
+    interpolation: Interpolation = "cubic"
+    """A cubic or quintic spline, or straight lines between the points."""
+    ends: Ends = "not-a-knot"
+    """Condition at the ends of a spline, as in tables of drivers."""
+    file: str | None = None
+    """File with a table, such as CSV with a line of headings, or .mot, relative to the folder of the spec; as an
+    alternative to `table`."""
+    x: str = "time"
+    """Heading of the column with the times [s]."""
+    y: str = ""
+    """Heading of the column with the values."""
+    unit: str | None = None
+    """Unit of the values, such as deg or mm, or 1 for a number; by default, that in the file, or SI units."""
+
+    @model_validator(mode="after")
+    def _one(self) -> MeasuredFunction:
+        if (self.table is None) == (self.file is None) or (self.file and not self.y):
+            raise SpecError("needs either `table: [[t, ...], [value, ...]]` or `file`, `x`, `y` and `unit`")
+        return self
+
+    def read(self, folder: Path) -> Table:
+        """Return the function in SI units; raise SpecError if the file, or what it contains, is wrong."""
+        unit = None if self.unit is None else read_unit(self.unit)
+        if self.table is None:
+            columns = read_table(folder / str(self.file), "file").function(self.x, self.y, unit)
+        else:
+            columns = [*self.table[0]], [(1.0 if unit is None else unit.factor) * value for value in self.table[1]]
+        options = {"interpolation": self.interpolation, "ends": self.ends}
+        function: Table = number_or_table({"table": columns, **options}, Table, "")
+        return function
 
 
 class PredictSpec(ModelSpec):

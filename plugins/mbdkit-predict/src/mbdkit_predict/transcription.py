@@ -31,7 +31,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.mechanism.values import curve_of
 from mbdkit.methods import gauss, radau_iia
-from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.casadi_system import CasadiSystem, StatesInEquilibrium
 from mbdkit_predict.grid import IntervalGrid, breaks_of, weights
 from mbdkit_predict.guessed_motion import GuessedMotion, archived_motion, solved_motion
 from mbdkit_predict.nonlinear_program import (
@@ -46,7 +46,6 @@ from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, Held, PointFunct
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.predict_spec import PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
-from mbdkit_predict.states_in_equilibrium import StatesInEquilibrium
 
 #: Parts into which intervals are divided, and those in which controls or accelerations are discontinuous.
 CUTS = 2, 8
@@ -450,10 +449,8 @@ class Transcription:
             done = guess.iterations + solution.iterations
             return replace(guess, values=solution.values, iterations=done, solution=solution, conditions=program.points)
 
-        def reported(solution: Solution) -> None:
-            report(mesh(solution))
-
-        return mesh(program.solve(guess.values, stop, reported, most_iterations, guess.slopes))
+        values, slopes = guess.values, guess.slopes
+        return mesh(program.solve(values, stop, lambda best: report(mesh(best)), most_iterations, slopes))
 
     def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of
