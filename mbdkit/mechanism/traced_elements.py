@@ -7,7 +7,8 @@ numbers, which record the conditions under which they hold.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 
 import annotated_types
@@ -70,10 +71,25 @@ def _model_with_numbers(validated: AnyModel, given: Mapping[Any, Any]) -> AnyMod
         del model.__dict__[name]  # a cached property, which follows from the plain numbers
     for check in decorators.model_validators.values():
         if check.info.mode == "after":
-            check.func(model)
+            _require_same(check.func(model), model)
         elif check.info.mode == "before":
-            check.func(given)
+            _require_same(check.func(given), given)
     return model
+
+
+def _require_same(checked: Any, value: Any) -> None:
+    """Raise UntraceableError if a check returns other traced numbers than those that it is given."""
+    if len(found := _numbers(checked)) != len(given := _numbers(value)) or any(map(operator.is_not, found, given)):
+        raise UntraceableError("a check changes numbers")
+
+
+def _numbers(value: Any) -> list[TracedNumber]:
+    """Return the traced numbers in data."""
+    if isinstance(value, TracedNumber):
+        return [value]
+    items = vars(value).values() if isinstance(value, BaseModel) else value
+    items = items.values() if isinstance(items, Mapping) else items if isinstance(items, Iterable) else ()
+    return [] if isinstance(value, str) else [number for item in items for number in _numbers(item)]
 
 
 def _check(kind: Any, metadata: Sequence[Any], value: Any) -> None:
@@ -120,7 +136,7 @@ def _check_by(one: Any, value: Any) -> None:
     elif isinstance(one, BeforeValidator | AfterValidator):
         if len(inspect.signature(one.func).parameters) != 1:
             raise UntraceableError("a validator takes more than its value")
-        one.func(value)  # type: ignore[call-arg]
+        _require_same(one.func(value), value)  # type: ignore[call-arg]
     elif isinstance(value, TracedNumber):
         for name in ("gt", "ge", "lt", "le"):
             if isinstance(one, getattr(annotated_types, name.capitalize())):

@@ -1,7 +1,9 @@
-"""Events in adjoint gradients: from derivatives with respect to the time of an event to those with respect to states.
+"""Events, and discontinuities of force laws (*corners*), in adjoint gradients: from derivatives with respect to their
+times to those with respect to states.
 
 An event happens at the end of a step, or of the first part of a step. Its expression g is zero there, so that the time
-has the derivatives ``-g_p / g_t``, where g_p are the derivatives of g at a constant time and g_t is its rate.
+has the derivatives ``-g_p / g_t``, where g_p are the derivatives of g at a constant time and g_t is its rate. The same
+holds for a corner, where a condition of a force law changes its sign.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from mbdkit_gradients.adjoint_measures import Bars, Columns, NotByAdjointError
 from mbdkit_gradients.derived_values import DerivedValue
 from mbdkit_gradients.differentiated_run import PassedEvent
 from mbdkit_gradients.differentiated_states import nearby, rate_of, series_of
+from mbdkit_gradients.law_corners import ForceCondition
 
 #: Returns the states with these times (T,), positions and velocities (T, n + 3).
 MakeStates = Callable[[np.ndarray, np.ndarray, np.ndarray], States]
@@ -67,4 +70,47 @@ class AdjointEvent:
         """Return the derivatives with respect to the state, from that with respect to the time of the event."""
         one = Bars(-1, self.states, mechanism)
         Columns(self.event.expression.quantities).add(one, -by_time / self.rate * self.slope)
+        return one
+
+
+@dataclass(frozen=True)
+class AdjointCorner:
+    """A discontinuity of a force law, at the end of a step.
+
+    Attributes
+    ----------
+    node
+        Number of the end of the step.
+    condition, rate
+        The condition that changes, and the rate of its function [1/s].
+    states
+        The states before and after the corner.
+    sides
+        (C,) the sides of force laws before the corner.
+    """
+
+    node: int
+    condition: ForceCondition
+    rate: float
+    states: States
+    sides: np.ndarray
+
+    @property
+    def jump(self) -> np.ndarray:
+        """Change (n + 3,) of the derivatives of the velocities, for each second by which the corner comes later."""
+        before, after = self.states.observed.acc
+        return np.asarray(before - after)
+
+    def bars(self, by_time: float, mechanism: CompiledMechanism, of_laws: np.ndarray) -> Bars:
+        """Return the derivatives with respect to the state before the corner, from that with respect to its time; add
+        those with respect to the parameters of laws (L,) to `of_laws`.
+        """
+        condition, observed = self.condition, self.states.observed
+        own = condition.own(mechanism.topology.law_parameters, observed.lam[0])
+        _, *slopes = condition.function(*observed.forces[0, condition.element, :2], *own)
+        by_length, by_rate, *by_numbers = -by_time / self.rate * np.array(slopes)
+        one = Bars(-1, self.states, mechanism).rows(slice(1))
+        one.add_force(condition.element, "length", np.array([by_length]))
+        one.add_force(condition.element, "rate", np.array([by_rate]))
+        of_laws[condition.parameters] += by_numbers
         return one

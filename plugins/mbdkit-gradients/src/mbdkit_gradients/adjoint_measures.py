@@ -46,6 +46,17 @@ class Bars:
         self.kinetic, self.gravity = np.zeros(count), np.zeros(count)
         self.markers = np.zeros((count, *top.marker_points.shape))
 
+    def rows(self, some: slice) -> Bars:
+        """Return the derivatives with respect to some of the states."""
+        whole, states = self.states, self.states
+        states = States(
+            whole.mechanism, whole.time[some], whole.q[some], whole.v[some], lambda: whole.observed.rows(some)
+        )
+        found = Bars(self.part, states, self.mechanism)
+        for name in ("q", "v", "acc", "reactions", "forces", "kinetic", "gravity", "markers"):
+            setattr(found, name, getattr(self, name)[some])
+        return found
+
     def add(self, quantity: Quantity, given: np.ndarray) -> None:
         """Add derivatives (C, T) with respect to the components of a quantity; raise NotByAdjointError if unknown."""
         kind, array, part = quantity.kind, quantity.recorded.array.name, quantity.recorded.part
@@ -65,7 +76,7 @@ class Bars:
             self.q[:, 3 * top.joints[of, JOINT.second] + 2] += given[0]
             self.q[:, 3 * top.joints[of, JOINT.first] + 2] -= given[0]
         elif kind == "forces" and array in ("length", "rate", "value", "power", "potential"):
-            self._add_force(of, array, given[0])
+            self.add_force(of, array, given[0])
         elif kind == "energy" and array in ("kinetic", "potential", "total"):
             if array != "potential":
                 self.kinetic += given[0]
@@ -80,7 +91,8 @@ class Bars:
         else:
             raise NotByAdjointError(f"the measures contain {quantity}")
 
-    def _add_force(self, of: int, array: str, given: np.ndarray) -> None:
+    def add_force(self, of: int, array: str, given: np.ndarray) -> None:
+        """Add derivatives (T,) with respect to a quantity of a force element."""
         top, values = self.mechanism.topology, self.states.observed.forces[:, of]
         leaders = np.flatnonzero((top.force_place[: len(top.springs)] == of) & (top.springs[:, SPRING.segments] > 0))
         if len(leaders) != 1:
@@ -175,17 +187,25 @@ class AdjointMeasure(MeasureEvaluation):
     ----------
     run
         What `MeasureEvaluation` reads of a differentiated run.
-    events
-        Events of the run, in order of time.
+    events, corners
+        Events of the run, and the states before and after each discontinuity of a force law, in order of time.
     """
 
-    def __init__(self, run: Any, states: Any, expression: MeasureExpression, events: Sequence[PassedEvent]):
-        self._columns = Columns(expression.quantities)
+    def __init__(
+        self,
+        run: Any,
+        states: Any,
+        expression: MeasureExpression,
+        events: Sequence[PassedEvent],
+        corners: Sequence[States] = (),
+    ):
+        self._columns, self._corners = Columns(expression.quantities), corners
         reductions = sum(operation.startswith("over time") for operation, _ in expression.program)
-        self._next = self._columns.count + len(events)
+        self._end_of_events = self._columns.count + len(events)
+        self._next = self._end_of_events + len(corners)
         count = self._next + 2 * reductions
-        self._events = slice(self._columns.count, self._next)
-        units = np.eye(count)[self._events]
+        self._times = slice(self._columns.count, self._next)
+        units = np.eye(count)[self._columns.count : self._end_of_events]
         crossings = tuple(
             DifferentiatedCrossing(event.name, event.time, unit) for event, unit in zip(events, units, strict=True)
         )
@@ -203,14 +223,14 @@ class AdjointMeasure(MeasureEvaluation):
             one = Bars(read.part, read.states, self.run.rows.mechanism)
             self._columns.add(one, derived.slope[column] * read.weight * read.slope)
             bars.append(one)
-        return derived, bars, derived.slope[self._events]
+        return derived, bars, derived.slope[self._times]
 
     def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
         found = self._columns.value(states, quantity, self.count)
         if self._ends_at_event and states is self.run.rows:  # functions of time change the last state, whose time moves
             near, distance = self.states.held
             value = self._columns.value(near, quantity, self.count).value.T
-            found.slope[self._events.stop - 1, ..., -1] += rate_of(value, found.value[..., -1], distance)
+            found.slope[self._end_of_events - 1, ..., -1] += rate_of(value, found.value[..., -1], distance)
         return found
 
     def _of_event(self, quantity: Quantity) -> DerivedValue:
@@ -257,7 +277,14 @@ class AdjointMeasure(MeasureEvaluation):
         nodes: Any = self.run.nodes
         values = self._of_operand(index, nodes.states, square=square)
         total = np.sum(values.value * nodes.weight, axis=-1, keepdims=True)
-        return self._noted(total, [(-2, nodes.states, nodes.weight, values.slope)])
+        return self._with_corners(self._noted(total, [(-2, nodes.states, nodes.weight, values.slope)]), index, square)
+
+    def _with_corners(self, total: DerivedValue, index: int, square: bool) -> DerivedValue:
+        """Return an integral with the derivatives by the times of discontinuities, at which the integrand may jump."""
+        for number, states in enumerate(self._corners):
+            sides = self._of_operand(index, states, square=square).value
+            total.slope[self._end_of_events + number] += sides[..., :1] - sides[..., 1:]
+        return total
 
     def _split(self, functional: Functional, index: int, square: bool) -> DerivedValue:
         total: np.ndarray | float = 0.0
@@ -268,10 +295,14 @@ class AdjointMeasure(MeasureEvaluation):
                 raise NotByAdjointError(self.doubts[0])
             total = total + np.sum(values.value * weight, axis=-1, keepdims=True)
             reads.append((number, states, weight, values.slope))
-        return self._noted(np.asarray(total), reads)
+        return self._with_corners(self._noted(np.asarray(total), reads), index, square)
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
-        if peak.switch >= 0:
+        parts = self.run.motions[0].parts
+        begin, end = parts[number].span
+        following = parts[number + 1].corner is not None if number + 1 < len(parts) else False
+        is_at_corner = peak.time == (end if following else begin if parts[number].corner is not None else np.nan)
+        if peak.switch >= 0 or is_at_corner:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is not smooth")
         if self._reads and self._peak_of == index:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is attained at several times")

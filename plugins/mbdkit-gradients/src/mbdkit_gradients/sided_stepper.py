@@ -68,12 +68,16 @@ class LawCorner:
         (K,) derivatives of the time of the corner.
     sides
         (C,) the sides after the corner.
+    number, rate
+        Index of the condition that changes, and the rate of its function [1/s].
     """
 
     before: DifferentiatedStates
     after: DifferentiatedStates
     slope: np.ndarray
     sides: np.ndarray
+    number: int
+    rate: float
 
 
 def sides_of(stepper: DifferentiatedStepper) -> np.ndarray | None:
@@ -282,5 +286,5 @@ class SidedStepper(DifferentiatedStepper):
         rates = before.observed.state_rates[0, :, 0] - after.observed.state_rates[0, :, 0]
         run.z[:, some] += np.outer(rates, moved)
         run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
-        self.corners.append(LawCorner(before, after, moved, self.sides))
+        self.corners.append(LawCorner(before, after, moved, self.sides, number, float(rate[number])))
         self._note()
