@@ -10,13 +10,10 @@ from functools import cache
 
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ControlledOptions, embedded_claims
-from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair
+from mbdkit.methods.references import entry
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, nested_polynomials
 
-REFERENCE = """@article{dormand1980,
-  author = {Dormand, John R. and Prince, Peter J.},
-  title = {A family of embedded {R}unge-{K}utta formulae},
-  journal = {Journal of Computational and Applied Mathematics},
-  volume = {6}, pages = {19--26}, year = {1980}, doi = {10.1016/0771-050X(80)90013-3}}"""
+REFERENCE = entry("dormand1980")
 
 _B = ["35/384", 0, "500/1113", "125/192", "-2187/6784", "11/84", 0]
 _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
@@ -56,8 +53,6 @@ def tableau() -> ButcherTableau:
 def pair() -> EmbeddedPair:
     """Return the error estimate and the dense output of the method of order 5."""
     import numpy as np
-
-    from mbdkit.methods.tableau import EmbeddedPair, nested_polynomials
 
     a, b, c = tableau().floats()
     first, last = np.eye(7)[0], np.eye(7)[6]

@@ -17,14 +17,11 @@ from mbdkit.base.quadrature import legendre_roots
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
+from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
 from mbdkit.registry.items import Claims, integrator_claims
 
-REFERENCE = """@article{butcher1964,
-  author = {Butcher, John C.},
-  title = {Implicit {R}unge-{K}utta processes},
-  journal = {Mathematics of Computation}, volume = {18}, pages = {50--64}, year = {1964},
-  doi = {10.1090/S0025-5718-1964-0159424-9}}"""
+REFERENCE = entry("butcher1964")
 
 _CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[Coefficient]]] = {
     1: ([["1/2"]], [1], ["1/2"]),

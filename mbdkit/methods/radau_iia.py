@@ -15,14 +15,11 @@ from pydantic import Field
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
+from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, Orders, integrator_claims
 
-GEAR = """@article{gear1985,
-  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
-  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
-  journal = {Journal of Computational and Applied Mathematics},
-  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}"""
+GEAR = entry("gear1985")
 
 _CLOSED_FORMS: dict[int, tuple[list[list[str]], list[str], list[str]]] = {
     2: ([["5/12", "-1/12"], ["3/4", "1/4"]], ["3/4", "1/4"], ["1/3", "1"]),

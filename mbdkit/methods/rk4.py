@@ -6,12 +6,10 @@ from functools import cache
 
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
+from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau
 
-REFERENCE = """@article{kutta1901,
-  author = {Kutta, Wilhelm},
-  title = {Beitrag zur n{\\"a}herungsweisen Integration totaler Differentialgleichungen},
-  journal = {Zeitschrift f{\\"u}r Mathematik und Physik}, volume = {46}, pages = {435--453}, year = {1901}}"""
+REFERENCE = entry("kutta1901")
 
 
 @cache
