@@ -79,13 +79,7 @@ def verdict(study: Study) -> Verdict:
             _holds(own, "velocities", velocities, "velocity misalignment per second over all steps"),
         )
     )
-    return Verdict(
-        "no-drift",
-        study.spec.title,
-        " ".join(claim.sentence for claim in claims),
-        claims,
-        (WORDS.table("no-drift", rows),),
-    )
+    return WORDS.verdict("no-drift", study.spec.title, claims, (WORDS.table("no-drift", rows),))
 
 
 def _held(point: StudyPoint) -> HeldJoints:
