@@ -13,7 +13,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.terminal import show, show_json
+from mbdkit.base.terminal import show_result
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.cli.common_options import AsJson, Debug
 from mbdkit.guide.pages import search
@@ -91,10 +91,7 @@ def plugins_where(
     mention it. With --json, prints one object with a list "items".
     """
     result = whereabouts(name)
-    if as_json:
-        show_json(result)
-    else:
-        show(whereabouts_text(result))
+    show_result(result, whereabouts_text(result), as_json=as_json)
 
 
 class Place(NamedTuple):

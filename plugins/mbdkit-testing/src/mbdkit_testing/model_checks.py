@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import motions_at
 from mbdkit.expressions.program import MAX_DEPTH
@@ -15,9 +14,10 @@ from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import STEP_LIMIT, Skip, check
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
+from mbdkit_testing.integrator_under_test import require_complete
 from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
@@ -29,21 +29,10 @@ DERIVATIVE = 1e-6  #: Largest relative difference between a derivative and finit
 class ModelUnderTest(ItemUnderTest):
     """A model with parameters."""
 
-    @cached_property
-    def spec_type(self) -> type[RunSpec]:
-        """The class of run specs that accept this model."""
-        return spec_type(self.installed)
-
-    def spec(self, step: float, stages: int = 3, end: float = END) -> RunSpec:
+    def spec(self, step: float, stages: int = 3) -> RunSpec:
         """Return the spec of a run with Gauss collocation."""
-        data: dict[str, Any] = {
-            "mbdkit": 1,
-            "model": {"name": self.item.id, **self.options},
-            "integrator": {"name": "mbdkit:gauss", "stages": stages},
-            "time": {"end": end, "step": step},
-            "limits": {"max_steps": STEP_LIMIT},
-        }
-        return self.spec_type(**data)
+        gauss, time = {"name": "mbdkit:gauss", "stages": stages}, {"end": END, "step": step}
+        return self.run_spec({"name": self.item.id, **self.options}, gauss, time)
 
     def mechanism(self) -> Mechanism:
         """Return a new mechanism."""
@@ -188,8 +177,7 @@ def balance(model: ModelUnderTest) -> Result:
 def completes(model: ModelUnderTest) -> Result:
     """A run of one second completes; its misalignment is reported."""
     with simulate(model.spec(0.002)) as run:
-        if run.status != "complete":
-            return failed(f"a run of {END:g} s did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run, f"a run of {END:g} s", MbdkitError)
         if not run.joints:
             return skipped("it has no joints")
         return passed(misalignment_m=run.misalignment_max)

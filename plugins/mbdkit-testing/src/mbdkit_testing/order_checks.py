@@ -317,8 +317,7 @@ def error_at_tolerance(
 
 
 def _run_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, **sections: Any) -> Run:
-    options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
-    time = {"end": ENDS[problem]}
+    options, time = integrator.tolerances(rtol), {"end": ENDS[problem]}
     return integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}, **sections)
 
 
@@ -331,8 +330,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     worst, first = 0.0, None
     for power in range(order):
         with integrator.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
-            if run.status != "complete":
-                raise Skip(f"the run of a free mass did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, "the run of a free mass")
             body = run["mass"]
             defect = abs(float(body.velocity[-1, 0]) - 1 / (power + 1))
             if power < order - 1:
@@ -419,12 +417,12 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
     """The order of a method of variable order rises as the tolerance decreases: the number of steps grows less and
     less, each step of an explicit method evaluates more, or the steps report higher orders of their error estimates.
     """
-    claims, known = integrator.claims, integrator.plugin.options.model_fields
-    if not claims.adaptive or "rtol" not in known:
+    claims = integrator.claims
+    if not claims.adaptive or "rtol" not in integrator.plugin.options.model_fields:
         raise Skip("it is not an adaptive method with the option `rtol`")
     counts, costs = list[int](), list[float]()
     for rtol in COUNTED_TOLERANCES:
-        options = {name: rtol for name in ("rtol", "atol") if name in known}
+        options = integrator.tolerances(rtol)
         with integrator.run(ORBIT, {"end": 40.0}, options=options, output={"every": 10**9}) as run:
             if claims.variable_order and run.status != "complete":
                 return failed(f"it claims variable order, but a run with rtol = {rtol:g} stopped: {run.status_reason}")
@@ -450,8 +448,7 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
 
 def _reported_order(integrator: IntegratorUnderTest, rtol: float) -> float:
     """Return the mean of the orders that the steps of a method in Python report; 0 if they report none."""
-    known = integrator.plugin.options.model_fields
-    method = integrator.method(**{name: rtol for name in ("rtol", "atol") if name in known})
+    method = integrator.method(**integrator.tolerances(rtol))
     if not isinstance(method, StepMethod):
         return 0.0
     orders, step = list[float](), method.step
