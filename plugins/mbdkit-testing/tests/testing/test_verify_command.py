@@ -122,9 +122,9 @@ def test_json_says_which_runs_agree(mbdkit, other_bits):
 
 def test_runs_that_fail_are_reported_with_the_rest(mbdkit, monkeypatch):
     limits, damaged = {"limits": {"max_steps": 3}}, {"model": {"name": "no-such-model"}}
-    monkeypatch.setattr(self_test, "RUNS", {"short": ("pendulum", limits), "unknown": ("pendulum", damaged)})
+    monkeypatch.setattr(self_test, "RUNS", {"pendulum": limits, "knee": damaged})
     outcome = mbdkit("doctor")
     assert outcome.exit_code == 1
     assert "machine code for" in outcome.output
-    assert "self-test: 'short' failed: max-steps" in outcome.output
-    assert "self-test: 'unknown' failed: " in outcome.output
+    assert "self-test: 'pendulum' failed: max-steps" in outcome.output
+    assert "self-test: 'knee' failed: " in outcome.output
