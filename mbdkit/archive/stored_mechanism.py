@@ -118,8 +118,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     if item is None:
         why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files"
         return StoredMechanism(None, f"only points of bodies are drawn: {why}")
-    plugin = item.plugin
-    assert isinstance(plugin, ModelPlugin)
+    plugin = cast(ModelPlugin, item.plugin)
     given = {key: value for key, value in plain(spec["model"]).items() if key != "name"}
 
     def validate(values: object) -> object:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ControlledOptions, embedded_claims
-from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, nested_polynomials
 
-REFERENCE = entry("dormand1980")
+REFERENCE = entry(__file__, "dormand1980")
 
 _B = ["35/384", 0, "500/1113", "125/192", "-2187/6784", "11/84", 0]
 _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)

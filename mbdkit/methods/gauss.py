@@ -13,15 +13,15 @@ from typing import Annotated
 import mpmath
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.quadrature import legendre_roots
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
-from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
 from mbdkit.registry.items import Claims, integrator_claims
 
-REFERENCE = entry("butcher1964")
+REFERENCE = entry(__file__, "butcher1964")
 
 _CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[Coefficient]]] = {
     1: ([["1/2"]], [1], ["1/2"]),

@@ -11,13 +11,13 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import LobattoPair, integrator_method
 from mbdkit.methods.method_options import Options
-from mbdkit.methods.references import entry
 from mbdkit.registry.items import Claims, integrator_claims
 
-JAY = entry("jay1996")
-ANDERSEN = entry("andersen1983")
+JAY = entry(__file__, "jay1996")
+ANDERSEN = entry(__file__, "andersen1983")
 
 Row = tuple[Fraction, ...]
 

@@ -12,10 +12,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
-from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau
 from mbdkit.registry.items import Claims, integrator_claims
 
@@ -28,9 +28,9 @@ TOLERANCE_DRIFT = "only accelerations satisfy the constraints; drift depends on 
 #: Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`.
 OF_TREES = "; with joint-coordinates, the joints of the spanning tree stay closed up to rounding errors"
 
-HAIRER_NORSETT_WANNER = entry("hairer1993")
+HAIRER_NORSETT_WANNER = entry(__file__, "hairer1993")
 
-HAIRER_WANNER = entry("hairer1996")
+HAIRER_WANNER = entry(__file__, "hairer1996")
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None  #: Largest step [s]; None for no limit.
 

@@ -12,14 +12,14 @@ from typing import Annotated, Literal
 import mpmath
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
-from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau, collocation
 from mbdkit.registry.items import Claims, Orders, integrator_claims
 
-GEAR = entry("gear1985")
+GEAR = entry(__file__, "gear1985")
 
 _CLOSED_FORMS: dict[int, tuple[list[list[str]], list[str], list[str]]] = {
     2: ([["5/12", "-1/12"], ["3/4", "1/4"]], ["3/4", "1/4"], ["1/3", "1"]),

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
-from mbdkit.methods.references import entry
 from mbdkit.methods.tableau import ButcherTableau
 
-REFERENCE = entry("gill1951")
+REFERENCE = entry(__file__, "gill1951")
 
 
 @cache

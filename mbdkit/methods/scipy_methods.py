@@ -8,14 +8,14 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import integrator_method
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
-from mbdkit.methods.references import entry
 from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.registry.items import Claims, integrator_claims
 
-SCIPY = entry("scipy2020")
-PETZOLD = entry("petzold1983")
+SCIPY = entry(__file__, "scipy2020")
+PETZOLD = entry(__file__, "petzold1983")
 
 
 class AdaptiveOptions(Options):

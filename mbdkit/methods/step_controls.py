@@ -9,19 +9,19 @@ from typing import Annotated, ClassVar, cast
 
 from pydantic import BaseModel, Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.methods.kinds import Method
-from mbdkit.methods.references import entry
 from mbdkit.methods.step_filter import StepFilter, step_filter
 from mbdkit.methods.step_methods import ExternalMethod
 from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.registry.items import StepControl
 from mbdkit.registry.manager import use
 
-SODERLIND = entry("soderlind2003")
-GUSTAFSSON = entry("gustafsson1991")
-PREDICTIVE = entry("gustafsson1994")
+SODERLIND = entry(__file__, "soderlind2003")
+GUSTAFSSON = entry(__file__, "gustafsson1991")
+PREDICTIVE = entry(__file__, "gustafsson1994")
 OF_FILTERS, OF_PI, OF_PREDICTIVE = (SODERLIND,), (GUSTAFSSON, SODERLIND), (PREDICTIVE, SODERLIND)
 
 Number = Annotated[float, Field(allow_inf_nan=False)]

@@ -12,6 +12,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
@@ -55,6 +57,11 @@ class ItemUnderTest:
         """Return the spec of a run, with a limited number of steps."""
         given = {"model": model, "integrator": integrator, "time": time, "limits": {"max_steps": STEP_LIMIT}}
         return self.spec_type(mbdkit=1, **given | sections)
+
+
+def relative_difference(exact: np.ndarray, other: np.ndarray) -> float:
+    """Return the largest difference, relative to the largest exact value if this exceeds 1."""
+    return float(np.max(np.abs(exact - other)) / max(1.0, float(np.max(np.abs(exact)))))
 
 
 @check("contract.functions")

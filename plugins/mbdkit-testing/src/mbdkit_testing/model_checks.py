@@ -18,7 +18,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import require_complete
-from mbdkit_testing.item_checks import ItemUnderTest
+from mbdkit_testing.item_checks import ItemUnderTest, relative_difference
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 END = 1.0
@@ -108,17 +108,13 @@ def jacobian(model: ModelUnderTest) -> Result:
             (equations.constraints(t, q + e * x) - equations.constraints(t, q - e * x)) / (2 * e)
             for x in np.eye(equations.n)
         ]
-        worst = max(worst, _share(np.array(columns).T, exact))
+        worst = max(worst, relative_difference(exact, np.array(columns).T))
         later, earlier = ((t + d, q + d * v + d * d / 2 * a, v + d * a) for d in (e, -e))
         slope = (equations.constraints(*later[:2]) - equations.constraints(*earlier[:2])) / (2 * e)
-        worst = max(worst, _share(slope, equations.constraint_rates(t, q, v)))
+        worst = max(worst, relative_difference(equations.constraint_rates(t, q, v), slope))
         twice = (equations.constraint_rates(*later) - equations.constraint_rates(*earlier)) / (2 * e)
-        worst = max(worst, _share(twice, exact @ a - equations.gamma(t, q, v)))
+        worst = max(worst, relative_difference(exact @ a - equations.gamma(t, q, v), twice))
     return at_most(DERIVATIVE, "a derivative of its constraints differs from finite differences", difference=worst)
-
-
-def _share(values: np.ndarray, exact: np.ndarray) -> float:
-    return float(np.max(np.abs(values - exact)) / max(1.0, float(np.max(np.abs(exact)))))
 
 
 @check("model.drivers")

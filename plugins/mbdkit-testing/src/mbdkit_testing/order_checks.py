@@ -83,17 +83,19 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
     estimated by the difference between the states with 60 and 75 steps per second.
     """
-    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
-
-    results, end = [], ENDS[problem]
-    gauss = {"name": "mbdkit:gauss", "stages": 6}
+    results = []
     for rate in (60, 75):
-        time = {"end": end, "step": 1 / rate}
-        spec = load_spec({"mbdkit": 1, "model": PROBLEMS[problem], "integrator": gauss, "time": time})
-        with simulate(spec).check() as result:
+        with _precise_run(PROBLEMS[problem], ENDS[problem], rate) as result:
             results.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
     (state, multipliers), (other, _) = results
     return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)
+
+
+def _precise_run(model: Model, end: float, rate: int) -> Run:
+    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
+
+    gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": end, "step": 1 / rate}
+    return simulate(load_spec({"mbdkit": 1, "model": model, "integrator": gauss, "time": time})).check()
 
 
 class Convergence:
@@ -488,12 +490,7 @@ def states(integrator: IntegratorUnderTest) -> Result:
 @cache
 def _states_at_end() -> np.ndarray:
     """Return the first-order states of the test problem after 1 s, by Gauss collocation of order 12."""
-    from mbdkit.runs.simulation import simulate
-
-    gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": 1.0, "step": 1 / 60}
-    with simulate(
-        load_spec({"mbdkit": 1, "model": LAGGING_PENDULUM, "integrator": gauss, "time": time})
-    ).check() as run:
+    with _precise_run(LAGGING_PENDULUM, 1.0, 60) as run:
         value: np.ndarray = run.array("states/value")[-1].copy()
     return value
 
