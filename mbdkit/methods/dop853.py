@@ -17,28 +17,19 @@ dense
 
 from __future__ import annotations
 
-import json
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, ControlledOptions, embedded_claims
-from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, nested_polynomials
+from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, coefficients, nested_polynomials
 
 STAGES = 12
 
 
 @cache
-def _coefficients() -> dict[str, list[Any]]:
-    numbers: dict[str, list[Any]] = json.loads(Path(__file__).with_suffix(".json").read_text("utf-8"))
-    return numbers
-
-
-@cache
 def tableau() -> ButcherTableau:
     """Return the tableau of the method of order 8."""
-    rows, nodes = _coefficients()["stages"], _coefficients()["nodes"]
+    rows, nodes = (coefficients(__file__)[name] for name in ("stages", "nodes"))
     return ButcherTableau(
         "dop853", rows[:STAGES], rows[STAGES], nodes[:STAGES], order=8, reference=HAIRER_NORSETT_WANNER
     )
@@ -49,7 +40,7 @@ def pair() -> EmbeddedPair:
     """Return the error estimates and the dense output of the method of order 8."""
     import numpy as np
 
-    known = _coefficients()
+    known = coefficients(__file__)
     unit = np.eye(len(known["nodes"]))
     a, (fine, rough), dense = (
         np.array([[*row, *[0.0] * (len(unit) - len(row))] for row in rows])
