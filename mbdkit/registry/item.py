@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from types import EllipsisType
@@ -113,11 +113,13 @@ class Item:
         return f"{type(self).__name__}({self.name!r})"
 
 
-@cache
-def seams_of(owner: type) -> Mapping[str, str]:
-    """Return the decorators that annotations such as ``Annotated[Target, "model_extension"]`` name, by field."""
+def _seams_of(owner: type) -> Mapping[str, str]:
     hints = get_type_hints(owner, include_extras=True)
     return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+
+#: Returns the decorators that annotations such as ``Annotated[Target, "model_extension"]`` name, by field of a class.
+seams_of: Callable[[type], Mapping[str, str]] = cache(_seams_of)
 
 
 class Given(Generic[T]):
