@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from mbdkit.base.errors import PluginError
-from mbdkit.registry.feature_items import Feature
+from mbdkit.registry.feature_items import Feature, check_identifier
 from mbdkit.registry.item import Item, described, seams_of
 from mbdkit.registry.target import Target
 
@@ -240,9 +240,7 @@ class ModelKey(Feature):
     read_files: Annotated[Target | None, "element_files"] = None
     follow: Annotated[Target | None, "follower"] = None
 
-    def _check_name(self) -> None:
-        if not self.name.isidentifier():
-            raise PluginError(f"the name {self.name!r} is not made of letters, digits and _")
+    _check_name = check_identifier
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

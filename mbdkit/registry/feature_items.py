@@ -49,7 +49,8 @@ def _check_function(target: Target, name: str) -> None:
         raise PluginError(f"its `{name}` is {described(target())}, which cannot be called")
 
 
-def _check_identifier(item: Item) -> None:
+def check_identifier(item: Item) -> None:
+    """Raise PluginError if the name of an item cannot be a name in Python."""
     if not item.name.isidentifier():
         raise PluginError(f"the name {item.name!r} is not made of letters, digits and _, as names in Python are")
 
@@ -280,7 +281,7 @@ class Accessor(Feature):
     of: str
     target: Target
 
-    _check_name = _check_identifier
+    _check_name = check_identifier
 
     def seam_of(self, field: str) -> str:
         """Return the decorator of the function, which depends on the class."""
@@ -348,7 +349,7 @@ class PlotKind(Feature):
 
     module: str
 
-    _check_name = _check_identifier
+    _check_name = check_identifier
 
     def check_targets(self) -> None:
         """Check that the module has the functions `charts` and `chart`; raises PluginError."""
