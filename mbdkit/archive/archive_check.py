@@ -272,26 +272,20 @@ class _Checker:
             timed = any(array.key == "time" for array in kind.arrays)
             if timed and f"{group}/time" in self.file and not np.array_equal(self.file[f"{group}/time"][:], time):
                 self.say(f"{group}/time differs from trajectory/time")
-        elapsed = self.file.get("trajectory/elapsed_s")
-        if elapsed is not None and np.any(np.diff(elapsed[:]) < 0):
-            self.say("trajectory/elapsed_s decreases")
-        if "steps/time" in self.file and "steps/interval" in self.file:
-            ends, numbers = self.file["steps/time"][:], self.file["steps/interval"][:]
-            if not np.array_equal(numbers, np.arange(1, len(numbers) + 1)):
-                self.say("steps/interval does not count from 1")
-            if not np.array_equal(ends, time[1:]):
-                self.say("steps/time differs from trajectory/time after the start")
+        for path in ("trajectory/elapsed_s", "events/time", "inputs/set/instant"):
+            if path in self.file and np.any(np.diff(self.file[path][:]) < 0):
+                self.say(f"{path} decreases")
+        for path in ("steps/interval", "events/event", "inputs/set/number"):
+            if path in self.file and not np.array_equal(self.file[path][:], np.arange(1, len(self.file[path]) + 1)):
+                self.say(f"{path} does not count from 1")
+        if "steps/time" in self.file and not np.array_equal(self.file["steps/time"][:], time[1:]):
+            self.say("steps/time differs from trajectory/time after the start")
 
     def events(self) -> None:
-        if any(f"events/{name}" not in self.file for name in ("event", "name", "time", "direction")):
+        if any(f"events/{name}" not in self.file for name in ("name", "direction")):
             return
         group = self.file["events"]
-        number, time, direction = (group[name][:] for name in ("event", "time", "direction"))
-        if not np.array_equal(number, np.arange(1, len(number) + 1)):
-            self.say("events/event does not count from 1")
-        if np.any(np.diff(time) < 0):
-            self.say("events/time decreases")
-        if not np.all(np.abs(direction) == 1):
+        if not np.all(np.abs(group["direction"][:]) == 1):
             self.say("events/direction has values other than 1 and -1")
         known = self.spec.get("events")
         if isinstance(known, dict) and (strange := set(group["name"].asstr()[:]) - set(known)):
@@ -300,12 +294,7 @@ class _Checker:
     def settings(self) -> None:
         if any(path not in self.file for path in ("inputs/input", *layout.SETTINGS)):
             return
-        group = self.file["inputs/set"]
-        if not np.array_equal(group["number"][:], np.arange(1, len(group["number"]) + 1)):
-            self.say("inputs/set/number does not count from 1")
-        if np.any(np.diff(group["instant"][:]) < 0):
-            self.say("inputs/set/instant decreases")
-        if strange := {*group["name"].asstr()[:]} - {*self.file["inputs/input"].asstr()[:]}:
+        if strange := {*self.file["inputs/set/name"].asstr()[:]} - {*self.file["inputs/input"].asstr()[:]}:
             self.say(f"inputs/set/name has {', '.join(sorted(strange))}, which is no input")
 
     def accuracy(self) -> None:

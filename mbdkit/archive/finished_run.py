@@ -231,7 +231,4 @@ class ArrayHash:
         return latest[1]
 
 
-@lru_cache(maxsize=16)
-def array_hash(names: ArchiveNames, recorded: tuple[Array, ...]) -> ArrayHash:
-    """Return the `ArrayHash` of these names and arrays; it is cached for further runs."""
-    return ArrayHash(names, recorded)
+array_hash = lru_cache(maxsize=16)(ArrayHash)  #: The hash of arrays of a layout, which several runs share.

@@ -7,6 +7,8 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+import h5py
+
 from mbdkit.base.errors import ArchiveError, MbdkitError
 from mbdkit.base.text import shown
 
@@ -26,6 +28,16 @@ def cause(error: BaseException) -> str:
     """Return the cause of an error of the system or of HDF5, without HDF5's internal details."""
     number, text = error_number(error), str(getattr(error, "strerror", None) or error)
     return os.strerror(number) if number and "errno = " in text else text.partition("\n")[0]
+
+
+@contextlib.contextmanager
+def closed_on_error(file: h5py.File) -> Iterator[None]:
+    """Close a file if the body of the `with` statement raises an exception."""
+    try:
+        yield
+    except BaseException:
+        file.close()
+        raise
 
 
 @contextlib.contextmanager

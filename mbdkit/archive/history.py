@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
 from mbdkit.archive import recorded_columns as columns
-from mbdkit.archive.named_columns import Histories, Source
+from mbdkit.archive.named_columns import Histories
 from mbdkit.base.errors import UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body
 from mbdkit.quantities.registered_kinds import kind_of_group
+
+if TYPE_CHECKING:
+    from mbdkit.archive.recorded_data import RecordedData
 
 
 class BodyHistory(columns.Trajectory, of="trajectory"):
@@ -203,7 +206,7 @@ class Impacts:
     reaction_torque_impulse: np.ndarray
 
     @classmethod
-    def of(cls, run: Source) -> Impacts:
+    def of(cls, run: RecordedData) -> Impacts:
         """Return the impacts recorded by a run; none if it has neither rigid contacts nor `impacts: allow`."""
         joints = run.array("joints/joint")
         count = len(run.array("impacts/time")) if run.records("impacts/time") else 0
@@ -246,7 +249,7 @@ class Events(Sequence[Event]):
         self.names, self.time, self.direction, self.position, self.velocity = arrays
 
     @classmethod
-    def of(cls, run: Source, watched: Sequence[str], bodies: int) -> Events:
+    def of(cls, run: RecordedData, watched: Sequence[str], bodies: int) -> Events:
         """Return the crossings recorded by a run whose spec has the events `watched`."""
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")

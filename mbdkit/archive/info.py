@@ -24,6 +24,9 @@ from mbdkit.quantities.array import TEXT
 NAMES_SHOWN = 32
 
 
+_ATTRIBUTES = ("format_version", "run_id", "created_utc", "status", "status_reason")
+
+
 def describe(path: str | Path) -> dict[str, Any]:
     """Describe a run archive by JSON-compatible values.
 
@@ -38,19 +41,12 @@ def describe(path: str | Path) -> dict[str, Any]:
         return {
             "path": str(path),
             "bytes": path.stat().st_size,
-            "format_version": run.format_version,
-            "run_id": run.run_id,
-            "created_utc": run.created_utc,
-            "status": run.status,
-            "status_reason": run.status_reason,
+            **{name: getattr(run, name) for name in _ATTRIBUTES},
             "verdict": run.verdict if run.is_judged else "unknown: not judged",
             "verdict_reasons": run.verdict_reasons,
             "warnings": run.warnings,
             "title": run.spec.get("title") or "",
-            "model": run.spec.get("model"),
-            "integrator": run.spec.get("integrator"),
-            "formulation": run.spec.get("formulation"),
-            "stabilization": run.spec.get("stabilization"),
+            **{name: run.spec.get(name) for name in ("model", "integrator", "formulation", "stabilization")},
             "corrections": corrections(run),
             "accuracy": run.errors.sentence(),
             "rows": len(time),

@@ -20,7 +20,7 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.fingerprint import StoredHashes, is_text
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import set_text
-from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.hdf5_errors import closed_on_error, reading
 from mbdkit.archive.layout import name_texts
 from mbdkit.archive.measured_values import Integrals, MeasuredValues, integrals_from_json
 from mbdkit.archive.named_columns import NotRecordedError
@@ -153,13 +153,9 @@ class ArchiveContents(RunContents):
         if header is not None and provenance is not None:
             self.header, self.provenance = header, ReadOnlyDict(provenance)
             return
-        try:
-            with reading("its header", path):
-                self.header = self._read_header()
-                self.provenance = run_header.plain_attributes(file["provenance"])
-        except MbdkitError:
-            file.close()
-            raise
+        with closed_on_error(file), reading("its header", path):
+            self.header = self._read_header()
+            self.provenance = run_header.plain_attributes(file["provenance"])
 
     @cached_property
     def names(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
@@ -185,7 +181,7 @@ class ArchiveContents(RunContents):
     def open(cls, path: Path) -> ArchiveContents:
         """Open the archive at a path, and check its header, its names and the shapes of its arrays."""
         file = open_archive(path)
-        try:
+        with closed_on_error(file):
             with reading("its contents", path):
                 # archives of crashed runs have no hashes
                 is_sealed = file.attrs.get("status") != "running" or layout.ATTRIBUTES_HASH in file.attrs
@@ -193,16 +189,9 @@ class ArchiveContents(RunContents):
             with reading("its arrays", path):
                 known = kinds_of_file(file)
                 run_header.check_shapes(file, known.values())
-        except BaseException:
-            file.close()
-            raise
-        contents = cls(file, path, hashes=hashes)
-        contents.kinds = known
-        try:
+            contents = cls(file, path, hashes=hashes)
+            contents.kinds = known
             assert contents.names is not None
-        except MbdkitError:
-            file.close()
-            raise
         return contents
 
     @classmethod

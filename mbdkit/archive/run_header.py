@@ -14,7 +14,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
-from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.hdf5_errors import closed_on_error, reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import PART, part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
@@ -44,11 +44,8 @@ def open_archive(path: Path) -> h5py.File:
         raise SpecError(f"there is no such file{hint}", file=path)
     is_empty = path.suffix == PART and not os.path.getsize(path)
     file = open_hdf5(path, "run archive", hint="the run was killed before it wrote any rows" if is_empty else "")
-    try:
+    with closed_on_error(file):
         _check_format(file, path)
-    except BaseException:
-        file.close()
-        raise
     return file
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from mbdkit.registry.feature_items import SummaryLine
 from mbdkit.registry.manager import registry, use
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.trust.criteria import rounding
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Largest number of events listed.
 EVENTS_NAMED = 4

@@ -39,6 +39,8 @@ def utc_now() -> str:
 #: Keys of the core that the `append` methods accept, besides paths of plugins.
 _KEYS = frozenset(array.key for kind in KINDS for array in kind.arrays)
 
+#: Array with the numbers of the rows of a group, which is also their axis.
+_NUMBERS = {"steps": "interval", "events": "event", "impacts": "impact", "inputs": "set/number", "samples": "sample"}
 UNJUDGED = Judgement("unknown")
 
 
@@ -195,39 +197,22 @@ class RunWriter(ABC):
         """
         self._append("time", rows)
 
-    def append_steps(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append the statistics of recorded intervals; the values are copied.
+    def append_numbered(self, group: str, rows: Mapping[str, np.ndarray]) -> None:
+        """Append rows with times of their own, which are numbered from 1; the values are copied.
 
-        `rows`: ``time``, ``steps``, ``size``, ``iterations``, ``iterations_max``, ``rejected``, and the corrections of
-        a stabilized run, each (N,).
+        `rows`: arrays of the group by name, except the numbers; N is the number of rows.
+
+        - ``steps``: statistics of recorded intervals, ``time``, ``steps``, ``size``, ``iterations``,
+          ``iterations_max``, ``rejected``, and the corrections of a stabilized run, each (N,).
+        - ``events``: crossings, ``name`` (strings), ``time`` and ``direction``, each (N,), and ``position`` and
+          ``velocity`` (N, B, 3).
+        - ``impacts``: the arrays of impacts, each (N,), and for the joints the impulses of forces (N, J, 2) and of
+          torques (N, J).
+        - ``inputs``: settings, ``set/instant`` and ``set/value``, and the strings ``set/name`` and ``set/row_units``,
+          each (N,).
+        - ``samples``: outputs of controllers in Python, each (N,).
         """
-        self._append_numbered("steps", "interval", rows)
-
-    def append_events(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append crossings of events; the values are copied.
-
-        `rows`: ``name`` (strings), ``time`` and ``direction``, each (E,), and ``position`` and ``velocity`` (E, B, 3).
-        """
-        self._append_numbered("events", "event", rows)
-
-    def append_impacts(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append impacts: the arrays of the group by name, each (I,), and for the joints the impulses of forces
-        (I, J, 2) and of torques (I, J).
-        """
-        self._append_numbered("impacts", "impact", rows)
-
-    def append_inputs(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append settings of inputs; the values are copied.
-
-        `rows`: ``set/instant`` and ``set/value``, and the strings ``set/name`` and ``set/row_units``, each (S,).
-        """
-        self._append_numbered("inputs", "set/number", rows)
-
-    def append_samples(self, rows: Mapping[str, np.ndarray]) -> None:
-        """Append outputs of controllers in Python: the arrays of the group by name, each (P,); they are copied."""
-        self._append_numbered("samples", "sample", rows)
-
-    def _append_numbered(self, group: str, dim: str, rows: Mapping[str, np.ndarray]) -> None:
+        dim = _NUMBERS[group]
         numbers = np.arange(self.rows(dim) + 1, self.rows(dim) + 1 + len(next(iter(rows.values()))))
         self._append(dim, {f"{group}/{name}": values for name, values in {**rows, dim: numbers}.items()})
 

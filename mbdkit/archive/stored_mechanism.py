@@ -101,7 +101,8 @@ def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
         return StoredMechanism(None, "this version of mbdkit does not know all of its bodies, so only points are drawn")
     mechanism.bodies = {name: mechanism.bodies[name] for name in bodies}
     unknown += _without_wrong_references(mechanism)
-    return StoredMechanism(mechanism, f"not drawn, because not known here: {_few(unknown)}" if unknown else "")
+    names = shown(listed(unknown, most=_NAMED))
+    return StoredMechanism(mechanism, f"not drawn, because not known here: {names}" if unknown else "")
 
 
 def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
@@ -117,8 +118,7 @@ def built_mechanism(spec: Mapping[str, Any]) -> StoredMechanism:
     if item is None:
         why = f"{lacks}, and the model '{shown(name)}' is of a plugin, which may read files"
         return StoredMechanism(None, f"only points of bodies are drawn: {why}")
-    plugin = item.plugin
-    assert isinstance(plugin, ModelPlugin)
+    plugin = cast(ModelPlugin, item.plugin)
     given = {key: value for key, value in plain(spec["model"]).items() if key != "name"}
 
     def validate(values: object) -> object:
@@ -175,8 +175,3 @@ def _without_wrong_references(mechanism: Mechanism) -> list[str]:
         else:
             return removed
     raise ArchiveError("the mechanism in this archive is damaged, its elements do not fit together")
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return shown(listed(names[:_NAMED])) + more

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t, h5z
 
-from mbdkit.archive.hdf5_errors import DAMAGE, cause, error_number, reading
+from mbdkit.archive.hdf5_errors import DAMAGE, cause, closed_on_error, error_number, reading
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ArchiveError, ResourceError, file_error
 from mbdkit.base.files import check_regular
@@ -83,12 +83,8 @@ def open_hdf5(path: Path, what: str, *, hint: str = "", objects: int = OBJECTS) 
             if number := error_number(error):
                 raise file_error(number, why, file=path) from error
         raise ArchiveError("; ".join(filter(None, (why, hint))), file=path) from error
-    try:
-        with reading("its structure", path, hint=hint or "it cannot be used"):
-            _Inspection(file, path, objects).inspect()
-    except BaseException:
-        file.close()
-        raise
+    with closed_on_error(file), reading("its structure", path, hint=hint or "it cannot be used"):
+        _Inspection(file, path, objects).inspect()
     return file
 
 

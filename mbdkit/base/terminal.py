@@ -216,6 +216,14 @@ def show_json(data: object, indent: int | None = None) -> None:
     show(json_text(data, indent))
 
 
+def show_result(values: object, text: object, *, as_json: bool, quiet: bool = False) -> None:
+    """Print a result on stdout: its values as JSON, or its text unless `quiet`."""
+    if as_json:
+        show_json(values)
+    elif not quiet:
+        show(text)
+
+
 def _json_error(message: str, status: int, error: BaseException | None = None) -> str:
     from mbdkit.base.plain_data import json_text
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from mbdkit.base import terminal
-from mbdkit.base.terminal import say, show, show_json
+from mbdkit.base.terminal import say, show, show_result
 from mbdkit.cli.common_options import Archive, Archives, AsJson, Debug, Quiet
 
 
@@ -17,10 +17,8 @@ def archive_info(archives: Archives, as_json: AsJson = False, debug: Debug = Fal
     from mbdkit.archive.info import describe, text
 
     descriptions = [describe(archive) for archive in archives]
-    if as_json:
-        show_json({"archives": descriptions})
-    else:
-        show("\n\n".join(text(description) for description in descriptions))
+    texts = "\n\n".join(text(description) for description in descriptions)
+    show_result({"archives": descriptions}, texts, as_json=as_json)
 
 
 def archive_check(archives: Archives, quiet: Quiet = False, debug: Debug = False) -> None:
@@ -53,14 +51,7 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
 
     with load(first) as one, load(second) as two:
         comparison = compare(one, two)
-    if as_json:
-        values = {
-            "same_data": comparison.same_data,
-            "same_spec": comparison.same_spec,
-            "differences": comparison.differences,
-        }
-        show_json({**values, "versions": comparison.versions})
-    else:
-        show(comparison)
+    names = ("same_data", "same_spec", "differences", "versions")
+    show_result({name: getattr(comparison, name) for name in names}, comparison, as_json=as_json)
     if not comparison.same_data:
         raise typer.Exit(terminal.DIFFERS)

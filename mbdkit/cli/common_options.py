@@ -196,9 +196,6 @@ class SpecCommand:
 
     def conclude(self, text: str, values: Mapping[str, object], *, is_good: bool = True) -> None:
         """Print the result, as text or with ``--json`` as values, and exit with status 3 if it is not good."""
-        if self.printing.as_json:
-            terminal.show_json(values)
-        elif not self.printing.quiet:
-            terminal.show(text)
+        terminal.show_result(values, text, as_json=self.printing.as_json, quiet=self.printing.quiet)
         if not is_good:
             raise typer.Exit(terminal.STOPPED_EARLY)

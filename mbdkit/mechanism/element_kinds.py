@@ -25,7 +25,7 @@ from mbdkit.mechanism.pathways import LawForce
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ElementDerivatives, ElementFailures, ElementForces, ElementKind, JointKind
 from mbdkit.registry.feature_items import Treatment
-from mbdkit.registry.item import described
+from mbdkit.registry.item import described, seams_of
 from mbdkit.registry.manager import log, registry, use
 from mbdkit.registry.seam import OwnSeam, Seam
 from mbdkit.registry.target import Target
@@ -110,7 +110,7 @@ Part = TypeVar("Part", ElementKind, ElementForces, ElementFailures, ElementDeriv
 
 def _blaming(item: Registered, part: Part) -> Part:
     """Return a kind of a plugin, or a part of it, whose functions, if they are wrong, raise PluginError."""
-    given = {name: target for name in part.seams if isinstance(target := getattr(part, name), Target)}
+    given = {name: target for name in seams_of(type(part)) if isinstance(target := getattr(part, name), Target)}
     changed: dict[str, Any] = {name: _BlamingTarget(item, target) for name, target in given.items()}
     if isinstance(part, ElementKind):
         changed |= {name: _blaming(item, getattr(part, name)) for name in ("acts", "failures", "derivatives")}

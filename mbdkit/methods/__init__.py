@@ -10,125 +10,111 @@ from __future__ import annotations
 from mbdkit.registry.items import IntegratorPlugin, StepControl
 from mbdkit.registry.target import Target
 
+_HERE = "mbdkit.methods."
+
+
+def _integrator(
+    name: str, summary: str, file: str, options: str, *, of: str = "", dense_output: bool = True, order: int
+) -> IntegratorPlugin:
+    """Return the item of a method in a file of this folder.
+
+    `options`: file and name of the class of its options. `of`: word in the names of the functions of the method, where
+    a file has several methods.
+    """
+    names = ("create", "claims", "REFERENCES")
+    if of:
+        names = (f"create_{of}", f"claims_of_{of}", f"REFERENCES_OF_{of.upper()}")
+    create, claims, references = (Target(f"{_HERE}{file}:{own}") for own in names)
+    return IntegratorPlugin(
+        name, summary, Target(_HERE + options), create, claims, references, dense_output=dense_output, order=order
+    )
+
+
+def _step_control(name: str, summary: str, options: str, references: str, *, order: int) -> StepControl:
+    """Return the item of a controller, whose function has its name."""
+    options_of, create, references_of = (Target(f"{_HERE}step_controls:{own}") for own in (options, name, references))
+    return StepControl(name, summary, options_of, create, references_of, order=order)
+
+
 # fmt: off
 #: The built-in integrators: explicit methods, collocation, partitioned methods and SciPy's solvers;
 #: within a family by order of convergence, then by name.
 INTEGRATORS = (
-    IntegratorPlugin(
-        name="rk-gill", summary="Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
-        options=Target("mbdkit.methods.method_options:ExplicitOptions"), create=Target("mbdkit.methods.rk_gill:create"),
-        claims=Target("mbdkit.methods.rk_gill:claims"), references=Target("mbdkit.methods.rk_gill:REFERENCES"),
-        order=10,
+    _integrator(
+        "rk-gill", "Runge-Kutta-Gill: explicit, 4 stages, order 4, fixed steps.",
+        "rk_gill", "method_options:ExplicitOptions", dense_output=False, order=10,
     ),
-    IntegratorPlugin(
-        name="rk4", summary="Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.",
-        options=Target("mbdkit.methods.method_options:ExplicitOptions"), create=Target("mbdkit.methods.rk4:create"),
-        claims=Target("mbdkit.methods.rk4:claims"), references=Target("mbdkit.methods.rk4:REFERENCES"), order=20,
+    _integrator(
+        "rk4", "Classical Runge-Kutta: explicit, 4 stages, order 4, fixed steps.",
+        "rk4", "method_options:ExplicitOptions", dense_output=False, order=20,
     ),
-    IntegratorPlugin(
-        name="dopri5", summary="Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
-        options=Target("mbdkit.methods.method_options:ControlledOptions"),
-        create=Target("mbdkit.methods.dopri5:create"), claims=Target("mbdkit.methods.dopri5:claims"),
-        references=Target("mbdkit.methods.dopri5:REFERENCES"), dense_output=True, order=30,
+    _integrator(
+        "dopri5", "Dormand-Prince: explicit, 7 stages, order 5, fixed or adaptive steps.",
+        "dopri5", "method_options:ControlledOptions", order=30,
     ),
-    IntegratorPlugin(
-        name="dop853", summary="Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
-        options=Target("mbdkit.methods.method_options:ControlledOptions"),
-        create=Target("mbdkit.methods.dop853:create"), claims=Target("mbdkit.methods.dop853:claims"),
-        references=Target("mbdkit.methods.dop853:REFERENCES"), dense_output=True, order=40,
+    _integrator(
+        "dop853", "Dormand-Prince: explicit, 12 stages, order 8, fixed or adaptive steps.",
+        "dop853", "method_options:ControlledOptions", order=40,
     ),
-    IntegratorPlugin(
-        name="gauss",
-        summary="Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
-        options=Target("mbdkit.methods.gauss:GaussOptions"), create=Target("mbdkit.methods.gauss:create"),
-        claims=Target("mbdkit.methods.gauss:claims"), references=Target("mbdkit.methods.gauss:REFERENCES"),
-        dense_output=True, order=60,
+    _integrator(
+        "gauss", "Gauss-Legendre collocation: implicit, 1 to 6 stages, order 2 s, symmetric, symplectic; or adaptive.",
+        "gauss", "gauss:GaussOptions", order=60,
     ),
-    IntegratorPlugin(
-        name="radau-iia",
-        summary="Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
-        options=Target("mbdkit.methods.radau_iia:RadauOptions"), create=Target("mbdkit.methods.radau_iia:create"),
-        claims=Target("mbdkit.methods.radau_iia:claims"), references=Target("mbdkit.methods.radau_iia:REFERENCES"),
-        dense_output=True, order=70,
+    _integrator(
+        "radau-iia", "Radau IIA collocation: implicit, 2, 3 or 5 stages, order 2 s - 1, L-stable; or adaptive steps.",
+        "radau_iia", "radau_iia:RadauOptions", order=70,
     ),
-    IntegratorPlugin(
-        name="rattle",
-        summary="RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
-        options=Target("mbdkit.methods.lobatto_pair:RattleOptions"),
-        create=Target("mbdkit.methods.lobatto_pair:create_rattle"),
-        claims=Target("mbdkit.methods.lobatto_pair:claims_of_rattle"),
-        references=Target("mbdkit.methods.lobatto_pair:REFERENCES_OF_RATTLE"), order=80,
+    _integrator(
+        "rattle", "RATTLE: order 2, symmetric, symplectic, no drift of positions and velocities, fixed steps.",
+        "lobatto_pair", "lobatto_pair:RattleOptions", of="rattle", dense_output=False, order=80,
     ),
-    IntegratorPlugin(
-        name="lobatto-pair",
-        summary="Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
-        options=Target("mbdkit.methods.lobatto_pair:PairOptions"), create=Target("mbdkit.methods.lobatto_pair:create"),
-        claims=Target("mbdkit.methods.lobatto_pair:claims"),
-        references=Target("mbdkit.methods.lobatto_pair:REFERENCES"), order=90,
+    _integrator(
+        "lobatto-pair",
+        "Lobatto IIIA-IIIB: 2 or 3 stages, order 2 s - 2, symmetric, symplectic, no drift, fixed steps.",
+        "lobatto_pair", "lobatto_pair:PairOptions", dense_output=False, order=90,
     ),
-    IntegratorPlugin(
-        name="scipy-radau", summary="SciPy's Radau IIA: implicit, order 5, adaptive steps.",
-        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
-        create=Target("mbdkit.methods.scipy_methods:create_radau"),
-        claims=Target("mbdkit.methods.scipy_methods:claims_of_radau"),
-        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_RADAU"), dense_output=True, order=100,
+    _integrator(
+        "scipy-radau", "SciPy's Radau IIA: implicit, order 5, adaptive steps.",
+        "scipy_methods", "scipy_methods:AdaptiveOptions", of="radau", order=100,
     ),
-    IntegratorPlugin(
-        name="scipy-dop853", summary="SciPy's DOP853: explicit, order 8, adaptive steps.",
-        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
-        create=Target("mbdkit.methods.scipy_methods:create_dop853"),
-        claims=Target("mbdkit.methods.scipy_methods:claims_of_dop853"),
-        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_DOP853"), dense_output=True, order=110,
+    _integrator(
+        "scipy-dop853", "SciPy's DOP853: explicit, order 8, adaptive steps.",
+        "scipy_methods", "scipy_methods:AdaptiveOptions", of="dop853", order=110,
     ),
-    IntegratorPlugin(
-        name="scipy-lsoda", summary="SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
-        options=Target("mbdkit.methods.scipy_methods:AdaptiveOptions"),
-        create=Target("mbdkit.methods.scipy_methods:create_lsoda"),
-        claims=Target("mbdkit.methods.scipy_methods:claims_of_lsoda"),
-        references=Target("mbdkit.methods.scipy_methods:REFERENCES_OF_LSODA"), dense_output=True, order=120,
+    _integrator(
+        "scipy-lsoda", "SciPy's LSODA: Adams and BDF with automatic switching, adaptive steps.",
+        "scipy_methods", "scipy_methods:AdaptiveOptions", of="lsoda", order=120,
     ),
 )
 #: The built-in controllers of adaptive steps.
 STEP_CONTROLS = (
-    StepControl(
-        name="deadbeat", summary="Elementary controller: the error of the last step alone chooses the next.",
-        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
-        create=Target("mbdkit.methods.step_controls:deadbeat"),
-        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=10,
+    _step_control(
+        "deadbeat", "Elementary controller: the error of the last step alone chooses the next.",
+        "StepControlOptions", "OF_FILTERS", order=10,
     ),
-    StepControl(
-        name="pi", summary="Proportional-integral controller, PI.3.4 by default: for steps that stability limits.",
-        options=Target("mbdkit.methods.step_controls:PIOptions"), create=Target("mbdkit.methods.step_controls:pi"),
-        references=Target("mbdkit.methods.step_controls:OF_PI"), order=20,
+    _step_control(
+        "pi", "Proportional-integral controller, PI.3.4 by default: for steps that stability limits.",
+        "PIOptions", "OF_PI", order=20,
     ),
-    StepControl(
-        name="pid", summary="Proportional-integral-derivative controller, by default H312PID.",
-        options=Target("mbdkit.methods.step_controls:PIDOptions"), create=Target("mbdkit.methods.step_controls:pid"),
-        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=30,
+    _step_control(
+        "pid", "Proportional-integral-derivative controller, by default H312PID.",
+        "PIDOptions", "OF_FILTERS", order=30,
     ),
-    StepControl(
-        name="predictive", summary="Predictive controller of RADAU5, for implicit methods.",
-        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
-        create=Target("mbdkit.methods.step_controls:predictive"),
-        references=Target("mbdkit.methods.step_controls:OF_PREDICTIVE"), order=40,
+    _step_control(
+        "predictive", "Predictive controller of RADAU5, for implicit methods.",
+        "StepControlOptions", "OF_PREDICTIVE", order=40,
     ),
-    StepControl(
-        name="h211b", summary="Low-pass filter of order 1: smooth step sizes where accuracy limits them.",
-        options=Target("mbdkit.methods.step_controls:H211bOptions"),
-        create=Target("mbdkit.methods.step_controls:h211b"),
-        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=50,
+    _step_control(
+        "h211b", "Low-pass filter of order 1: smooth step sizes where accuracy limits them.",
+        "H211bOptions", "OF_FILTERS", order=50,
     ),
-    StepControl(
-        name="h312b", summary="Low-pass filter of order 2: very smooth step sizes where accuracy limits them.",
-        options=Target("mbdkit.methods.step_controls:H312bOptions"),
-        create=Target("mbdkit.methods.step_controls:h312b"),
-        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=60,
+    _step_control(
+        "h312b", "Low-pass filter of order 2: very smooth step sizes where accuracy limits them.",
+        "H312bOptions", "OF_FILTERS", order=60,
     ),
-    StepControl(
-        name="h321", summary="Low-pass filter of order 1 that extrapolates trends of the step size.",
-        options=Target("mbdkit.methods.step_controls:StepControlOptions"),
-        create=Target("mbdkit.methods.step_controls:h321"),
-        references=Target("mbdkit.methods.step_controls:OF_FILTERS"), order=70,
+    _step_control(
+        "h321", "Low-pass filter of order 1 that extrapolates trends of the step size.",
+        "StepControlOptions", "OF_FILTERS", order=70,
     ),
 )
 # fmt: on

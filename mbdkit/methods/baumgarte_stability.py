@@ -75,10 +75,9 @@ def _growth(method: Method, claims: Claims, wanted: Stabilization) -> tuple[Grow
 
 def _limit(growth: Growth, step: float) -> float:
     """Return the largest stable step [s]; `step` is a step that is unstable."""
+    from scipy.optimize import bisect  # runs import this module, but rarely need SciPy's
+
     sizes = step * np.linspace(0.0, 1.0, 2001)[1:]
     first = next(i for i, size in enumerate(sizes) if growth(size) >= 1)
     low, high = sizes[first] - sizes[0], sizes[first]
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if growth(middle) >= 1 else (middle, high)
-    return float(low)
+    return float(bisect(lambda size: growth(size) - 1, low, high, xtol=1e-9 * step))

@@ -2,7 +2,7 @@
 
 The source paper (``guide/paper.md``) calls the methods with s = 2 and 3 s2IRK and s3IRK. Its table 4 misprints three
 coefficients of s = 3 (a_12 = 2/9 + sqrt15/15, a_13 = 5/36 + sqrt15/30, b_2 = 4/19); the check of row sums refuses the
-printed tableau.
+printed tableau. Closed forms by the number of stages lie in ``gauss.json``.
 """
 
 from __future__ import annotations
@@ -13,36 +13,15 @@ from typing import Annotated
 import mpmath
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.quadrature import legendre_roots
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
-from mbdkit.methods.tableau import ButcherTableau, Coefficient, collocation
+from mbdkit.methods.tableau import ButcherTableau, coefficients, collocation
 from mbdkit.registry.items import Claims, integrator_claims
 
-REFERENCE = """@article{butcher1964,
-  author = {Butcher, John C.},
-  title = {Implicit {R}unge-{K}utta processes},
-  journal = {Mathematics of Computation}, volume = {18}, pages = {50--64}, year = {1964},
-  doi = {10.1090/S0025-5718-1964-0159424-9}}"""
-
-_CLOSED_FORMS: dict[int, tuple[list[list[Coefficient]], list[Coefficient], list[Coefficient]]] = {
-    1: ([["1/2"]], [1], ["1/2"]),
-    2: (
-        [["1/4", "1/4 - sqrt(3)/6"], ["1/4 + sqrt(3)/6", "1/4"]],
-        ["1/2", "1/2"],
-        ["1/2 - sqrt(3)/6", "1/2 + sqrt(3)/6"],
-    ),
-    3: (
-        [
-            ["5/36", "2/9 - sqrt(15)/15", "5/36 - sqrt(15)/30"],
-            ["5/36 + sqrt(15)/24", "2/9", "5/36 - sqrt(15)/24"],
-            ["5/36 + sqrt(15)/30", "2/9 + sqrt(15)/15", "5/36"],
-        ],
-        ["5/18", "4/9", "5/18"],
-        ["1/2 - sqrt(15)/10", "1/2", "1/2 + sqrt(15)/10"],
-    ),
-}
+REFERENCE = entry(__file__, "butcher1964")
 
 
 @cache
@@ -52,9 +31,8 @@ def tableau(stages: int) -> ButcherTableau:
     The coefficients are exact for up to 3 stages; for more, the nodes are roots of Legendre polynomials to 75 digits.
     """
     name = f"gauss-{stages}"
-    if stages in _CLOSED_FORMS:
-        a, b, c = _CLOSED_FORMS[stages]
-        return ButcherTableau(name, a, b, c, order=2 * stages, reference=REFERENCE)
+    if closed_form := coefficients(__file__).get(str(stages)):
+        return ButcherTableau(name, **closed_form, order=2 * stages, reference=REFERENCE)
     with mpmath.workdps(75):
         nodes = [(1 + x) / 2 for x in legendre_roots(stages)]
     return collocation(name, nodes, order=2 * stages, reference=REFERENCE)

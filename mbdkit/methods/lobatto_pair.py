@@ -11,20 +11,13 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import LobattoPair, integrator_method
 from mbdkit.methods.method_options import Options
 from mbdkit.registry.items import Claims, integrator_claims
 
-JAY = """@article{jay1996,
-  author = {Jay, Laurent},
-  title = {Symplectic partitioned {R}unge-{K}utta methods for constrained {H}amiltonian systems},
-  journal = {SIAM Journal on Numerical Analysis}, volume = {33}, number = {1}, pages = {368--387}, year = {1996},
-  doi = {10.1137/0733019}}"""
-ANDERSEN = """@article{andersen1983,
-  author = {Andersen, Hans C.},
-  title = {{RATTLE}: a ``velocity'' version of the {SHAKE} algorithm for molecular dynamics calculations},
-  journal = {Journal of Computational Physics}, volume = {52}, number = {1}, pages = {24--34}, year = {1983},
-  doi = {10.1016/0021-9991(83)90014-1}}"""
+JAY = entry(__file__, "jay1996")
+ANDERSEN = entry(__file__, "andersen1983")
 
 Row = tuple[Fraction, ...]
 

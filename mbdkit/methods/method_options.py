@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, Tolerances
@@ -27,15 +28,9 @@ TOLERANCE_DRIFT = "only accelerations satisfy the constraints; drift depends on 
 #: Clause on joint coordinates that methods append to `ORDER_DRIFT` or `TOLERANCE_DRIFT`.
 OF_TREES = "; with joint-coordinates, the joints of the spanning tree stay closed up to rounding errors"
 
-HAIRER_NORSETT_WANNER = """@book{hairer1993,
-  author = {Hairer, Ernst and N{\\o}rsett, Syvert P. and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {I}: Nonstiff Problems},
-  edition = {2}, publisher = {Springer}, year = {1993}, doi = {10.1007/978-3-540-78862-1}}"""
+HAIRER_NORSETT_WANNER = entry(__file__, "hairer1993")
 
-HAIRER_WANNER = """@book{hairer1996,
-  author = {Hairer, Ernst and Wanner, Gerhard},
-  title = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition = {2}, publisher = {Springer}, year = {1996}, doi = {10.1007/978-3-642-05221-7}}"""
+HAIRER_WANNER = entry(__file__, "hairer1996")
 
 MaxStep = Annotated[float, Field(gt=0, allow_inf_nan=False)] | None  #: Largest step [s]; None for no limit.
 

@@ -2,6 +2,8 @@
 
 This is not SciPy's adaptive `Radau`. If that solver is used with a fixed step size, it stops its Newton iteration
 early, and constraints drift hundreds of times faster than with this method.
+
+Closed forms of the coefficients, by the number of stages, lie in ``radau_iia.json``.
 """
 
 from __future__ import annotations
@@ -12,39 +14,22 @@ from typing import Annotated, Literal
 import mpmath
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.engine.formulation import FORMULATIONS, ORDINARY, formulation_name
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import HAIRER_WANNER, OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
-from mbdkit.methods.tableau import ButcherTableau, collocation
+from mbdkit.methods.tableau import ButcherTableau, coefficients, collocation
 from mbdkit.registry.items import Claims, Orders, integrator_claims
 
-GEAR = """@article{gear1985,
-  author = {Gear, C. W. and Leimkuhler, B. and Gupta, G. K.},
-  title = {Automatic integration of {E}uler-{L}agrange equations with constraints},
-  journal = {Journal of Computational and Applied Mathematics},
-  volume = {12--13}, pages = {77--90}, year = {1985}, doi = {10.1016/0377-0427(85)90008-1}}"""
-
-_CLOSED_FORMS: dict[int, tuple[list[list[str]], list[str], list[str]]] = {
-    2: ([["5/12", "-1/12"], ["3/4", "1/4"]], ["3/4", "1/4"], ["1/3", "1"]),
-    3: (
-        [
-            ["(88 - 7*sqrt(6))/360", "(296 - 169*sqrt(6))/1800", "(-2 + 3*sqrt(6))/225"],
-            ["(296 + 169*sqrt(6))/1800", "(88 + 7*sqrt(6))/360", "(-2 - 3*sqrt(6))/225"],
-            ["(16 - sqrt(6))/36", "(16 + sqrt(6))/36", "1/9"],
-        ],
-        ["(16 - sqrt(6))/36", "(16 + sqrt(6))/36", "1/9"],
-        ["(4 - sqrt(6))/10", "(4 + sqrt(6))/10", "1"],
-    ),
-}
+GEAR = entry(__file__, "gear1985")
 
 
 @cache
 def tableau(stages: int) -> ButcherTableau:
     """Return the tableau with 2, 3 (closed forms) or 5 `stages` (nodes to 75 digits)."""
     name = f"radau-iia-{stages}"
-    if stages in _CLOSED_FORMS:
-        a, b, c = _CLOSED_FORMS[stages]
-        return ButcherTableau(name, a, b, c, order=2 * stages - 1, reference=HAIRER_WANNER)
+    if closed_form := coefficients(__file__).get(str(stages)):
+        return ButcherTableau(name, **closed_form, order=2 * stages - 1, reference=HAIRER_WANNER)
     with mpmath.workdps(75):
         difference = mpmath.taylor(lambda x: mpmath.legendre(stages, x) - mpmath.legendre(stages - 1, x), 0, stages)
         roots = sorted(mpmath.re(x) for x in mpmath.polyroots(difference[::-1], maxsteps=200, extraprec=200))

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
 from mbdkit.methods.tableau import ButcherTableau
 
-REFERENCE = """@article{kutta1901,
-  author = {Kutta, Wilhelm},
-  title = {Beitrag zur n{\\"a}herungsweisen Integration totaler Differentialgleichungen},
-  journal = {Zeitschrift f{\\"u}r Mathematik und Physik}, volume = {46}, pages = {435--453}, year = {1901}}"""
+REFERENCE = entry(__file__, "kutta1901")
 
 
 @cache

@@ -9,16 +9,12 @@ from __future__ import annotations
 
 from functools import cache
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import ExplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import ExplicitOptions, explicit_claims
 from mbdkit.methods.tableau import ButcherTableau
 
-REFERENCE = """@article{gill1951,
-  author = {Gill, Stanley},
-  title = {A process for the step-by-step integration of differential equations
-    in an automatic digital computing machine},
-  journal = {Mathematical Proceedings of the Cambridge Philosophical Society},
-  volume = {47}, number = {1}, pages = {96--108}, year = {1951}, doi = {10.1017/S0305004100026414}}"""
+REFERENCE = entry(__file__, "gill1951")
 
 
 @cache

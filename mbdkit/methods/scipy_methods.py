@@ -8,20 +8,14 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.methods.kinds import integrator_method
 from mbdkit.methods.method_options import HAIRER_NORSETT_WANNER, HAIRER_WANNER, TOLERANCE_DRIFT, MaxStep, Options
 from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.registry.items import Claims, integrator_claims
 
-SCIPY = """@article{scipy2020,
-  author = {Virtanen, Pauli and others},
-  title = {{SciPy} 1.0: fundamental algorithms for scientific computing in {P}ython},
-  journal = {Nature Methods}, volume = {17}, pages = {261--272}, year = {2020}, doi = {10.1038/s41592-019-0686-2}}"""
-PETZOLD = """@article{petzold1983,
-  author = {Petzold, Linda},
-  title = {Automatic selection of methods for solving stiff and nonstiff systems of ordinary differential equations},
-  journal = {SIAM Journal on Scientific and Statistical Computing},
-  volume = {4}, number = {1}, pages = {136--148}, year = {1983}, doi = {10.1137/0904010}}"""
+SCIPY = entry(__file__, "scipy2020")
+PETZOLD = entry(__file__, "petzold1983")
 
 
 class AdaptiveOptions(Options):

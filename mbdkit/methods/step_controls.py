@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, cast
 
 from pydantic import BaseModel, Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.methods.kinds import Method
@@ -18,21 +19,9 @@ from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.registry.items import StepControl
 from mbdkit.registry.manager import use
 
-SODERLIND = """@article{soderlind2003,
-  author = {S{\\"o}derlind, Gustaf},
-  title = {Digital filters in adaptive time-stepping},
-  journal = {ACM Transactions on Mathematical Software},
-  volume = {29}, number = {1}, pages = {1--26}, year = {2003}, doi = {10.1145/641876.641877}}"""
-GUSTAFSSON = """@article{gustafsson1991,
-  author = {Gustafsson, Kjell},
-  title = {Control theoretic techniques for stepsize selection in explicit {R}unge-{K}utta methods},
-  journal = {ACM Transactions on Mathematical Software},
-  volume = {17}, number = {4}, pages = {533--554}, year = {1991}, doi = {10.1145/210232.210242}}"""
-PREDICTIVE = """@article{gustafsson1994,
-  author = {Gustafsson, Kjell},
-  title = {Control-theoretic techniques for stepsize selection in implicit {R}unge-{K}utta methods},
-  journal = {ACM Transactions on Mathematical Software},
-  volume = {20}, number = {4}, pages = {496--517}, year = {1994}, doi = {10.1145/198429.198437}}"""
+SODERLIND = entry(__file__, "soderlind2003")
+GUSTAFSSON = entry(__file__, "gustafsson1991")
+PREDICTIVE = entry(__file__, "gustafsson1994")
 OF_FILTERS, OF_PI, OF_PREDICTIVE = (SODERLIND,), (GUSTAFSSON, SODERLIND), (PREDICTIVE, SODERLIND)
 
 Number = Annotated[float, Field(allow_inf_nan=False)]

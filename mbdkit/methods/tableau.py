@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import json
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mpmath
@@ -79,6 +81,13 @@ def _exact(value: Coefficient) -> sp.Expr:
     if isinstance(value, mpmath.mpf):
         return sp.Float(value, _DIGITS)
     return sp.sympify(value) if isinstance(value, Fraction | int | float) else value
+
+
+@cache
+def coefficients(module: str) -> dict[str, Any]:
+    """Return the coefficients in the JSON file beside a module, which has the name of the module."""
+    numbers: dict[str, Any] = json.loads(Path(module).with_suffix(".json").read_text("utf-8"))
+    return numbers
 
 
 Tree = tuple["Tree", ...]

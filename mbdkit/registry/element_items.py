@@ -5,11 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from mbdkit.base.errors import PluginError
-from mbdkit.registry.feature_items import Feature
-from mbdkit.registry.item import Item, described
+from mbdkit.registry.feature_items import Feature, check_identifier
+from mbdkit.registry.item import Item, described, seams_of
 from mbdkit.registry.target import Target
 
 
@@ -35,20 +35,12 @@ class ElementForces:
         Function that returns names and bodies of what archives record; by default, those of the elements.
     """
 
-    seams: ClassVar[Mapping[str, str]] = {
-        "check_run": "run_check",
-        "forces": "element_forces",
-        "lower": "lowering",
-        "lower_expressions": "expression_lowering",
-        "members": "recorded_members",
-    }
-
     only_in_runs: bool = False
-    check_run: Target | None = None
-    forces: Target | None = None
-    lower: Target | None = None
-    lower_expressions: Target | None = None
-    members: Target | None = None
+    check_run: Annotated[Target | None, "run_check"] = None
+    forces: Annotated[Target | None, "element_forces"] = None
+    lower: Annotated[Target | None, "lowering"] = None
+    lower_expressions: Annotated[Target | None, "expression_lowering"] = None
+    members: Annotated[Target | None, "recorded_members"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,10 +55,8 @@ class ElementFailures:
         Function that names an element for which explicit methods need small steps.
     """
 
-    seams: ClassVar[Mapping[str, str]] = {"obstacle": "obstacle_clause", "stiffest": "stiffness_clause"}
-
-    obstacle: Target | None = None
-    stiffest: Target | None = None
+    obstacle: Annotated[Target | None, "obstacle_clause"] = None
+    stiffest: Annotated[Target | None, "stiffness_clause"] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,10 +71,8 @@ class ElementDerivatives:
         Function that returns doubts about derivatives of runs.
     """
 
-    seams: ClassVar[Mapping[str, str]] = {"sides": "law_sides", "doubts": "gradient_doubts"}
-
-    sides: Target | None = None
-    doubts: Target | None = None
+    sides: Annotated[Target | None, "law_sides"] = None
+    doubts: Annotated[Target | None, "gradient_doubts"] = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -141,12 +129,6 @@ class ElementKind(Feature):
 
     kind: ClassVar[str] = "element-kind"
     key: ClassVar[str] = "model"
-    seams: ClassVar[Mapping[str, str]] = {
-        "read_files": "element_files",
-        "check_elements": "element_check",
-        "at_start": "start_values",
-        "draw": "element_lines",
-    }
 
     key_in_model: str
     model: Target
@@ -155,13 +137,13 @@ class ElementKind(Feature):
     section: str = ""
     section_model: Target | None = None
     in_expressions: Mapping[str, str] = field(default_factory=dict)
-    read_files: Target | None = None
-    check_elements: Target | None = None
+    read_files: Annotated[Target | None, "element_files"] = None
+    check_elements: Annotated[Target | None, "element_check"] = None
     acts: ElementForces = ElementForces()
-    at_start: Target | None = None
+    at_start: Annotated[Target | None, "start_values"] = None
     failures: ElementFailures = ElementFailures()
     derivatives: ElementDerivatives = ElementDerivatives()
-    draw: Target | None = None
+    draw: Annotated[Target | None, "element_lines"] = None
     example: str = ""
     supports: Mapping[str, str] = field(default_factory=dict)
 
@@ -177,7 +159,7 @@ class ElementKind(Feature):
     def seam_of(self, field: str) -> str:
         """Return the decorator for the function behind a field, also of a part."""
         part, _, name = field.rpartition(".")
-        return str(getattr(self, part).seams[name]) if part else super().seam_of(field)
+        return seams_of(type(getattr(self, part)))[name] if part else super().seam_of(field)
 
     def check(self) -> None:
         """Also check the classes of the parts; raises PluginError."""
@@ -214,10 +196,9 @@ class JointKind(Feature):
 
     kind: ClassVar[str] = "joint-kind"
     key: ClassVar[str] = "type"
-    seams: ClassVar[Mapping[str, str]] = {"check_elements": "element_check"}
 
     model: Target
-    check_elements: Target | None = None
+    check_elements: Annotated[Target | None, "element_check"] = None
     example: str = ""
 
     @property
@@ -253,20 +234,13 @@ class ModelKey(Feature):
 
     kind: ClassVar[str] = "model-key"
     key: ClassVar[str] = "model"
-    seams: ClassVar[Mapping[str, str]] = {
-        "extend": "model_extension",
-        "read_files": "element_files",
-        "follow": "follower",
-    }
 
     model: Target
-    extend: Target
-    read_files: Target | None = None
-    follow: Target | None = None
+    extend: Annotated[Target, "model_extension"]
+    read_files: Annotated[Target | None, "element_files"] = None
+    follow: Annotated[Target | None, "follower"] = None
 
-    def _check_name(self) -> None:
-        if not self.name.isidentifier():
-            raise PluginError(f"the name {self.name!r} is not made of letters, digits and _")
+    _check_name = check_identifier
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -303,13 +277,12 @@ class QuantityKind(Feature):
 
     kind: ClassVar[str] = "quantity"
     key: ClassVar[str] = "group"
-    seams: ClassVar[Mapping[str, str]] = {"names": "member_names"}
 
     target: Target
     group: str = ""
     word: str = ""
     of: str = ""
-    names: Target | None = None
+    names: Annotated[Target | None, "member_names"] = None
     peaks: tuple[str, ...] = ()
     modes: str = ""
     history: Target | None = None

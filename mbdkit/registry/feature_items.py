@@ -1,7 +1,7 @@
 """Classes of the items with which a plugin extends mbdkit: kinds of specs, examples, pages, and results.
 
 Every item names its code by a `Target`, which is imported when it is first used. The decorators in
-`mbdkit.plugin.seams`, which `Item.seams` names, declare what the functions take and return.
+`mbdkit.plugin.seams`, which the annotations of the fields name, declare what the functions take and return.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from mbdkit.base.errors import PluginError
-from mbdkit.registry.item import Item, described
+from mbdkit.registry.item import Item, described, seams_of
 from mbdkit.registry.target import Target
 
 
@@ -33,6 +33,10 @@ class Feature(Item):
             if "Target" in str(own.type) and not isinstance(value, Target) and value is not None:
                 raise PluginError(f"its `{own.name}` is {described(value)}, not a Target")
 
+    def seam_of(self, field: str) -> str:
+        """Return the decorator that the annotation of a field names; empty if there is none."""
+        return seams_of(type(self)).get(field, "")
+
     def check_targets(self) -> None:
         """Check that the targets exist, and that they can be called as declared; raises PluginError."""
         for name, target in self.targets().items():
@@ -45,7 +49,8 @@ def _check_function(target: Target, name: str) -> None:
         raise PluginError(f"its `{name}` is {described(target())}, which cannot be called")
 
 
-def _check_identifier(item: Item) -> None:
+def check_identifier(item: Item) -> None:
+    """Raise PluginError if the name of an item cannot be a name in Python."""
     if not item.name.isidentifier():
         raise PluginError(f"the name {item.name!r} is not made of letters, digits and _, as names in Python are")
 
@@ -114,14 +119,6 @@ class SpecKind(Feature):
 
     kind: ClassVar[str] = "spec-kind"
     key: ClassVar[str] = "spec"
-    seams: ClassVar[Mapping[str, str]] = {
-        "load": "spec_loader",
-        "validate": "spec_check",
-        "is_packaged": "packaged_spec",
-        "schema": "spec_schema",
-        "compute": "computed_run",
-        "repeat": "repeated_run",
-    }
 
     phrase: str = ""
     marker: str = ""
@@ -130,17 +127,17 @@ class SpecKind(Feature):
     command: str = ""
     given_instead: str = ""
     run_instead: str = ""
-    load: Target
-    validate: Target | None = None
-    is_packaged: Target | None = None
-    schema: Target | None = None
+    load: Annotated[Target, "spec_loader"]
+    validate: Annotated[Target | None, "spec_check"] = None
+    is_packaged: Annotated[Target | None, "packaged_spec"] = None
+    schema: Annotated[Target | None, "spec_schema"] = None
     run_kind: str = ""
     model: Target | None = None
-    compute: Target = _SIMULATE
+    compute: Annotated[Target, "computed_run"] = _SIMULATE
     differentiate: Target | None = None
     errors: Target | None = None
     is_integrated: bool = True
-    repeat: Target | None = None
+    repeat: Annotated[Target | None, "repeated_run"] = None
     heading: str = ""
 
     def __post_init__(self) -> None:
@@ -249,18 +246,13 @@ class FileFormat(Feature):
 
     kind: ClassVar[str] = "file-format"
     key: ClassVar[str] = "file"
-    seams: ClassVar[Mapping[str, str]] = {
-        "problems": "file_problems",
-        "export": "exported_files",
-        "report": "report_of_folder",
-    }
 
     file: str = ""
     suffix: str = ""
     format: str = ""
-    problems: Target | None = None
-    export: Target | None = None
-    report: Target | None = None
+    problems: Annotated[Target | None, "file_problems"] = None
+    export: Annotated[Target | None, "exported_files"] = None
+    report: Annotated[Target | None, "report_of_folder"] = None
     saves_figures: bool = False
 
     @classmethod
@@ -289,7 +281,7 @@ class Accessor(Feature):
     of: str
     target: Target
 
-    _check_name = _check_identifier
+    _check_name = check_identifier
 
     def seam_of(self, field: str) -> str:
         """Return the decorator of the function, which depends on the class."""
@@ -318,9 +310,8 @@ class SummaryLine(Feature):
 
     kind: ClassVar[str] = "summary-line"
     key: ClassVar[str] = "summary"
-    seams: ClassVar[Mapping[str, str]] = {"text": "summary_lines"}
 
-    text: Target
+    text: Annotated[Target, "summary_lines"]
     of: frozenset[str] = frozenset()
     group: str = ""
 
@@ -337,11 +328,10 @@ class ReportSection(Feature):
 
     kind: ClassVar[str] = "report-section"
     key: ClassVar[str] = "section"
-    seams: ClassVar[Mapping[str, str]] = {"make": "report_sections", "charts": "report_charts", "film": "film_data"}
 
-    make: Target
-    charts: Target | None = None
-    film: Target | None = None
+    make: Annotated[Target, "report_sections"]
+    charts: Annotated[Target | None, "report_charts"] = None
+    film: Annotated[Target | None, "film_data"] = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -359,7 +349,7 @@ class PlotKind(Feature):
 
     module: str
 
-    _check_name = _check_identifier
+    _check_name = check_identifier
 
     def check_targets(self) -> None:
         """Check that the module has the functions `charts` and `chart`; raises PluginError."""
@@ -382,10 +372,9 @@ class ViewItem(Feature):
 
     kind: ClassVar[str] = "view"
     key: ClassVar[str] = "view"
-    seams: ClassVar[Mapping[str, str]] = {"make": "object_view"}
 
     of: str
-    make: Target
+    make: Annotated[Target, "object_view"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -463,11 +452,10 @@ class TableFormat(Feature):
 
     kind: ClassVar[str] = "table-format"
     key: ClassVar[str] = "to"
-    seams: ClassVar[Mapping[str, str]] = {"write": "table_writer", "write_all": "workbook_writer"}
 
     suffix: str
-    write: Target | None = None
-    write_all: Target | None = None
+    write: Annotated[Target | None, "table_writer"] = None
+    write_all: Annotated[Target | None, "workbook_writer"] = None
     needs: str = ""
 
     def _check_suffix(self) -> None:
@@ -513,19 +501,13 @@ class Treatment(Feature):
 
     kind: ClassVar[str] = "treatment"
     key: ClassVar[str] = "treatment"
-    seams: ClassVar[Mapping[str, str]] = {
-        "require": "treatment_condition",
-        "begin": "treatment_start",
-        "method": "treatment_method",
-        "guards": "treatment_guards",
-    }
 
     of: str
     reacting: bool = False
-    require: Target | None = None
-    begin: Target | None = None
-    method: Target | None = None
-    guards: Target | None = None
+    require: Annotated[Target | None, "treatment_condition"] = None
+    begin: Annotated[Target | None, "treatment_start"] = None
+    method: Annotated[Target | None, "treatment_method"] = None
+    guards: Annotated[Target | None, "treatment_guards"] = None
     guarded_by: str = ""
     factors: tuple[int, int] | None = None
     includes_impacts: bool = False
@@ -549,11 +531,10 @@ class HeadlineItem(Feature):
 
     kind: ClassVar[str] = "headline"
     key: ClassVar[str] = "headline"
-    seams: ClassVar[Mapping[str, str]] = {"take": "run_headlines", "excluded": "excluded_words"}
 
-    take: Target
+    take: Annotated[Target, "run_headlines"]
     group: str
-    excluded: Target | None = None
+    excluded: Annotated[Target | None, "excluded_words"] = None
 
 
 #: The kinds of items of this file.

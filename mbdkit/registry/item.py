@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from types import EllipsisType
-from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast, get_type_hints
 
 from mbdkit.base.errors import PluginError
 from mbdkit.registry.seam import Arguments, check_marked, fitted
@@ -42,8 +43,6 @@ class Item:
     """Key in a spec whose value names such an item, or another word for its place; error messages mention it."""
     is_reserved: ClassVar[bool] = True
     """Whether a short name that mbdkit uses keeps its meaning when another distribution uses it too."""
-    seams: ClassVar[Mapping[str, str]] = {}
-    """Decorator of `mbdkit.plugin.seams` for the function behind each field that has one."""
     arguments: ClassVar[Mapping[str, Arguments]] = {}
     """Arguments of the functions in fields that are `Given`, which need no decorator if they are not targets."""
 
@@ -94,8 +93,8 @@ class Item:
         return {name: value for name, value in vars(self).items() if isinstance(value, Target)}
 
     def seam_of(self, field: str) -> str:
-        """Return the decorator for the function behind a field; empty if there is none."""
-        return self.seams.get(field, "")
+        """Return the decorator of `mbdkit.plugin.seams` for the function behind a field; empty if there is none."""
+        return self.arguments[field].seam if field in self.arguments else ""
 
     def _check_fields(self, names: Iterable[str]) -> None:
         for name in names:
@@ -112,6 +111,15 @@ class Item:
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
+
+
+def _seams_of(owner: type) -> Mapping[str, str]:
+    hints = get_type_hints(owner, include_extras=True)
+    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
+
+
+#: Returns the decorators that annotations such as ``Annotated[Target, "model_extension"]`` name, by field of a class.
+seams_of: Callable[[type], Mapping[str, str]] = cache(_seams_of)
 
 
 class Given(Generic[T]):

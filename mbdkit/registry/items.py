@@ -177,7 +177,6 @@ class ModelPlugin(Plugin):
     kind: ClassVar[str] = "model"
     hook: ClassVar[str] = "mbdkit_models"
     key: ClassVar[str] = "model.name"
-    seams: ClassVar[Mapping[str, str]] = {"build": "model_builder"}
     arguments: ClassVar[Mapping[str, Arguments]] = {"build": Arguments("model_builder", ("options",))}
 
     options: Given[type[BaseModel]] = Given()
@@ -213,7 +212,6 @@ class IntegratorPlugin(Plugin):
     added: ClassVar[Mapping[str, Target]] = {"step_control": Target("mbdkit.spec.choices:STEP_CONTROL")}
     hook: ClassVar[str] = "mbdkit_integrators"
     key: ClassVar[str] = "integrator.name"
-    seams: ClassVar[Mapping[str, str]] = {"create": "integrator_method", "claims": "integrator_claims"}
     arguments: ClassVar[Mapping[str, Arguments]] = {
         "create": Arguments("integrator_method", ("options",)),
         "claims": integrator_claims.arguments,
@@ -268,7 +266,6 @@ class StepControl(Plugin):
 
     kind: ClassVar[str] = "step-control"
     key: ClassVar[str] = "integrator.step_control.name"
-    seams: ClassVar[Mapping[str, str]] = {"create": "step_filter"}
     arguments: ClassVar[Mapping[str, Arguments]] = {"create": Arguments("step_filter", ("options",))}
 
     options: Given[type[BaseModel]] = Given()
@@ -353,7 +350,6 @@ class StudyPlugin(Plugin):
     kind: ClassVar[str] = "study"
     hook: ClassVar[str] = "mbdkit_studies"
     key: ClassVar[str] = "study"
-    seams: ClassVar[Mapping[str, str]] = {"verdict": "study_verdict"}
     arguments: ClassVar[Mapping[str, Arguments]] = {
         "spec": Arguments("study_spec", ("quick",)),
         "verdict": Arguments("study_verdict", ("study",)),
@@ -369,6 +365,10 @@ class StudyPlugin(Plugin):
         from pydantic import BaseModel
 
         return BaseModel
+
+    def seam_of(self, field: str) -> str:
+        """Return the decorator of a field; functions that return specs have none."""
+        return "" if field == "spec" else super().seam_of(field)
 
     @property
     def has_verdict(self) -> bool:
@@ -412,7 +412,6 @@ class MeasurePlugin(Plugin):
     kind: ClassVar[str] = "measure"
     hook: ClassVar[str] = "mbdkit_measures"
     key: ClassVar[str] = "name"
-    seams: ClassVar[Mapping[str, str]] = {"take": "measure_function"}
     arguments: ClassVar[Mapping[str, Arguments]] = {"take": Arguments("measure_function", ("run", "options"))}
 
     options: Given[type[BaseModel]] = Given()

@@ -143,7 +143,8 @@ def finish_states(
         writer.append(of_run | {key: array.take(states) for key, array in writer.recorded.items()})
         none = np.zeros(len(time) - 1, dtype=np.int64)
         counted = dict.fromkeys(("steps", "iterations", "iterations_max", "rejected"), none)
-        writer.append_steps({"time": time[1:], "size": np.zeros(len(none)) if sizes is None else sizes, **counted})
+        sizes = np.zeros(len(none)) if sizes is None else sizes
+        writer.append_numbered("steps", {"time": time[1:], "size": sizes, **counted})
         stats = {**dict.fromkeys(layout.COUNTERS, 0), **ending.stats}
         return finish(writer, spec, replace(ending, stats=stats), measured=measured)
     finally:

@@ -96,7 +96,7 @@ def _lines(folder: str, *names: str) -> Iterator[str]:
             yield f"{name} {hashlib.sha256(file.read().replace(_CRLF, _LF)).hexdigest()}"
 
 
-def _files(folder: str, *below: str, suffix: str = ".py") -> Iterator[str]:
+def _files(folder: str, *below: str, suffix: str | tuple[str, ...] = (".py", ".json")) -> Iterator[str]:
     """Yield the paths of the files below a folder, without evidence and what Python and editors leave."""
     for inner in below or ("",):
         with os.scandir(f"{folder}/{inner}") as entries:

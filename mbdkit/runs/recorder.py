@@ -258,7 +258,7 @@ class Recorder:
                 "velocity_correction": velocity,
                 "acceleration_correction": acceleration,
             }
-        self.writer.append_steps(rows)
+        self.writer.append_numbered("steps", rows)
 
     def record_events(self, crossings: Sequence[Found]) -> None:
         """Write the crossings found since the last call."""
@@ -267,25 +267,24 @@ class Recorder:
         shape = (len(crossings), len(self.workspace.mechanism.bodies), 3)
         for crossing in crossings:
             self.event_times.setdefault(crossing.name, []).append(crossing.time)
-        self.writer.append_events(
-            {
-                "name": np.array([crossing.name for crossing in crossings], dtype=object),
-                "time": np.array([crossing.time for crossing in crossings]),
-                "direction": np.array([crossing.direction for crossing in crossings]),
-                "position": np.array([crossing.q[:-3] for crossing in crossings]).reshape(shape),
-                "velocity": np.array([crossing.v[:-3] for crossing in crossings]).reshape(shape),
-            }
-        )
+        columns = {
+            "name": np.array([crossing.name for crossing in crossings], dtype=object),
+            "time": np.array([crossing.time for crossing in crossings]),
+            "direction": np.array([crossing.direction for crossing in crossings]),
+            "position": np.array([crossing.q[:-3] for crossing in crossings]).reshape(shape),
+            "velocity": np.array([crossing.v[:-3] for crossing in crossings]).reshape(shape),
+        }
+        self.writer.append_numbered("events", columns)
 
     def record_inputs(self, settings: Sequence[Setting]) -> None:
         """Write the settings of inputs since the last call."""
         if settings:
-            self.writer.append_inputs(setting_rows(self.mechanism, settings))
+            self.writer.append_numbered("inputs", setting_rows(self.mechanism, settings))
 
     def record_samples(self, rows: Mapping[str, np.ndarray]) -> None:
         """Write the outputs of controllers in Python since the last call."""
         if len(rows["time"]):
-            self.writer.append_samples(rows)
+            self.writer.append_numbered("samples", rows)
 
     def record_impacts(
         self,
@@ -308,17 +307,16 @@ class Recorder:
         if not rows:
             return
         element, time, normal, tangential, lost, reactions = zip(*sorted(rows, key=lambda row: row[1]), strict=True)
-        self.writer.append_impacts(
-            {
-                "time": np.array(time),
-                "contact": np.array(element, dtype=object),
-                "normal_impulse": np.array(normal),
-                "tangential_impulse": np.array(tangential),
-                "energy_lost": np.array(lost),
-                "reaction_impulse": np.array(reactions)[:, :, :2],
-                "reaction_torque_impulse": np.array(reactions)[:, :, 2],
-            }
-        )
+        columns = {
+            "time": np.array(time),
+            "contact": np.array(element, dtype=object),
+            "normal_impulse": np.array(normal),
+            "tangential_impulse": np.array(tangential),
+            "energy_lost": np.array(lost),
+            "reaction_impulse": np.array(reactions)[:, :, :2],
+            "reaction_torque_impulse": np.array(reactions)[:, :, 2],
+        }
+        self.writer.append_numbered("impacts", columns)
 
     def of_event(self, quantity: Quantity) -> float:
         """Return a quantity of an event of the run so far."""

@@ -193,10 +193,10 @@ def _examples() -> dict[str, Path]:
     return _examples_of(registry())
 
 
-@functools.lru_cache(maxsize=1)
-def _examples_of(known: Registry) -> dict[str, Path]:
+@functools.lru_cache(maxsize=2)
+def _examples_of(known: Registry, suffix: str = ".yaml") -> dict[str, Path]:
     files = {item.name: cast(Example, item.plugin).file for item in known.of_kind("example")}
-    return {name: files[name] for name in sorted(files) if files[name].suffix == ".yaml"}
+    return {name: files[name] for name in sorted(files) if files[name].suffix == suffix}
 
 
 def read_source(source: Any) -> Document:
@@ -269,12 +269,12 @@ _CELL = re.compile(r"^# %%(.*)\n", flags=re.MULTILINE)
 
 def notebook_names() -> list[str]:
     """Return the names of the packaged notebooks."""
-    return sorted(_notebooks())
+    return list(_examples_of(registry(), ".py"))
 
 
 def notebook_text(name: str) -> str:
     """Return the script of the packaged notebook `name`."""
-    return _notebooks()[name].read_text("utf-8")
+    return _examples_of(registry(), ".py")[name].read_text("utf-8")
 
 
 def notebook_title(name: str) -> str:
@@ -298,8 +298,3 @@ def _cell(number: int, kind: str, text: str) -> dict[str, object]:
         return {"cell_type": "markdown", **common, "source": words.splitlines(keepends=True)}
     source = text.strip("\n").splitlines(keepends=True)
     return {"cell_type": "code", **common, "source": source, "outputs": [], "execution_count": None}
-
-
-def _notebooks() -> dict[str, Path]:
-    files = (cast(Example, item.plugin).file for item in registry().of_kind("example"))
-    return {file.stem: file for file in files if file.suffix == ".py"}

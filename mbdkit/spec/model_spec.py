@@ -223,9 +223,7 @@ class ModelSpec(StrictSpec):
     @property
     def model_plugin(self) -> ModelPlugin:
         """The model plugin."""
-        plugin = self.model_item.plugin
-        assert isinstance(plugin, ModelPlugin)
-        return plugin
+        return cast(ModelPlugin, self.model_item.plugin)
 
     @property
     def force_law_items(self) -> list[Registered]:

@@ -114,9 +114,9 @@ def read_text(text: str, file: str, suffix: str = ".yaml") -> Document:
     with SpecError.place_by(lambda error: error.located(file=file)):
         match suffix:
             case ".json":
-                data, document = _json(text), Document({}, file, lambda: read_yaml(text)[1])
+                data, document = _parsed(text, "JSON", _json), Document({}, file, lambda: read_yaml(text)[1])
             case ".toml":
-                data, document = _toml(text), Document({}, file, lambda: _toml_lines(text))
+                data, document = _parsed(text, "TOML", _toml), Document({}, file, lambda: _toml_lines(text))
             case _:
                 data, document = read_data(text), Document({}, file, lambda: read_yaml(text)[1])
     if data is None:
@@ -144,11 +144,6 @@ def _check_size(text: str, suffix: str, file: str) -> None:
         raise SpecError(f"this is too large: more than {LARGEST} values", file=file)
 
 
-def read_value(text: str) -> Any:
-    """Parse the value of ``--set key=value``, which is written in YAML."""
-    return read_data(text)
-
-
 def _decoded(raw: bytes, file: str) -> str:
     if raw.startswith(b"\x89HDF"):
         raise SpecError(
@@ -169,10 +164,21 @@ def _decoded(raw: bytes, file: str) -> str:
     return text
 
 
-def _json(text: str) -> object:
-    if not text.strip():
-        return None
+def _parsed(text: str, word: str, parse: Callable[[str], object]) -> object:
+    """Return the data of a text in the format of this name; None if it is empty."""
+    try:
+        return parse(text) if text.strip() else None
+    except RecursionError:
+        raise SpecError(f"this {word} is nested too deeply") from None
+    except ValueError as error:  # for example, an integer with thousands of digits
+        raise error if isinstance(error, SpecError) else _invalid(word, str(error)) from None
 
+
+def _invalid(word: str, problem: str, line: int | None = None) -> SpecError:
+    return SpecError(f"this is not valid {word}: {problem[:1].lower()}{problem[1:]}", line=line)
+
+
+def _json(text: str) -> object:
     def unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
         result: dict[str, object] = {}
         for key, value in pairs:
@@ -184,14 +190,7 @@ def _json(text: str) -> object:
     try:
         return json.loads(text, object_pairs_hook=unique)
     except json.JSONDecodeError as error:
-        message = f"this is not valid JSON: {error.msg[:1].lower()}{error.msg[1:]} (column {error.colno})"
-        raise SpecError(message, line=error.lineno) from None
-    except RecursionError:
-        raise SpecError("this JSON is nested too deeply") from None
-    except ValueError as error:
-        if isinstance(error, SpecError):
-            raise
-        raise SpecError(f"this is not valid JSON: {error}") from None
+        raise _invalid("JSON", f"{error.msg} (column {error.colno})", error.lineno) from None
 
 
 _WORD = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')"""
@@ -200,8 +199,6 @@ _DEEP_KEY = re.compile(rf"(?<![\w.-]){_WORD}(?:[ \t]*+\.[ \t]*+{_WORD}){{{DEEPES
 
 
 def _toml(text: str) -> object:
-    if not text.strip():
-        return None
     if _DEEP_KEY.search(text):
         raise SpecError(f"this TOML is nested too deeply: a key of more than {DEEPEST} parts")
     try:
@@ -209,12 +206,7 @@ def _toml(text: str) -> object:
     except tomllib.TOMLDecodeError as error:
         where = re.search(r" \(at line (\d+), column \d+\)", str(error))
         problem = str(error).replace(where[0], "") if where else str(error)
-        message = f"this is not valid TOML: {problem[:1].lower()}{problem[1:]}"
-        raise SpecError(message, line=int(where[1]) if where else None) from None
-    except RecursionError:
-        raise SpecError("this TOML is nested too deeply") from None
-    except ValueError as error:  # for example, an integer with thousands of digits
-        raise SpecError(f"this is not valid TOML: {error}") from None
+        raise _invalid("TOML", problem, int(where[1]) if where else None) from None
 
 
 def _toml_lines(text: str) -> dict[Path, int]:
@@ -248,7 +240,7 @@ def read_assignment(assignment: str) -> tuple[Path, object]:
     if not equals or not path:
         raise SpecError("should have the form KEY=VALUE, such as time.step=0.005", file=where)
     try:
-        return path, read_value(text)
+        return path, read_data(text)
     except SpecError as error:
         raise SpecError(error.message, key=key.strip(), file=where) from None
 

@@ -385,8 +385,7 @@ class RunSpec(ModelSpec):
         able = []
         for item in choice_of(type(self), "integrator").registry.of_kind("integrator"):
             with suppress(Exception, SystemExit):  # the options have no defaults, or the plugin raises any exception
-                plugin = item.plugin
-                assert isinstance(plugin, IntegratorPlugin)
+                plugin = cast(IntegratorPlugin, item.plugin)
                 if can(plugin.claims(plugin.options())):
                     able.append(item.name)
         return f"integrators that support it: {listed(able)}" if able else "no installed integrator supports it"
@@ -405,9 +404,7 @@ class RunSpec(ModelSpec):
     @property
     def integrator_plugin(self) -> IntegratorPlugin:
         """The integrator plugin."""
-        plugin = self.integrator_item.plugin
-        assert isinstance(plugin, IntegratorPlugin)
-        return plugin
+        return cast(IntegratorPlugin, self.integrator_item.plugin)
 
     @property
     def claims(self) -> Claims:

@@ -101,7 +101,8 @@ class _Reader:
         except (yaml.YAMLError, ValueError) as error:
             if isinstance(error, SpecError):
                 raise
-            raise SpecError(f"this is not valid YAML: {_first_line(error)}") from None
+            problem = next(iter(str(error).splitlines()), type(error).__name__)
+            raise SpecError(f"this is not valid YAML: {problem}") from None
         finally:
             self.loader.dispose()
         return data
@@ -292,10 +293,6 @@ def _syntax(error: yaml.MarkedYAMLError, text: str) -> SpecError:
     missing_colon = error.context == "while scanning a simple key"
     hint = " (is there a colon and a space after the key?)" if missing_colon else HINTS.get(after, "")
     return SpecError(f"this is not valid YAML: {problem}{hint}", line=line)
-
-
-def _first_line(error: Exception) -> str:
-    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def write_yaml(data: object) -> str:

@@ -113,7 +113,7 @@ def fill(
         size = min(piece, count - start)
         into.append(rows(size, named, start))
         first = max(0, start - 1)
-        into.append_steps(steps(start + size - 1 - first, first))
+        into.append_numbered("steps", steps(start + size - 1 - first, first))
         if after is not None:
             after()
 

@@ -24,7 +24,7 @@ def changed(path: str, change: object, **options: object) -> Run:
     into = writer(None, **options)  # type: ignore[arg-type]
     made = rows(11, names())
     into.append({**made, path: change(made[path])})  # type: ignore[operator]
-    into.append_steps(steps(10))
+    into.append_numbered("steps", steps(10))
     return Run(into.finish(Ending("complete", "", STATS, largest(11, names()))))
 
 

@@ -69,7 +69,7 @@ def test_elapsed_time_statistics_and_provenance_are_not_covered(tmp_path: Path) 
     make(tmp_path / "one.h5")
     into = writer(tmp_path / "two.h5", provenance={"mbdkit": "other"}, run_id="other")
     into.append({**rows(11, names()), "trajectory/elapsed_s": np.arange(11.0)})
-    into.append_steps(steps(10))
+    into.append_numbered("steps", steps(10))
     into.finish(Ending("complete", "", {"wall_s": 11.0}, largest(11, names())))
     with h5py.File(tmp_path / "one.h5") as one, h5py.File(tmp_path / "two.h5") as two:
         assert one.attrs["data_sha256"] == two.attrs["data_sha256"]

@@ -63,7 +63,7 @@ def test_speed_of_a_checked_run_is_the_cost_of_its_steps(tmp_path: Path) -> None
         assert run.stats["check_s"] > 0.0
     into = writer(tmp_path / "run.h5")
     into.append(rows(11, names()))
-    into.append_steps(steps(10))
+    into.append_numbered("steps", steps(10))
     into.finish(Ending("complete", "", STATS | {"integrals_s": 0.0015, "check_s": 0.5}, largest(11, names())))
     with load(tmp_path / "run.h5") as run:
         (speed,) = (line for line in run.summary().splitlines() if line.startswith("speed"))
@@ -107,7 +107,7 @@ def test_summary_tells_of_stabilization_and_of_its_corrections() -> None:
     }
     into = writer(None, spec=SPEC | {"stabilization": chosen}, extra_datasets=CORRECTIONS["projection"])
     into.append(rows(11, names()))
-    into.append_steps({**steps(10), **{name: np.array(values) for name, values in corrected.items()}})
+    into.append_numbered("steps", {**steps(10), **{name: np.array(values) for name, values in corrected.items()}})
     with Run(into.finish(Ending("complete", "", STATS, largest(11, names())))) as run:
         told = "stabilization projection, every 2; 10 projections, moved by at most 9e-09 m and 2e-08 m/s"
         assert told in run.summary()
@@ -127,7 +127,7 @@ def test_summary_says_how_near_a_run_came_to_a_singular_position() -> None:
     for distance, told in ((near, True), (near + 0.2, False), (near * 0 + 0.05, False)):
         into = writer(None, extra_datasets=[path])
         into.append(rows(11, names()) | {path: distance})
-        into.append_steps(steps(10))
+        into.append_numbered("steps", steps(10))
         with Run(into.finish(Ending("complete", "", STATS, np.full(2, 1.0)))) as run:
             np.testing.assert_array_equal(run.singularity_distance, distance)
             assert ("singularity   distance 0.002 at 0.04 s, maximum 0.4" in run.summary()) is told

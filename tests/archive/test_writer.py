@@ -70,7 +70,7 @@ def test_appended_arrays_are_copied(tmp_path: Path) -> None:
     with_rows, with_steps = rows(3, named), steps(2)
     into = writer(tmp_path / "run.h5")
     into.append(with_rows)
-    into.append_steps(with_steps)
+    into.append_numbered("steps", with_steps)
     for values in (*with_rows.values(), *with_steps.values()):
         values[...] = -1
     into.finish(Ending("complete", "", STATS, largest(3, named)))
@@ -222,7 +222,7 @@ def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest
     fill(into, 20, piece=5)
     into._write_more()
     into.append(rows(3, names(), 20))
-    into.append_steps(steps(3, 19))
+    into.append_numbered("steps", steps(3, 19))
     extend = growing_array.Series.extend
 
     def interrupted(series: growing_array.Series, values: np.ndarray, start: int) -> None:
@@ -235,7 +235,7 @@ def test_interrupted_write_is_taken_up_again(tmp_path: Path, monkeypatch: pytest
         into._write_more()
     monkeypatch.setattr(growing_array.Series, "extend", extend)
     into.append(rows(2, names(), 23))
-    into.append_steps(steps(2, 22))
+    into.append_numbered("steps", steps(2, 22))
     into.finish(Ending("interrupted", "", STATS, largest(25, names())))
     assert_holds(tmp_path / "run.h5", 25)
     assert check(tmp_path / "run.h5") == []

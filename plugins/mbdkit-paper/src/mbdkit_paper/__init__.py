@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from mbdkit.registry.items import StudyPlugin
@@ -17,58 +18,41 @@ def _methods(quick: bool) -> dict[str, object]:
     return study(quick)
 
 
+def _study(
+    name: str,
+    summary: str,
+    spec: Callable[[bool], dict[str, object]] | None = None,
+    references: Target | tuple[str, ...] = (),
+) -> StudyPlugin:
+    """Return the item of a study, whose folder has its name. `spec`: function that returns its spec, if not a file."""
+    folder = _HERE / name.replace("-", "_")
+    has_verdict = (folder / "verdict.py").is_file()
+    verdict = Target(f"mbdkit_paper.{folder.name}.verdict:verdict") if has_verdict else None
+    return StudyPlugin(name, summary, spec or folder / "study.yaml", verdict, references)
+
+
 STUDIES = (
-    StudyPlugin(
+    _study(
         "paper",
         "Results, claims and predictions of the source paper on RK-Gill and Gauss methods, recomputed and tested.",
-        _HERE / "paper" / "study.yaml",
-        Target("mbdkit_paper.paper.verdict:verdict"),
-        Target("mbdkit_paper.paper.source_paper:REFERENCES"),
+        references=Target("mbdkit_paper.paper.source_paper:REFERENCES"),
     ),
-    StudyPlugin(
-        "contact",
-        "Error, work, penetration and creep of compliant, event-driven and time-stepping contact.",
-        _HERE / "contact" / "study.yaml",
-        Target("mbdkit_paper.contact.verdict:verdict"),
-    ),
-    StudyPlugin(
-        "convergence",
-        "Error and misalignment of the double pendulum against the step, for six methods.",
-        _HERE / "convergence" / "study.yaml",
-    ),
-    StudyPlugin(
-        "drift",
-        "Order, drift, energy and cost of formulations and stabilizations.",
-        _HERE / "drift" / "study.yaml",
-        Target("mbdkit_paper.drift.verdict:verdict"),
-    ),
-    StudyPlugin(
+    _study("contact", "Error, work, penetration and creep of compliant, event-driven and time-stepping contact."),
+    _study("convergence", "Error and misalignment of the double pendulum against the step, for six methods."),
+    _study("drift", "Order, drift, energy and cost of formulations and stabilizations."),
+    _study(
         "flexible-slider-crank",
         "Joint forces and misalignment of a slider-crank with a flexible rod, by explicit and implicit methods.",
-        _HERE / "flexible_slider_crank" / "study.yaml",
-        Target("mbdkit_paper.flexible_slider_crank.verdict:verdict"),
     ),
-    StudyPlugin(
-        "knee-spring",
-        "Sobol indices of the knee force for stiffness and ends of a support, and body mass.",
-        _HERE / "knee_spring" / "study.yaml",
-    ),
-    StudyPlugin(
+    _study("knee-spring", "Sobol indices of the knee force for stiffness and ends of a support, and body mass."),
+    _study(
         "methods",
         "Error, drift, forces and cost of all installed integrators on problems with published results.",
-        _methods,
-        Target("mbdkit_paper.methods.verdict:verdict"),
+        spec=_methods,
     ),
-    StudyPlugin(
-        "no-drift",
-        "Misalignment over 100,000 steps with projected methods and index-reduced formulations.",
-        _HERE / "no_drift" / "study.yaml",
-        Target("mbdkit_paper.no_drift.verdict:verdict"),
-    ),
-    StudyPlugin(
+    _study("no-drift", "Misalignment over 100,000 steps with projected methods and index-reduced formulations."),
+    _study(
         "textbook-four-bar",
         "The four-bar linkage of a textbook: published loop residuals, and those of mbdkit's methods.",
-        _HERE / "textbook_four_bar" / "study.yaml",
-        Target("mbdkit_paper.textbook_four_bar.verdict:verdict"),
     ),
 )

@@ -6,20 +6,12 @@ from typing import Annotated
 
 from pydantic import Field
 
+from mbdkit.base.bibliography import entry
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import model_builder
 
-REFERENCES = (
-    """@book{hairer1996solving,
-  author    = {Hairer, E. and Wanner, G.},
-  title     = {Solving Ordinary Differential Equations {II}: Stiff and Differential-Algebraic Problems},
-  edition   = {2},
-  publisher = {Springer},
-  year      = {1996},
-  note      = {problem ``beam'', sections IV.1 and IV.10}
-}""",
-)
+REFERENCES = (entry(__file__, "hairer1996solving"),)
 
 
 class HingedBeamOptions(StrictModel):

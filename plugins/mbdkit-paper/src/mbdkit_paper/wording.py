@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Table, columns_of
+from mbdkit_report import Answer, Axis, Band, Cell, Claim, Column, Figure, Line, Table, Verdict, columns_of
 
 UNDECIDED = "Not decided: required runs are missing or failed, or their results are too uncertain for an answer."
 
@@ -56,8 +56,15 @@ class Words:
         return Figure(name or key, title, caption, x, y, tuple(lines), tuple(bands), equal=equal)
 
     def notes(self, **values: object) -> tuple[str, ...]:
-        """Return the notes of the verdict."""
-        return tuple(note.format(**values) for note in self._texts["notes"])
+        """Return the notes of the verdict; there may be none."""
+        return tuple(note.format(**values) for note in self._texts.get("notes", ()))
+
+    def verdict(
+        self, name: str, title: str, claims: tuple[Claim, ...], tables: tuple[Table, ...], *figures: Figure
+    ) -> Verdict:
+        """Return a verdict with the sentences of all claims, and with the notes."""
+        sentence = " ".join(claim.sentence for claim in claims)
+        return Verdict(name, title, sentence, claims, tables, figures, self.notes())
 
 
 def reported(claims: Sequence[Claim]) -> tuple[Claim, ...]:

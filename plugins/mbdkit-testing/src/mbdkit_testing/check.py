@@ -91,11 +91,7 @@ def _supported_mechanisms(under_test: object) -> str:
 
 def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:
     """Return a decorator that turns a function into a check with this name."""
-
-    def named(function: Callable[[Any], Result]) -> Check[object]:
-        return Check(name, function, slow)
-
-    return named
+    return lambda function: Check(name, function, slow)
 
 
 @contextmanager

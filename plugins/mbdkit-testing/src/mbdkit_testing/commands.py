@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from mbdkit.base import terminal
+from mbdkit.base.errors import SpecError
 from mbdkit.base.progress_bars import count_bar
-from mbdkit.base.terminal import say, show, show_json, silence
+from mbdkit.base.terminal import say, show_result, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
 from mbdkit.spec.reading import Document
@@ -38,10 +39,8 @@ def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str]
     from mbdkit.registry.manager import checked, load_installed
 
     installed = checked(load_installed())
-    if as_json:
-        show_json({**describe.diagnosis(installed), "machine_code": code_report(), **further})
-    else:
-        show("\n".join([describe.diagnosis_text(installed), code_text(), *lines]))
+    values = {**describe.diagnosis(installed), "machine_code": code_report(), **further}
+    show_result(values, "\n".join([describe.diagnosis_text(installed), code_text(), *lines]), as_json=as_json)
     if installed.failures:
         raise typer.Exit(terminal.PLUGIN_FAILED)
 
@@ -54,10 +53,7 @@ def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
     from mbdkit.registry.manager import checked, load_installed
 
     installed = checked(load_installed(), whole=False)
-    if as_json:
-        show_json(describe.listing(installed))
-    else:
-        show(describe.listing_text(installed))
+    show_result(describe.listing(installed), describe.listing_text(installed), as_json=as_json)
 
 
 def plugins_show(
@@ -72,10 +68,8 @@ def plugins_show(
     list "plugins": a model and an integrator may share a name.
     """
     items = describe.find(name)
-    if as_json:
-        show_json({"plugins": [describe.details(item) for item in items]})
-    else:
-        show("\n\n".join(describe.page(item) for item in items))
+    values = {"plugins": [describe.details(item) for item in items]}
+    show_result(values, "\n\n".join(describe.page(item) for item in items), as_json=as_json)
 
 
 def plugins_doctor(as_json: AsJson = False, debug: Debug = False) -> None:
@@ -98,11 +92,7 @@ def plugins_verify(
         bool, typer.Option("--record", help="Write the results into the package, as mbdkit-evidence.json.")
     ] = False,
     as_json: AsJson = False,
-    as_html: Annotated[bool, typer.Option("--html", help="Also write an HTML page.")] = False,
-    output: Annotated[
-        Path | None, output_to("FILE", "The page, by default ./NAME-verification.html; with --record the evidence.")
-    ] = None,
-    overwrite: Overwrite = False,
+    output: Annotated[Path | None, output_to("FILE", "With --record, the file of the evidence.")] = None,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -123,13 +113,9 @@ def plugins_verify(
     options = Document({})
     for assignment in assignments or ():
         options.assign(assignment)
-    from mbdkit_testing.verification_page import check_page, write_page
-
-    written = None if not record else recorded_evidence.place_of_evidence(items, None if as_html else output)
-    is_page = as_html or (output is not None and not record)
-    page = (output or Path(f"{name.replace(':', '-')}-verification.html")) if is_page else None
-    if page is not None:
-        check_page(page, overwrite=overwrite)
+    if output is not None and not record:
+        raise SpecError("-o takes effect only with --record")
+    written = recorded_evidence.place_of_evidence(items, output) if record else None
     reports, records = [], []
     for item in items:
         chosen = [options.data] if assignments or written is None else recorded_evidence.recorded_options(item, written)
@@ -141,14 +127,8 @@ def plugins_verify(
             records.append(recorded_evidence.record_of(item, reports[-1], quick=quick))
     if written is not None:
         recorded_evidence.write_records(records, written)
-    if page is not None:
-        write_page(reports, page, overwrite=overwrite)
-    if as_json:
-        show_json({"reports": [report.to_dict() for report in reports]})
-    elif not quiet:
-        show("\n\n".join(report.text() for report in reports))
-        for path in filter(None, (page, written)):
-            show(path)
+    text = "\n\n".join(report.text() for report in reports) + ("" if written is None else f"\n{written}")
+    show_result({"reports": [report.to_dict() for report in reports]}, text, as_json=as_json, quiet=quiet)
     if not all(report.verified for report in reports):
         raise typer.Exit(terminal.NOT_VERIFIED)
 
@@ -186,10 +166,8 @@ def plugins_matrix(
         rows = matrix.rows_against(against, quick=quick, watch=notify)
     matrix.write_matrix(rows, output)
     broken = [f"{row.id}: {sentence}" for row in rows for sentence in row.broken]
-    if as_json:
-        show_json({"path": str(output), "rows": len(rows), "broken": broken})
-    elif not quiet:
-        show("\n".join([*broken, str(output / "matrix.html")]))
+    values = {"path": str(output), "rows": len(rows), "broken": broken}
+    show_result(values, "\n".join([*broken, str(output / "matrix.html")]), as_json=as_json, quiet=quiet)
     if broken:
         raise typer.Exit(terminal.NOT_VERIFIED)
 
@@ -213,8 +191,6 @@ def plugins_new(
     from mbdkit_testing.scaffold.new_plugin import new_project
 
     project = new_project(name, kind, like=like)
-    if as_json:
-        files = sorted(str(path) for path in project.rglob("*") if path.is_file())
-        show_json({"path": str(project), "kind": kind, "files": files})
-    else:
-        show(f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}")
+    files = sorted(str(path) for path in project.rglob("*") if path.is_file())
+    text = f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}"
+    show_result({"path": str(project), "kind": kind, "files": files}, text, as_json=as_json)

@@ -55,9 +55,7 @@ def _conserved(
 def _run(integrator: IntegratorUnderTest, model: Model, finer: int) -> Run:
     step = coarse_step(integrator)
     if integrator.claims.adaptive:
-        known = integrator.plugin.options.model_fields
-        loose = {name: LOOSE / finer for name in ("rtol", "atol") if name in known}
-        return integrator.run(model, {"end": STEPS * step}, options=loose)
+        return integrator.run(model, {"end": STEPS * step}, options=integrator.tolerances(LOOSE / finer))
     return integrator.run(model, {"steps": finer * STEPS, "step": step / finer})
 
 

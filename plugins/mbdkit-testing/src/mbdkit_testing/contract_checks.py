@@ -9,14 +9,14 @@ from typing import Any, cast
 import numpy as np
 from pydantic import ValidationError
 
-from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.errors import MbdkitError, PluginError, SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state, require_complete
 from mbdkit_testing.options_under_test import options_result, validated, variants
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
 
@@ -186,8 +186,7 @@ def start_time(integrator: IntegratorUnderTest) -> Result:
     for start in START_TIMES:
         time = {"start": start, "end": start + 1.0} | ({} if integrator.claims.adaptive else {"step": 0.01})
         with integrator.run(forced_pendulum(start), time, output={"every": 10**9}) as run:
-            if run.status != "complete":
-                return failed(f"a run from t = {start:g} s did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, f"a run from t = {start:g} s", MbdkitError)
             ends.append(final_state(run))
         change = float(np.max(np.abs(ends[-1] - ends[0])))
         largest = max(largest, change)
@@ -205,8 +204,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
         return skipped(f"it claims only {integrator.formulation}, which the other checks use")
     for name in others:
         with integrator.run(FORCED_PENDULUM, {"end": 0.2, "step": 0.01}, formulation=name) as run:
-            if run.status != "complete":
-                return failed(f"on {name} a run did not complete: {run.status_reason}")
+            require_complete(run, f"on {name} a run", MbdkitError)
     return passed(formulations=counted(len(others) + 1, "formulation"))
 
 
@@ -225,8 +223,7 @@ def states(integrator: IntegratorUnderTest) -> Result:
         except (SpecError, PluginError) as error:
             return failed(f"it claims to integrate first-order states, but {error}".rstrip("."))
         with run:
-            if run.status != "complete":
-                return failed(f"with a first-order state a run did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, "with a first-order state a run", MbdkitError)
             errors.append(abs(float(run.array("states/value")[-1, 0]) - LAG_AT_1))
     limit = STATE_ADAPTIVE if integrator.claims.adaptive else max(errors[0] / 2, SAME)
     if errors[1] > limit:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any
 
 import numpy as np
 import scipy.integrate
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
+from mbdkit.engine.counters import Counters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.formulation import FORMULATIONS
-from mbdkit.engine.iteration_matrix import IterationMatrix
-from mbdkit.engine.state_derivatives import Rates
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.methods.scipy_solver import SciPySolver
 from mbdkit.methods.step_methods import StepMethod
@@ -25,50 +26,31 @@ from mbdkit_testing.trial_models import COASTING, FORCED_PENDULUM
 STEPS = 17
 
 
+#: Methods of `EquationsOfMotion` by the counter to which each of their calls adds 1.
+COUNTED = {
+    "rhs_evaluations": ("accelerations", "derivatives", "residual"),
+    "projections": ("project", "project_positions", "project_velocities"),
+    "jacobian_evaluations": ("_evaluate_tangents",),
+    "factorizations of iteration matrices": ("_factorized",),
+}
+
+
 class InstrumentedEquations(EquationsOfMotion):
     """Equations of motion that count their evaluations independently of the counters of a run."""
 
     def __init__(self, workspace: Any):
         self.seen: Counter[str] = Counter()
+        for counter, names in COUNTED.items():
+            for name in names:
+                setattr(self, name, self._counting(counter, getattr(super(), name)))
         super().__init__(workspace)
 
-    def accelerations(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Count and return the accelerations."""
-        self.seen["rhs_evaluations"] += 1
-        return super().accelerations(t, q, v)
+    def _counting(self, counter: str, method: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object, **named: object) -> object:
+            self.seen[counter] += 1
+            return method(*arguments, **named)
 
-    def derivatives(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
-        """Count and return the accelerations, multipliers and rates."""
-        self.seen["rhs_evaluations"] += 1
-        return super().derivatives(t, q, v, z)
-
-    def residual(self, t: float, q: np.ndarray, v: np.ndarray, a: np.ndarray, lam: np.ndarray) -> np.ndarray:
-        """Count and return the residual."""
-        self.seen["rhs_evaluations"] += 1
-        return super().residual(t, q, v, a, lam)
-
-    def project(self, t: float, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Count and project."""
-        self.seen["projections"] += 1
-        return super().project(t, q, v)
-
-    def project_positions(self, t: float, q: np.ndarray) -> np.ndarray:
-        """Count and project."""
-        self.seen["projections"] += 1
-        return super().project_positions(t, q)
-
-    def project_velocities(self, t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Count and project."""
-        self.seen["projections"] += 1
-        return super().project_velocities(t, q, v)
-
-    def _evaluate_tangents(self, *arguments: Any) -> None:
-        self.seen["jacobian_evaluations"] += 1
-        super()._evaluate_tangents(*arguments)
-
-    def _factorized(self, *arguments: Any) -> IterationMatrix:
-        self.seen["factorizations of iteration matrices"] += 1
-        return super()._factorized(*arguments)
+        return call
 
 
 @check("honesty.counters")
@@ -93,13 +75,8 @@ def counters(integrator: IntegratorUnderTest) -> Result:
         evaluations = STEPS * tableau.stages - (STEPS - 1) * tableau.is_first_same_as_last
         seen |= {"rhs_evaluations": evaluations, "jacobian_evaluations": 0, "newton_iterations": 0}
     said = stepper.counters
-    wrong = [
-        f"{name} {getattr(said, name)} instead of {count}"
-        for name, count in seen.items()
-        if getattr(said, name) != count
-    ]
-    if wrong:
-        return failed(f"its counters say {listed(wrong, 'and')}")
+    if wrong := {name: count for name, count in seen.items() if getattr(said, name) != count}:
+        return _wrong(said, wrong)
     if instrumented is not None and said.factorizations < instrumented.seen["factorizations of iteration matrices"]:
         return failed(f"its counters say {said.factorizations} factorizations, fewer than it requested")
     return passed(rhs_evaluations=said.rhs_evaluations, jacobian_evaluations=said.jacobian_evaluations)
@@ -128,22 +105,22 @@ def _of_solver(integrator: IntegratorUnderTest, made: Any) -> Result:
     method.solver = instrumented
     stepper = integrator.stepper(integrator.workspace(FORCED_PENDULUM), 1.0, STEPS, method=method)
     drive(stepper)
-    wrong = [
-        f"{name} {getattr(stepper.counters, name)} instead of {seen[name]}"
-        for name in ("rhs_evaluations", "jacobian_evaluations")
-        if getattr(stepper.counters, name) < seen[name]
-    ]
-    if wrong:
-        return failed(f"its counters say {listed(wrong, 'and')}")
-    return passed(**{name: int(getattr(stepper.counters, name)) for name in ("rhs_evaluations", "steps")})
+    said = stepper.counters
+    if wrong := {name: count for name, count in seen.items() if getattr(said, name) < count}:
+        return _wrong(said, wrong)
+    return passed(rhs_evaluations=said.rhs_evaluations, steps=said.steps)
+
+
+def _wrong(said: Counters, seen: Mapping[str, int]) -> Result:
+    texts = [f"{name} {getattr(said, name)} instead of {count}" for name, count in seen.items()]
+    return failed(f"its counters say {listed(texts, 'and')}")
 
 
 @check("honesty.rows")
 def rows(integrator: IntegratorUnderTest) -> Result:
     """The counters of all recorded intervals add up to those of the run."""
     with integrator.run(FORCED_PENDULUM, {"end": 0.3, "step": 0.01}, output={"every": 7}) as run:
-        if run.status != "complete":
-            return failed(f"the run did not complete: {run.status_reason}")
+        require_complete(run, error=MbdkitError)
         stats = run.stats
         for column, name in (("steps", "steps"), ("iterations", "newton_iterations"), ("rejected", "rejected")):
             total = int(np.sum(run.array(f"steps/{column}")))

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit_report import growth_law, observed_order, worst_history
@@ -131,8 +132,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     for name in filter(levels.get, levels):
         time = {"end": 2.0, "step": coarse_step(integrator) / 4}
         with integrator.run(DRIVEN_PENDULUM, time, formulation=name) as run:
-            if run.status != "complete":
-                return failed(f"on {name} a run did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, f"on {name} a run", MbdkitError)
             largest = _residuals(EquationsOfMotion(integrator.workspace(DRIVEN_PENDULUM, formulation=name)), run)
         for level in levels[name]:
             figures[f"{name} {level}"] = largest[level]
@@ -174,9 +174,8 @@ def projection(integrator: IntegratorUnderTest) -> Result:
         raise Skip("it does not claim projection")
     time = {"end": 2.0} | ({} if integrator.claims.adaptive else {"step": coarse_step(integrator) / 4})
     with integrator.run(DRIVEN_PENDULUM, time, stabilization="projection") as run:
+        require_complete(run, "with projection a run", MbdkitError)
         figures: dict[str, Figure] = {level: _worst(run, level) for level in ("position", "velocity")}
-        if run.status != "complete":
-            return failed(f"with projection a run did not complete: {run.status_reason}".rstrip("."))
     return at_most(EXACT, "it claims projection, but the constraints do not hold", **figures)
 
 

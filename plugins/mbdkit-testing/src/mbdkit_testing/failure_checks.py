@@ -15,7 +15,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.step_methods import StepMethod, StepState
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.trial_models import CANNOT_MEET, FORCED_PENDULUM, NO_NUMBER, OUT_OF_REACH, SWINGING
 
 NOT_OF_METHODS = ("event", "plugin-error")  #: Codes with which a method does not end a run by itself.
@@ -50,7 +50,7 @@ def not_a_number(integrator: IntegratorUnderTest) -> Result:
 
 
 def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
-    """Call `step` of a method at a state with undefined accelerations; raise `_NoStepError` if it returns."""
+    """Call `step` of a method at a state with undefined accelerations; raise MbdkitError if it returns."""
     method = integrator.method()
     if not isinstance(method, StepMethod):
         return
@@ -60,13 +60,9 @@ def _refuse_to_step(integrator: IntegratorUnderTest) -> None:
         method.step(equations, 0.6, replace(start, memory=method.begin(equations, 0.6, start, "start")), 0.01)
     except StepError:
         return
-    raise _NoStepError(
+    raise MbdkitError(
         "its step returns a state although the accelerations are undefined; it should raise mbdkit.StepError"
     )
-
-
-class _NoStepError(MbdkitError):
-    """A method returned from a step that cannot be taken."""
 
 
 @check("failure.singular")
@@ -93,8 +89,7 @@ def inconsistent_start(integrator: IntegratorUnderTest) -> Result:
         return failed("joints that cannot meet were integrated")
     bodies = {name: {**body, "velocity": [0.3, -0.2]} for name, body in SWINGING["bodies"].items()}
     with integrator.run({**SWINGING, "bodies": bodies}, {"end": 0.1, "step": 0.01}) as run:
-        if run.status != "complete":
-            return failed(f"from an inconsistent start it did not complete: {run.status_reason}")
+        require_complete(run, "from an inconsistent start it", MbdkitError)
         if float(np.max(run.array("joints/velocity_misalignment")[0])) > 1e-10:
             return failed("it started from inconsistent velocities")
     return passed()

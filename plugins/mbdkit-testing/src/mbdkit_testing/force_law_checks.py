@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.force_laws import bind_law
 from mbdkit.engine.native.calls import LAW
@@ -19,9 +19,10 @@ from mbdkit.mechanism.force_law import ExpressionLaw, FunctionLaw, TracedLaw, la
 from mbdkit.registry.items import ForceLawPlugin
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import STEP_LIMIT, Skip, check
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, warned
+from mbdkit_testing.integrator_under_test import require_complete
 from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
@@ -65,9 +66,7 @@ class ForceLawUnderTest(ItemUnderTest):
     @property
     def plugin(self) -> ForceLawPlugin:
         """The plugin item."""
-        plugin = self.item.plugin
-        assert isinstance(plugin, ForceLawPlugin)
-        return plugin
+        return cast(ForceLawPlugin, self.item.plugin)
 
     @property
     def claims(self) -> dict[str, bool]:
@@ -357,8 +356,7 @@ def states(law: ForceLawUnderTest) -> Result:
     finals = []
     for step in STATE_STEPS:
         with simulate(_mass_on(law, step)) as run:
-            if run.status != "complete":
-                return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, "a run with it", MbdkitError)
             finals.append([float(run.states[f"law.{state.name}"].value[-1]) for state in law.law.states])
     changes = np.abs(np.diff(np.array(finals), axis=0))
     size = np.maximum(np.max(np.abs(finals), axis=0), 1e-300)
@@ -384,14 +382,8 @@ def _mass_on(law: ForceLawUnderTest, step: float) -> RunSpec:
         "bodies": {"mass": {"mass": 20.0, "position": [length, 0.0], "velocity": [speed, 0.2]}},
         "forces": {"law": {"type": "law", "law": law.item.id, "pathway": pathway, **law.options}},
     }
-    data: dict[str, Any] = {
-        "mbdkit": 1,
-        "model": model,
-        "integrator": {"name": "mbdkit:gauss", "stages": 2},
-        "time": {"start": start, "end": start + 0.5, "step": step},
-        "limits": {"max_steps": STEP_LIMIT},
-    }
-    return spec_type(law.installed)(**data)
+    time = {"start": start, "end": start + 0.5, "step": step}
+    return law.run_spec(model, {"name": "mbdkit:gauss", "stages": 2}, time)
 
 
 @check("law.energy")
@@ -400,8 +392,7 @@ def energy(law: ForceLawUnderTest) -> Result:
     found = []
     for step in (0.02, 0.01, 0.005, 0.0025):
         with simulate(_mass_on(law, step)) as run:
-            if run.status != "complete":
-                return failed(f"a run with it did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, "a run with it", MbdkitError)
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
             found.append(float(np.max(np.abs(run.energy.balance))) / size)
     figures = {"coarsest": found[0], "finest": found[-1]}

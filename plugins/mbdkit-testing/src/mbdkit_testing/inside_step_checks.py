@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.integrators.interface import Moment
 from mbdkit.methods.kinds import ExplicitRungeKutta
@@ -13,7 +14,7 @@ from mbdkit.methods.step_methods import ExternalMethod, StepMethod
 from mbdkit_report import observed_order
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Figure, Result, failed, passed, warned
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, require_complete
 from mbdkit_testing.order_checks import ABOVE, BELOW, BELOW_HIGH
 from mbdkit_testing.single_steps import (
     FLOOR,
@@ -60,8 +61,7 @@ def dense_output(integrator: IntegratorUnderTest) -> Result:
         raise Skip("it has no dense output")
     time = {"end": 10 * INTERVAL} if integrator.claims.adaptive else {"end": 10 * INTERVAL, "step": 2.5 * INTERVAL}
     with integrator.run(FORCED_PENDULUM, time, output={"interval": INTERVAL}) as run:
-        if run.status != "complete":
-            return failed(f"with output.interval a run did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run, "with output.interval a run", MbdkitError)
         times = run.time
     if len(times) != 11 or not np.allclose(times, INTERVAL * np.arange(11), rtol=0, atol=1e-12):
         return failed(f"it ignores output.interval: {len(times)} rows instead of 11 at multiples of the interval")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar, cast
@@ -12,53 +12,33 @@ import numpy as np
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Stepper, Timetable
+from mbdkit.integrators.interface import Stepper, Stretch, Timetable
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.methods.tableau import ButcherTableau
-from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.runs.preparation import build
 from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.formulation_choice import choice_of
-from mbdkit.spec.run_spec import RunSpec, spec_type
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import STEP_LIMIT, Skip
+from mbdkit_testing.item_checks import ItemUnderTest
 from mbdkit_testing.options_under_test import validated
 
 Value = TypeVar("Value")
 
 
 @dataclass
-class IntegratorUnderTest:
-    """An integrator with options.
+class IntegratorUnderTest(ItemUnderTest):
+    """An integrator with options."""
 
-    Parameters
-    ----------
-    item
-        The integrator in the registry.
-    options
-        Options of the integrator, as in a spec.
-    installed
-        The registry of installed plugins.
-    """
-
-    item: Registered
-    options: dict[str, Any]
-    installed: Registry
     _cache: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @property
     def plugin(self) -> IntegratorPlugin:
         """The plugin item."""
-        plugin = self.item.plugin
-        assert isinstance(plugin, IntegratorPlugin)
-        return plugin
-
-    @cached_property
-    def spec_type(self) -> type[RunSpec]:
-        """The class of run specs that accept this integrator."""
-        return spec_type(self.installed)
+        return cast(IntegratorPlugin, self.item.plugin)
 
     @cached_property
     def claims(self) -> Claims:
@@ -96,16 +76,9 @@ class IntegratorUnderTest:
         """Return the spec of a run; ``options`` among the `sections` changes options of the integrator, and
         ``formulation`` is a name from the claims.
         """
-        options = sections.pop("options", {})
-        data: dict[str, Any] = {
-            "mbdkit": 1,
-            "model": model,
-            "integrator": {"name": self.item.id, **self.options, **options},
-            "time": time,
-            "limits": {"max_steps": STEP_LIMIT},
-        }
-        data["formulation"] = choice_of(sections.pop("formulation", self.formulation))
-        return self.spec_type(**data | sections)
+        integrator = {"name": self.item.id, **self.options, **sections.pop("options", {})}
+        formulation = choice_of(sections.pop("formulation", self.formulation))
+        return self.run_spec(model, integrator, time, formulation=formulation, **sections)
 
     def run(
         self,
@@ -176,9 +149,11 @@ class IntegratorUnderTest:
 
     def moved(self, workspace: Workspace, end: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return positions and velocities, ground last, after `steps` steps from the start of `workspace` to `end`."""
-        stepper = self.stepper(workspace, end, steps)
-        q, v = drive(stepper)
-        return q, v
+        return drive(self.stepper(workspace, end, steps))
+
+    def tolerances(self, tolerance: float) -> dict[str, float]:
+        """Return those of the options `rtol` and `atol` that the integrator has, with this value."""
+        return {name: tolerance for name in ("rtol", "atol") if name in self.plugin.options.model_fields}
 
     def cached(self, key: str, compute: Callable[[], Value]) -> Value:
         """Return a value that several checks use; it is computed once."""
@@ -197,14 +172,19 @@ def drive(stepper: Stepper, before: Callable[[], None] = lambda: None) -> tuple[
         Called before each call of `advance`.
     """
     q = v = np.zeros(0)
-    while not (stepper.finished or stepper.failure):
-        before()
-        stretch = stepper.advance()
+    for stretch in stretches(stepper, before):
         if len(stretch.time):
             q, v = stretch.q[-1], stretch.v[-1]
+    return q, v
+
+
+def stretches(stepper: Stepper, before: Callable[[], None] = lambda: None) -> Iterator[Stretch]:
+    """Advance a stepper to its end, and yield what each call of `advance` returns; raises Skip if it stops early."""
+    while not (stepper.finished or stepper.failure):
+        before()
+        yield stepper.advance()
     if stepper.failure is not None:
         raise Skip(f"the steps could not be taken: {stepper.failure.sentence}".rstrip("."))
-    return q, v
 
 
 def final_state(run: Run) -> np.ndarray:
@@ -215,7 +195,7 @@ def final_state(run: Run) -> np.ndarray:
     return state if run.status == "complete" else np.full_like(state, np.nan)
 
 
-def require_complete(run: Run) -> None:
-    """Raise Skip if a run did not complete."""
+def require_complete(run: Run, what: str = "the run", error: type[Exception] = Skip) -> None:
+    """Raise Skip if a run did not complete; another exception, such as MbdkitError, makes the check fail."""
     if run.status != "complete":
-        raise Skip(f"the run did not complete: {run.status_reason}".rstrip("."))
+        raise error(f"{what} did not complete: {run.status_reason}".rstrip("."))

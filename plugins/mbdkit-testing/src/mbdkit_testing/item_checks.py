@@ -5,15 +5,20 @@ from __future__ import annotations
 import ast
 import importlib
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit_testing.check import check
+from mbdkit.spec.run_spec import RunSpec, spec_type
+from mbdkit_testing.check import STEP_LIMIT, check
 from mbdkit_testing.check_result import Result, passed, skipped, warned
 
 #: Modules whose names plugins may import.
@@ -35,13 +40,28 @@ class ItemUnderTest:
     """
 
     item: Registered
-    options: dict[str, object]
+    options: dict[str, Any]
     installed: Registry
 
     @property
-    def claims(self) -> Mapping[str, object]:
+    def claims(self) -> Any:
         """Claims of the item by name."""
         return {}
+
+    @cached_property
+    def spec_type(self) -> type[RunSpec]:
+        """The class of run specs that accept this item."""
+        return spec_type(self.installed)
+
+    def run_spec(self, model: object, integrator: object, time: object, **sections: object) -> RunSpec:
+        """Return the spec of a run, with a limited number of steps."""
+        given = {"model": model, "integrator": integrator, "time": time, "limits": {"max_steps": STEP_LIMIT}}
+        return self.spec_type(mbdkit=1, **given | sections)
+
+
+def relative_difference(exact: np.ndarray, other: np.ndarray) -> float:
+    """Return the largest difference, relative to the largest exact value if this exceeds 1."""
+    return float(np.max(np.abs(exact - other)) / max(1.0, float(np.max(np.abs(exact)))))
 
 
 @check("contract.functions")

@@ -13,11 +13,11 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.terminal import show, show_json
+from mbdkit.base.terminal import show_result
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.cli.common_options import AsJson, Debug
 from mbdkit.guide.pages import search
-from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.items import Command
 from mbdkit.registry.manager import registry
@@ -26,7 +26,7 @@ from mbdkit.registry.target import Target
 PAGES = 3  #: Largest number of pages of the guide that are named for an item.
 
 
-def whereabouts(name: str, installed: Registry | None = None) -> dict[str, object]:
+def whereabouts(name: str) -> dict[str, object]:
     """Return the items of any kind with a name, and for each the files and lines of its code and of its description.
 
     Raises
@@ -34,10 +34,9 @@ def whereabouts(name: str, installed: Registry | None = None) -> dict[str, objec
     SpecError
         If there is no such item.
     """
-    installed = installed or registry()
-    items = [item for item in installed.items if name in (item.id, item.name)]
+    items = [item for item in registry().items if name in (item.id, item.name)]
     if not items:
-        names = list(dict.fromkeys(item.name for item in installed.items))
+        names = list(dict.fromkeys(item.name for item in registry().items))
         raise SpecError(f"there is no item '{name}'{did_you_mean(name, names)}; see `mbdkit plugins list`")
     return {
         "items": [
@@ -91,10 +90,7 @@ def plugins_where(
     mention it. With --json, prints one object with a list "items".
     """
     result = whereabouts(name)
-    if as_json:
-        show_json(result)
-    else:
-        show(whereabouts_text(result))
+    show_result(result, whereabouts_text(result), as_json=as_json)
 
 
 class Place(NamedTuple):

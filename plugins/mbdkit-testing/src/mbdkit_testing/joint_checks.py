@@ -24,6 +24,7 @@ from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_checks import balance, checkpoint, tangents, without_plugin
 from mbdkit_testing.example_under_test import completed
+from mbdkit_testing.item_checks import relative_difference
 from mbdkit_testing.joint_under_test import SMOOTH, JointUnderTest, Pair, recorded, slope
 
 #: Largest errors of derivatives and of equal values, in parts of the size of the joint.
@@ -276,11 +277,7 @@ def _errors_of_derivatives(pair: Pair, q: np.ndarray) -> dict[str, float]:
             pair.differences(acceleration, q) / rows[:, None],
         ),
     }
-    return {what: _off(*values) for what, values in compared.items()}
-
-
-def _off(exact: np.ndarray, other: np.ndarray) -> float:
-    return float(np.max(np.abs(exact - other)) / max(1.0, float(np.max(np.abs(exact)))))
+    return {what: relative_difference(*values) for what, values in compared.items()}
 
 
 @check("joint.reaction")

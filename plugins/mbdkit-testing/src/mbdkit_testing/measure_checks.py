@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,9 +28,7 @@ class MeasureUnderTest(ItemUnderTest):
     @property
     def plugin(self) -> MeasurePlugin:
         """The plugin item."""
-        plugin = self.item.plugin
-        assert isinstance(plugin, MeasurePlugin)
-        return plugin
+        return cast(MeasurePlugin, self.item.plugin)
 
     def runs(self) -> Iterator[tuple[str, Run]]:
         """Yield runs of packaged examples with their names."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import motions_at
 from mbdkit.expressions.program import MAX_DEPTH
@@ -15,10 +14,11 @@ from mbdkit.mechanism.joints import Driver
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.preparation import build
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec.run_spec import RunSpec, spec_type
-from mbdkit_testing.check import STEP_LIMIT, Skip, check
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
-from mbdkit_testing.item_checks import ItemUnderTest
+from mbdkit_testing.integrator_under_test import require_complete
+from mbdkit_testing.item_checks import ItemUnderTest, relative_difference
 from mbdkit_testing.options_under_test import options_result, validated, variants
 
 END = 1.0
@@ -29,21 +29,10 @@ DERIVATIVE = 1e-6  #: Largest relative difference between a derivative and finit
 class ModelUnderTest(ItemUnderTest):
     """A model with parameters."""
 
-    @cached_property
-    def spec_type(self) -> type[RunSpec]:
-        """The class of run specs that accept this model."""
-        return spec_type(self.installed)
-
-    def spec(self, step: float, stages: int = 3, end: float = END) -> RunSpec:
+    def spec(self, step: float, stages: int = 3) -> RunSpec:
         """Return the spec of a run with Gauss collocation."""
-        data: dict[str, Any] = {
-            "mbdkit": 1,
-            "model": {"name": self.item.id, **self.options},
-            "integrator": {"name": "mbdkit:gauss", "stages": stages},
-            "time": {"end": end, "step": step},
-            "limits": {"max_steps": STEP_LIMIT},
-        }
-        return self.spec_type(**data)
+        gauss, time = {"name": "mbdkit:gauss", "stages": stages}, {"end": END, "step": step}
+        return self.run_spec({"name": self.item.id, **self.options}, gauss, time)
 
     def mechanism(self) -> Mechanism:
         """Return a new mechanism."""
@@ -119,17 +108,13 @@ def jacobian(model: ModelUnderTest) -> Result:
             (equations.constraints(t, q + e * x) - equations.constraints(t, q - e * x)) / (2 * e)
             for x in np.eye(equations.n)
         ]
-        worst = max(worst, _share(np.array(columns).T, exact))
+        worst = max(worst, relative_difference(exact, np.array(columns).T))
         later, earlier = ((t + d, q + d * v + d * d / 2 * a, v + d * a) for d in (e, -e))
         slope = (equations.constraints(*later[:2]) - equations.constraints(*earlier[:2])) / (2 * e)
-        worst = max(worst, _share(slope, equations.constraint_rates(t, q, v)))
+        worst = max(worst, relative_difference(equations.constraint_rates(t, q, v), slope))
         twice = (equations.constraint_rates(*later) - equations.constraint_rates(*earlier)) / (2 * e)
-        worst = max(worst, _share(twice, exact @ a - equations.gamma(t, q, v)))
+        worst = max(worst, relative_difference(exact @ a - equations.gamma(t, q, v), twice))
     return at_most(DERIVATIVE, "a derivative of its constraints differs from finite differences", difference=worst)
-
-
-def _share(values: np.ndarray, exact: np.ndarray) -> float:
-    return float(np.max(np.abs(values - exact)) / max(1.0, float(np.max(np.abs(exact)))))
 
 
 @check("model.drivers")
@@ -188,8 +173,7 @@ def balance(model: ModelUnderTest) -> Result:
 def completes(model: ModelUnderTest) -> Result:
     """A run of one second completes; its misalignment is reported."""
     with simulate(model.spec(0.002)) as run:
-        if run.status != "complete":
-            return failed(f"a run of {END:g} s did not complete: {run.status_reason}".rstrip("."))
+        require_complete(run, f"a run of {END:g} s", MbdkitError)
         if not run.joints:
             return skipped("it has no joints")
         return passed(misalignment_m=run.misalignment_max)

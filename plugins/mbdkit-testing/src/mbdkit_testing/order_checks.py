@@ -83,17 +83,19 @@ def reference(problem: str) -> tuple[np.ndarray, np.ndarray, float]:
     State and multipliers are computed by Gauss collocation with 6 stages in 60 steps per second. The rounding error is
     estimated by the difference between the states with 60 and 75 steps per second.
     """
-    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
-
-    results, end = [], ENDS[problem]
-    gauss = {"name": "mbdkit:gauss", "stages": 6}
+    results = []
     for rate in (60, 75):
-        time = {"end": end, "step": 1 / rate}
-        spec = load_spec({"mbdkit": 1, "model": PROBLEMS[problem], "integrator": gauss, "time": time})
-        with simulate(spec).check() as result:
+        with _precise_run(PROBLEMS[problem], ENDS[problem], rate) as result:
             results.append((final_state(result), result.array("constraints/multiplier")[-1].copy()))
     (state, multipliers), (other, _) = results
     return state, multipliers, max(float(np.max(np.abs(state - other))), 1e-15)
+
+
+def _precise_run(model: Model, end: float, rate: int) -> Run:
+    from mbdkit.runs.simulation import simulate  # it does not print warnings, which would concern the test problem
+
+    gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": end, "step": 1 / rate}
+    return simulate(load_spec({"mbdkit": 1, "model": model, "integrator": gauss, "time": time})).check()
 
 
 class Convergence:
@@ -317,8 +319,7 @@ def error_at_tolerance(
 
 
 def _run_at_tolerance(integrator: IntegratorUnderTest, problem: str, rtol: float, **sections: Any) -> Run:
-    options = {"rtol": rtol, **({"atol": rtol} if "atol" in integrator.plugin.options.model_fields else {})}
-    time = {"end": ENDS[problem]}
+    options, time = integrator.tolerances(rtol), {"end": ENDS[problem]}
     return integrator.run(PROBLEMS[problem], time, options=options, output={"every": 10**9}, **sections)
 
 
@@ -331,8 +332,7 @@ def polynomials(integrator: IntegratorUnderTest) -> Result:
     worst, first = 0.0, None
     for power in range(order):
         with integrator.run(pushed(power), {"end": 1.0, "step": 1.0}) as run:
-            if run.status != "complete":
-                raise Skip(f"the run of a free mass did not complete: {run.status_reason}".rstrip("."))
+            require_complete(run, "the run of a free mass")
             body = run["mass"]
             defect = abs(float(body.velocity[-1, 0]) - 1 / (power + 1))
             if power < order - 1:
@@ -419,12 +419,12 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
     """The order of a method of variable order rises as the tolerance decreases: the number of steps grows less and
     less, each step of an explicit method evaluates more, or the steps report higher orders of their error estimates.
     """
-    claims, known = integrator.claims, integrator.plugin.options.model_fields
-    if not claims.adaptive or "rtol" not in known:
+    claims = integrator.claims
+    if not claims.adaptive or "rtol" not in integrator.plugin.options.model_fields:
         raise Skip("it is not an adaptive method with the option `rtol`")
     counts, costs = list[int](), list[float]()
     for rtol in COUNTED_TOLERANCES:
-        options = {name: rtol for name in ("rtol", "atol") if name in known}
+        options = integrator.tolerances(rtol)
         with integrator.run(ORBIT, {"end": 40.0}, options=options, output={"every": 10**9}) as run:
             if claims.variable_order and run.status != "complete":
                 return failed(f"it claims variable order, but a run with rtol = {rtol:g} stopped: {run.status_reason}")
@@ -450,8 +450,7 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
 
 def _reported_order(integrator: IntegratorUnderTest, rtol: float) -> float:
     """Return the mean of the orders that the steps of a method in Python report; 0 if they report none."""
-    known = integrator.plugin.options.model_fields
-    method = integrator.method(**{name: rtol for name in ("rtol", "atol") if name in known})
+    method = integrator.method(**integrator.tolerances(rtol))
     if not isinstance(method, StepMethod):
         return 0.0
     orders, step = list[float](), method.step
@@ -491,12 +490,7 @@ def states(integrator: IntegratorUnderTest) -> Result:
 @cache
 def _states_at_end() -> np.ndarray:
     """Return the first-order states of the test problem after 1 s, by Gauss collocation of order 12."""
-    from mbdkit.runs.simulation import simulate
-
-    gauss, time = {"name": "mbdkit:gauss", "stages": 6}, {"end": 1.0, "step": 1 / 60}
-    with simulate(
-        load_spec({"mbdkit": 1, "model": LAGGING_PENDULUM, "integrator": gauss, "time": time})
-    ).check() as run:
+    with _precise_run(LAGGING_PENDULUM, 1.0, 60) as run:
         value: np.ndarray = run.array("states/value")[-1].copy()
     return value
 

@@ -10,43 +10,25 @@ from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
 
+def _of_plugins(name: str, summary: str, order: int, module: str = "commands") -> Command:
+    """Return a command of the group `plugins`."""
+    target = Target(f"mbdkit_testing.{module}:plugins_{name}")
+    return Command(name=name, summary=summary, target=target, group="plugins", order=order)
+
+
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return the commands that check an installation, and list, show, find, verify and create plugins."""
-    # fmt: off
+    doctor = Target("mbdkit_testing.commands:doctor")
+    summary = "Check this installation: plugins, machine code, small runs."
     return [
-        Command(
-            name="list", summary="List installed plugins, and those that could not be loaded.",
-            target=Target("mbdkit_testing.commands:plugins_list"), group="plugins", order=10,
-        ),
+        _of_plugins("list", "List installed plugins, and those that could not be loaded.", 10),
         Command(name="plugins", summary="List, verify and diagnose plugins; `new` creates one.", order=180),
-        Command(
-            name="show", summary="Show the options, claims and references of a plugin.",
-            target=Target("mbdkit_testing.commands:plugins_show"), group="plugins", order=20,
-        ),
-        Command(
-            name="where", summary="Print the file and line of the code that a name adds.",
-            target=Target("mbdkit_testing.item_places:plugins_where"), group="plugins", order=25,
-        ),
-        Command(
-            name="verify", summary="Verify the claims of a plugin by the checks of mbdkit.testing.",
-            target=Target("mbdkit_testing.commands:plugins_verify"), group="plugins", order=30,
-        ),
-        Command(
-            name="matrix", summary="Draw what was observed of all plugins, side by side.",
-            target=Target("mbdkit_testing.commands:plugins_matrix"), group="plugins", order=35,
-        ),
-        Command(
-            name="doctor", summary="Show the plugins, the machine code in use, and any problems.",
-            target=Target("mbdkit_testing.commands:plugins_doctor"), group="plugins", order=40,
-        ),
-        Command(
-            name="new", summary="Create the project of a new plugin in ./NAME.",
-            target=Target("mbdkit_testing.commands:plugins_new"), group="plugins", order=50,
-        ),
-        Command(
-            name="doctor", summary="Check this installation: plugins, machine code, small runs.",
-            target=Target("mbdkit_testing.commands:doctor"), order=175,
-        ),
+        _of_plugins("show", "Show the options, claims and references of a plugin.", 20),
+        _of_plugins("where", "Print the file and line of the code that a name adds.", 25, module="item_places"),
+        _of_plugins("verify", "Verify the claims of a plugin by the checks of mbdkit.testing.", 30),
+        _of_plugins("matrix", "Draw what was observed of all plugins, side by side.", 35),
+        _of_plugins("doctor", "Show the plugins, the machine code in use, and any problems.", 40),
+        _of_plugins("new", "Create the project of a new plugin in ./NAME.", 50),
+        Command(name="doctor", summary=summary, target=doctor, order=175),
     ]
-    # fmt: on

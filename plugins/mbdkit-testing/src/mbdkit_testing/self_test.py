@@ -15,6 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit.runs.simulation import run
@@ -25,35 +27,16 @@ _DIGEST = re.compile("[0-9a-f]{64}")
 STORED = Path(__file__).with_name("self_test.json")  #: The stored hashes by name of the run.
 
 
-def _steps(step: float, count: int = 40) -> dict[str, Any]:
-    return {"step": step, "end": step * count}
-
-
-#: Example and changes of each run: explicit and implicit methods, control of the step, projection, loops, a moving
-#: driver, a beam, contacts and muscles.
-RUNS: dict[str, tuple[str, dict[str, Any]]] = {
-    "pendulum": ("pendulum", {"integrator": {"name": "rk-gill"}, "time": _steps(0.01)}),
-    "double-pendulum": (
-        "double-pendulum",
-        {"integrator": {"name": "dopri5", "adaptive": True, "rtol": 1e-8}, "time": {"end": 0.5}},
-    ),
-    "knee": ("knee", {"integrator": {"name": "gauss", "stages": 3}, "time": _steps(0.005)}),
-    "slider-crank": ("slider-crank", {"integrator": {"name": "radau-iia", "stages": 3}, "time": _steps(0.002)}),
-    "chain": ("chain", {"integrator": {"name": "rk4"}, "stabilization": "projection", "time": _steps(0.005)}),
-    "car-axis": ("car-axis", {"integrator": {"name": "dop853"}, "time": _steps(0.005)}),
-    "spin-up-beam": ("spin-up-beam", {"integrator": {"name": "radau-iia", "stages": 2}, "time": _steps(1e-6, 10)}),
-    "slider-crank-clearance": ("slider-crank-clearance", {"time": _steps(1e-4)}),
-    "bouncing-ball": ("bouncing-ball", {}),
-    "elbow-curl": ("elbow-curl", {"time": _steps(0.005)}),
-}
+#: Changes of each run by the name of its example.
+RUNS: dict[str, dict[str, Any]] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text("utf-8"))
 
 
 def hashes() -> dict[str, str]:
     """Run all specs; return ``data_sha256`` by name, or why there is none."""
     texts = {}
-    for name, (example, changes) in RUNS.items():
+    for name, changes in RUNS.items():
         try:
-            result = run(load_spec(example, **changes))
+            result = run(load_spec(name, **changes))
         except MbdkitError as error:
             texts[name] = str(error)
             continue

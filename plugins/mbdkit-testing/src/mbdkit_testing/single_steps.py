@@ -105,7 +105,7 @@ def steps_on(integrator: IntegratorUnderTest, model: Model) -> Iterator[tuple[fl
     Raises Skip if none can be taken.
     """
     taken, why = 0, ""
-    for changes in _tolerances(integrator):
+    for changes in ({}, integrator.tolerances(LOOSE)):
         method, (equations, start) = step_method(integrator, **changes), equations_for(integrator, model)
         for size in STEPS:
             begin = replace(start, memory=method.begin(equations, equations.t0, start, "start"))
@@ -126,12 +126,6 @@ def steps_on(integrator: IntegratorUnderTest, model: Model) -> Iterator[tuple[fl
     raise Skip(f"no single step from the start could be taken: {why}")
 
 
-def _tolerances(integrator: IntegratorUnderTest) -> tuple[dict[str, float], ...]:
-    """Return changes of options: none, and loose tolerances, with which a method's own control accepts more steps."""
-    known = integrator.plugin.options.model_fields
-    return {}, {name: LOOSE for name in ("rtol", "atol") if name in known}
-
-
 def has_memory(integrator: IntegratorUnderTest) -> bool:
     """Return whether the first step of a method in Python passes memory on, as that of a multistep method does."""
     return any(step.made.state.memory is not None for step in single_steps(integrator))
@@ -142,7 +136,7 @@ def later_steps(integrator: IntegratorUnderTest) -> tuple[SingleStep, ...]:
 
     Their reference states are those of the motion through the begin of the step.
     """
-    result = (_later_steps(integrator, changes) for changes in _tolerances(integrator))
+    result = (_later_steps(integrator, changes) for changes in ({}, integrator.tolerances(LOOSE)))
     return next((steps for steps in result if steps), ())
 
 

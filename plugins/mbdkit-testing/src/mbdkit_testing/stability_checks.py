@@ -12,7 +12,7 @@ import numpy as np
 
 from mbdkit_testing.check import STEP_LIMIT, Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, unclaimed
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, stretches
 from mbdkit_testing.trial_models import oscillators
 
 STEP = 0.01
@@ -48,13 +48,8 @@ def amplitudes(integrator: IntegratorUnderTest, product: float, damping: tuple[f
     frequency = product / STEP
     workspace = integrator.workspace(oscillators(frequency, damping))
     stepper = integrator.stepper(workspace, steps * STEP, steps, every=1)
-    rows = []
-    while not (stepper.finished or stepper.failure):
-        stretch = stepper.advance()
-        rows += list(np.hypot(stretch.q - 1.0, stretch.v / frequency)[:, : 3 * len(damping) : 3])
-    if stepper.failure is not None:
-        raise Skip(f"the steps could not be taken: {stepper.failure.sentence}".rstrip("."))
-    return np.array(rows)
+    rows = [np.hypot(stretch.q - 1.0, stretch.v / frequency) for stretch in stretches(stepper)]
+    return np.concatenate(rows)[:, : 3 * len(damping) : 3]
 
 
 @check("stability.a-stable")
@@ -90,10 +85,9 @@ def a_stable(integrator: IntegratorUnderTest) -> Result:
 
 def _adaptive(integrator: IntegratorUnderTest) -> Result:
     """Return whether the number of steps is limited where deflections are far below the tolerance."""
-    known = integrator.plugin.options.model_fields
-    if "rtol" not in known:
+    if "rtol" not in integrator.plugin.options.model_fields:
         raise Skip("it is adaptive, and has no option `rtol`")
-    options, counts = {name: LOOSE for name in ("rtol", "atol") if name in known}, list[int]()
+    options, counts = integrator.tolerances(LOOSE), list[int]()
     for frequency in FREQUENCIES:
         model = oscillators(frequency, DAMPING, LOOSE * SMALL)
         with integrator.run(model, {"end": 1.0}, options=options, output={"every": 10**9}) as run:

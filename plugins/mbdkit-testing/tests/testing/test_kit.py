@@ -12,7 +12,6 @@ from tests.testing import corpus
 import mbdkit
 import mbdkit.testing
 from mbdkit import ImplicitRungeKutta
-from mbdkit.base.errors import SpecError
 from mbdkit.registry.manager import registry
 from mbdkit.runs.method_evidence import evidence_file, read_records
 from mbdkit_testing import conformance
@@ -20,7 +19,6 @@ from mbdkit_testing.check_result import Report, Result
 from mbdkit_testing.kit import checks_of, plugin_under_test
 from mbdkit_testing.order_checks import reference
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM
-from mbdkit_testing.verification_page import html, write_page
 from tests.integrators.diagonal_tableaus import TABLEAUS
 
 README = Path(__file__).parents[2] / "README.md"
@@ -141,20 +139,12 @@ def test_a_property_that_is_not_claimed_is_measured_but_does_not_pass() -> None:
     assert told.verdict() == "verified: 5 checks run, 4 of properties that are not claimed"
     assert "not claimed  symmetric no; The method is symmetric" in told.text()
     assert told.to_dict()["not_claimed"] == 4
-    assert ">not claimed</span>" in html([told])
 
 
 def test_a_report_as_json_holds_no_number_that_json_has_not() -> None:
     told = json.loads(json.dumps(report(result("geometry.x", "pass")).to_dict(), allow_nan=False))
     assert told["checks"][0]["figures"] == {"x": None}
     assert (told["verified"], told["run"], told["failed"], told["skipped"]) == (True, 1, 0, 0)
-
-
-def test_a_report_as_a_page_names_every_check_and_escapes_what_plugins_say() -> None:
-    page = html([report(Result("fail", "1 < 2", {}, "order.x", "It <b>does</b>.", 0.1))])
-    assert "order.x: It &lt;b&gt;does&lt;/b&gt;." in page
-    assert "1 &lt; 2." in page
-    assert "http" not in page.replace("http-equiv", "")
 
 
 @pytest.mark.parametrize("kind", ["integrator", "model", "force-law", "element-kind"])
@@ -173,14 +163,6 @@ def test_the_evidence_has_every_integrator_of_mbdkit_with_what_it_claims_now() -
         assert record["claims"].get("order") == claims.order
         assert record["verified"]
         assert not record["failed"]
-
-
-def test_a_page_that_appears_during_the_checks_is_not_replaced(tmp_path: Path) -> None:
-    page = tmp_path / "page.html"
-    page.write_text("theirs")
-    with pytest.raises(SpecError, match="exists already"):
-        write_page([], page, overwrite=False)
-    assert page.read_text() == "theirs"
 
 
 def test_a_plugin_with_such_a_tableau_is_verified() -> None:

@@ -129,15 +129,7 @@ def verdict(study: Study) -> Verdict:
         )
         for touch in touches
     ]  # fmt: skip
-    return Verdict(
-        "contact",
-        study.spec.title,
-        " ".join(claim.sentence for claim in claims),
-        claims,
-        (WORDS.table("contact", rows),),
-        (_figure(touches),),
-        WORDS.notes(),
-    )
+    return WORDS.verdict("contact", study.spec.title, claims, (WORDS.table("contact", rows),), _figure(touches))
 
 
 def _of(study: Study, point: StudyPoint) -> Touched:

@@ -70,15 +70,8 @@ def verdict(study: Study) -> Verdict:
     joints, cranks = _runs(study)
     own = [crank for crank in cranks if crank.method not in study.spec.added]
     claims = reported((_held(own), _stable(own), _agree(own), _hidden(own)))
-    return Verdict(
-        "flexible-slider-crank",
-        study.spec.title,
-        " ".join(claim.sentence for claim in claims),
-        claims,
-        (_table(joints, cranks),),
-        (_figure(cranks),),
-        WORDS.notes(),
-    )
+    tables = (_table(joints, cranks),)
+    return WORDS.verdict("flexible-slider-crank", study.spec.title, claims, tables, _figure(cranks))
 
 
 def _runs(study: Study) -> tuple[list[str], list[CrankRun]]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -26,19 +27,8 @@ OPTIONS: Mapping[str, tuple[dict[str, int], ...]] = {
     "lobatto-pair": ({"stages": 3},),
 }
 
-#: Families of integrators; another integrator is a family of its own.
-FAMILIES: Mapping[str, tuple[str, ...]] = {
-    "explicit Runge-Kutta": ("rk4", "rk-gill", "dopri5", "dop853", "scipy-dop853"),
-    "implicit Runge-Kutta": (
-        "gauss", "radau-iia", "radau-variable", "scipy-radau", "lobatto-iiia", "lobatto-iiib", "lobatto-iiic",
-        "lobatto-iiid",
-    ),
-    "partitioned Runge-Kutta": ("rattle", "lobatto-pair"),
-    "half-explicit Runge-Kutta": ("hem4", "hem5", "phem56"),
-    "multistep": ("adams", "bdf", "scipy-lsoda", "sundials-cvode", "sundials-ida"),
-    "line integrals": ("discrete-gradient", "hbvm"),
-    "Newmark": ("generalized-alpha", "nonsmooth-generalized-alpha"),
-}  # fmt: skip
+#: Families of integrators, with their members; another integrator is a family of its own.
+FAMILIES: Mapping[str, Sequence[str]] = yaml.safe_load(Path(__file__).with_name("families.yaml").read_text("utf-8"))
 OTHERS = ("scipy-", "sundials-")  #: Beginnings of the names of integrators that are codes of others.
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -197,23 +197,20 @@ def _reached(name: str, results: Sequence[Result]) -> Iterator[tuple[Cell, ...]]
         )  # fmt: skip
 
 
-def _least(results: Sequence[Result], costs: Mapping[int, float], form: str) -> str | None:
-    """Return the method with the least cost and this cost; None if none reaches the target."""
-    known = [(costs[place], result.method) for place, result in enumerate(results) if not math.isnan(costs[place])]
+def _least(costs: Iterable[tuple[float, str]], form: str) -> str | None:
+    """Return the method with the least cost and this cost, of costs and methods; None if none reaches the target."""
+    known = [(cost, method) for cost, method in costs if not math.isnan(cost)]
     return f"{min(known)[1]} ({min(known)[0]:{form}})" if known else None
 
 
 def _choice(name: str, results: Sequence[Result]) -> tuple[Cell, ...]:
-    works = {place: result.work for place, result in enumerate(results)}
-    seconds = {place: result.seconds for place, result in enumerate(results)}
+    work = _least(((result.work, result.method) for result in results), ",.0f")
+    seconds = _least(((result.seconds, result.method) for result in results), ".2g")
     best = min((result for result in results if result.best), key=lambda result: result.error, default=None)
-    reaching = sum(not math.isnan(work) for work in works.values())
+    reaching = sum(not math.isnan(result.work) for result in results)
     least = None if best is None else f"{best.method} ({best.error:.0e})"
     failed = sum(len(result.failed) for result in results)
-    return (
-        name, f"{reaching} of {len(results)}", _least(results, works, ",.0f"), _least(results, seconds, ".2g"), least,
-        failed,
-    )  # fmt: skip
+    return name, f"{reaching} of {len(results)}", work, seconds, least, failed
 
 
 def _row(result: Result) -> tuple[Cell, ...]:

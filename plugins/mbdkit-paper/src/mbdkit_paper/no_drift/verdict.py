@@ -4,44 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import Words, reported
-from mbdkit_report import Answer, Claim, Verdict, exceeds
+from mbdkit_report import Answer, Cell, Claim, Verdict, exceeds
 from mbdkit_studies import Study, StudyPoint, value
 from mbdkit_studies.results.judge import study_verdict
 
 #: Bound on misalignment [1] and on velocity misalignment [1/s], both relative to the size of the mechanism.
 HELD = 1e-12
+#: Columns of the largest misalignment of positions [m] and of velocities [m/s].
+POSITION, VELOCITY = "misalignment_max", "velocity_misalignment_every_step"
 
 WORDS = Words(__file__)
-
-
-@dataclass(frozen=True)
-class HeldJoints:
-    """Misalignment of one long run.
-
-    Attributes
-    ----------
-    mechanism, method
-        Family of the study, and label on the axis `method`.
-    position, velocity
-        Largest misalignments relative to the size of the mechanism [1, 1/s]; nan if the run is not complete.
-    state
-        Reason why the run is not complete: `failed`, `missing` or `not installed`; empty otherwise.
-    """
-
-    mechanism: str
-    method: str
-    position: float
-    velocity: float
-    state: str
-
-    @property
-    def name(self) -> str:
-        """Mechanism and method in one line."""
-        return f"{self.mechanism}, {self.method}"
 
 
 @study_verdict
@@ -58,56 +33,42 @@ def verdict(study: Study) -> Verdict:
     LookupError
         If the study has no such axis.
     """
-    results = [_held(point) for point in study.points]
-    rows = [
-        (
-            result.mechanism,
-            result.method,
-            result.state or int(value(point, "steps")),
-            result.state or two(result.position),
-            result.state or two(result.velocity),
-            result.state or two(value(point, "wall_s")),
-            result.state or int(value(point, "projections")),
-        )
-        for result, point in zip(results, study.points, strict=True)
-    ]
-    own = [result for result in results if result.method not in study.spec.added]
-    positions, velocities = ([getattr(result, name) for result in own] for name in ("position", "velocity"))
+    rows = [_row(point) for point in study.points]
+    own = [point for point in study.points if _method(point) not in study.spec.added]
     claims = reported(
         (
-            _holds(own, "positions", positions, "misalignment over all steps"),
-            _holds(own, "velocities", velocities, "velocity misalignment per second over all steps"),
+            _holds(own, "positions", POSITION, "misalignment over all steps"),
+            _holds(own, "velocities", VELOCITY, "velocity misalignment per second over all steps"),
         )
     )
-    return Verdict(
-        "no-drift",
-        study.spec.title,
-        " ".join(claim.sentence for claim in claims),
-        claims,
-        (WORDS.table("no-drift", rows),),
-    )
+    return WORDS.verdict("no-drift", study.spec.title, claims, (WORDS.table("no-drift", rows),))
 
 
-def _held(point: StudyPoint) -> HeldJoints:
+def _method(point: StudyPoint) -> str:
+    return str(point.axes[COMBINATION])
+
+
+def _relative(point: StudyPoint, column: str) -> float:
+    """Return a misalignment relative to the size of the mechanism; nan if the run is not complete."""
     size = value(point, "mechanism_size")
-    position, velocity = value(point, "misalignment_max"), value(point, "velocity_misalignment_every_step")
-    return HeldJoints(
-        point.family,
-        str(point.axes[COMBINATION]),
-        position / size if size > 0 else math.nan,
-        velocity / size if size > 0 else math.nan,
-        state_of([point]),
-    )
+    return value(point, column) / size if size > 0 else math.nan
 
 
-def _holds(results: Sequence[HeldJoints], name: str, values: Sequence[float], what: str) -> Claim:
+def _row(point: StudyPoint) -> tuple[Cell, ...]:
+    if state := state_of([point]):
+        return (point.family, _method(point), *[state] * 5)
+    steps, projections = (int(value(point, column)) for column in ("steps", "projections"))
+    position, velocity = (two(_relative(point, column)) for column in (POSITION, VELOCITY))
+    return point.family, _method(point), steps, position, velocity, two(value(point, "wall_s")), projections
+
+
+def _holds(points: Sequence[StudyPoint], name: str, column: str, what: str) -> Claim:
     """Return the claim that all values lie below the bound: no if any value does not, open if any is unknown."""
-    answers = [exceeds(HELD, each) for each in values]
-    worst = max(
-        ((each, result.name) for each, result in zip(values, results, strict=True) if math.isfinite(each)), default=None
-    )
-    beyond = [result.name for result, answer in zip(results, answers, strict=True) if answer is Answer.NO]
-    unknown = [result.name for result, each in zip(results, values, strict=True) if not math.isfinite(each)]
+    values = [(_relative(point, column), f"{point.family}, {_method(point)}") for point in points]
+    answers = [exceeds(HELD, each) for each, _ in values]
+    worst = max(((each, run) for each, run in values if math.isfinite(each)), default=None)
+    beyond = [run for (_, run), answer in zip(values, answers, strict=True) if answer is Answer.NO]
+    unknown = [run for each, run in values if not math.isfinite(each)]
     answer = Answer.NO if beyond else Answer.OPEN if Answer.OPEN in answers or not answers else Answer.YES
     computed = "no run is complete" if worst is None else f"at most {worst[0]:.1e} ({worst[1]})"
     computed += f"; unknown for {'; '.join(unknown)}" if unknown else ""

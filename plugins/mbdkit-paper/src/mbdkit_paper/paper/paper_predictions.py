@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -39,20 +40,12 @@ def steps_within(steps: np.ndarray, values: np.ndarray, wanted: Range) -> tuple[
         are nan if no value lies in the range.
     """
     inside = np.isfinite(values) & (values >= wanted.low) & (values <= wanted.high)
-    best = range(0)
-    start = 0
-    for k in range(len(steps) + 1):
-        if k < len(steps) and inside[k]:
-            continue
-        if k - start > len(best):
-            best = range(start, k)
-        start = k + 1
-    if not best:
+    groups = [list(group) for is_inside, group in groupby(range(len(steps)), inside.__getitem__) if is_inside]
+    if not groups:
         return math.nan, math.nan
-    return (
-        _crossing(steps, values, best.start, best.start - 1, wanted),
-        _crossing(steps, values, best.stop - 1, best.stop, wanted),
-    )
+    longest = max(groups, key=len)
+    first, last = longest[0], longest[-1]
+    return _crossing(steps, values, first, first - 1, wanted), _crossing(steps, values, last, last + 1, wanted)
 
 
 def _crossing(steps: np.ndarray, values: np.ndarray, inner: int, outer: int, wanted: Range) -> float:

@@ -94,15 +94,9 @@ def verdict(study: Study) -> Verdict:
     own = {method: curve for method, curve in curves.items() if method not in study.spec.added}
     targets = (_reached(target, own) for target in (DAE, DAE_FINE))
     claims = reported((_repeated(book, fine, shifted), _same_cost(book, own), *targets))
-    return Verdict(
-        "textbook-four-bar",
-        "The textbook's four-bar linkage",
-        " ".join(claim.sentence for claim in claims),
-        claims,
-        (_residuals(rows, book, fine), _needed(curves)),
-        (WORDS.figure("drift", drifts, step=DRAWN_STEP), _work_figure(curves, book, fine)),
-        WORDS.notes(),
-    )
+    tables = (_residuals(rows, book, fine), _needed(curves))
+    figures = (WORDS.figure("drift", drifts, step=DRAWN_STEP), _work_figure(curves, book, fine))
+    return WORDS.verdict("textbook-four-bar", "The textbook's four-bar linkage", claims, tables, *figures)
 
 
 def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:

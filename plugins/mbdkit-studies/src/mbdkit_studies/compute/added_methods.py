@@ -21,8 +21,9 @@ from mbdkit.registry.items import Claims
 from mbdkit.registry.manager import registry
 from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec.formulation_choice import choice_of, name_of
-from mbdkit.spec.reading import parse_key, put, read_value
+from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
+from mbdkit.spec.yaml_reader import read_data
 from mbdkit_studies.points.planned_points import HOW, Grid, PlannedPoints, Setting, grids, sets_method
 from mbdkit_studies.results.point_selection import IN_TOLERANCES
 from mbdkit_studies.spec.method_claims import METHOD, claims_of
@@ -79,7 +80,7 @@ class AddedMethod:
         """
         where = f"--with {given if isinstance(given, str) else json.dumps(given, default=str)}"
         try:
-            data = read_value(given) if isinstance(given, str) else given
+            data = read_data(given) if isinstance(given, str) else given
             labelled = is_labelled(data)
             settings = data.get("set", {METHOD: data.get("value")}) if labelled else {METHOD: data}
             chosen = settings.get(METHOD) if isinstance(settings, Mapping) else None
