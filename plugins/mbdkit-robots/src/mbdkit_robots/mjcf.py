@@ -294,15 +294,7 @@ class _MjcfReader:
             center = here + turned @ numbers(inertial, "pos", "0 0 0", 3)
             return Part(name, number(inertial, "mass", 0.0), center, own @ tensor @ own.T)
         solids = [result for one in self.geoms[name] if (result := self._solid(one, name, here, turned)).mass > 0]
-        mass = sum(solid.mass for solid in solids)
-        if not mass:
-            return Part(name, 0.0, here, np.zeros((3, 3)))
-        center = np.sum([solid.mass * solid.center for solid in solids], axis=0) / mass
-        tensor = np.zeros((3, 3))
-        for one in solids:
-            arm = one.center - center
-            tensor = tensor + one.inertia + one.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return Part(name, mass, center, tensor)
+        return Part.joined(name, solids) if solids else Part(name, 0.0, here, np.zeros((3, 3)))
 
     def _solid(self, geom: Element, body: str, here: np.ndarray, turned: np.ndarray) -> Part:
         kind, size = geom.get("type", "sphere"), numbers(geom, "size", "0")

@@ -35,6 +35,17 @@ class Part:
     center: np.ndarray
     inertia: np.ndarray
 
+    @classmethod
+    def joined(cls, name: str, parts: Sequence[Part]) -> Part:
+        """Return parts that are fixed to each other as one part; their mass together is not 0."""
+        mass = sum(part.mass for part in parts)
+        center = np.sum([part.mass * part.center for part in parts], axis=0) / mass
+        inertia = np.zeros((3, 3))
+        for part in parts:
+            arm = part.center - center
+            inertia = inertia + part.inertia + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return cls(name, mass, center, inertia)
+
 
 @dataclass(frozen=True)
 class Link:
