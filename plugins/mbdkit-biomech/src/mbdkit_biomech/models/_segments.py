@@ -8,38 +8,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-WINTER = """@book{winter2009,
-  author    = {Winter, David A.},
-  title     = {Biomechanics and Motor Control of Human Movement},
-  edition   = {4},
-  publisher = {John Wiley \\& Sons},
-  year      = {2009},
-  doi       = {10.1002/9780470549148},
-  note      = {Segment fractions of body mass, height and segment length}
-}"""
-DE_LEVA = """@article{deleva1996,
-  author  = {de Leva, Paolo},
-  title   = {Adjustments to {Zatsiorsky-Seluyanov's} segment inertia parameters},
-  journal = {Journal of Biomechanics},
-  volume  = {29},
-  number  = {9},
-  pages   = {1223--1230},
-  year    = {1996},
-  doi     = {10.1016/0021-9290(95)00178-6}
-}"""
-FRACTIONS = """@misc{gaitanalysistoolkit,
-  author       = {{csu-hmc}},
-  title        = {GaitAnalysisToolKit, gaitanalysis/octave/2d\\_inverse\\_dynamics/leg2d.m},
-  howpublished = {\\url{https://github.com/csu-hmc/GaitAnalysisToolKit}},
-  note         = {Commit 3f1c0a2bb69fff5775b71b1ed809515a6937d16c; Winter's fractions as used here}
-}"""
-GAIT2D = """@misc{gait2d,
-  author       = {{csu-hmc}},
-  title        = {gait2d, data/example\\_constants.yml},
-  howpublished = {\\url{https://github.com/csu-hmc/gait2d}},
-  note         = {Commit 44bb269cc3be09d4c36936d47b15f83a130e1ab3; height 1.8 m, heel 0.06 m behind the ankle}
-}"""
+_ENTRIES = Path(__file__).with_name("references.bib").read_text("utf-8").strip()
+WINTER, DE_LEVA, FRACTIONS, GAIT2D, EXOSKELETON = _ENTRIES.split("\n\n")  # in the order of the file
 
 #: Distance of the heel behind the ankle, and height of the ankle, as shares of body height; used with all tables.
 HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039

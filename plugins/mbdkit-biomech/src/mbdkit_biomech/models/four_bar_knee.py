@@ -52,14 +52,8 @@ from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
-from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, BodySegments
+from mbdkit_biomech.models._segments import EXOSKELETON, FRACTIONS, GAIT2D, WINTER, BodySegments
 
-EXOSKELETON = """@misc{group3exoskeleton,
-  author       = {{emelieseguin}},
-  title        = {Group3\\_Matlab: lower-limb exoskeleton design, FourBarLinkageMathDefined\\_FromGait.m},
-  howpublished = {\\url{https://github.com/emelieseguin/Group3_Matlab}},
-  note         = {Commit 0664a50104cb4168398461bcf314e19321871145; link lengths and pitches for a height of 1.78 m}
-}"""
 REFERENCES = (EXOSKELETON, WINTER, FRACTIONS, GAIT2D)
 
 REFERENCE_HEIGHT = 1.78  # m, body height for which the linkage was designed

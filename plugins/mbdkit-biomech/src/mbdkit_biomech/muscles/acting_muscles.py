@@ -313,61 +313,41 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
     for name, muscle in mechanism.muscles.items():
-        key = f"model.muscles.{quoted(name)}"
-        if muscle.excitation is None:
-            raise SpecError(
-                "is missing: in a run, a muscle needs an excitation between 0 and 1 (number, expression or table)",
-                key=f"{key}.excitation",
-            )
-        if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS[muscle.curves]:
-            raise SpecError(
-                "the excitation has too many points for a run; leave out some, or split the run",
-                key=f"{key}.excitation",
-            )
-        if muscle.tendon == "elastic" and not muscle.tendon_length:
-            raise SpecError(
-                "should be greater than 0, because an elastic tendon needs a length", key=f"{key}.tendon_length"
-            )
-        if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
-            raise SpecError(
-                "should be greater than 0: with the curves millard, undamped fibres cannot be in equilibrium with "
-                "every force of an elastic tendon",
-                key=f"{key}.damping",
-            )
-        if muscle.patella is not None:
-            raise SpecError(
-                "in a run, muscles have no patella; it is for inverse dynamics only: lead the path around a circle to "
-                "the shank instead",
-                key=f"{key}.patella",
-            )
-        for index, item in enumerate(muscle.path):
-            place = f"{key}.path[{index}]"
-            if item.wrap is not None:
-                _check_circle(muscle.path[index - 1], muscle.path[index + 1], f"{place}.wrap")
-            if item.when is not None:
-                raise SpecError(
-                    "in a run, a path has all of its points at all times; conditions are for inverse dynamics only",
-                    key=f"{place}.when",
-                )
-            if item.moves:
-                raise SpecError(
-                    "in a run, points of muscles are fixed to their bodies; points that move with a coordinate are for "
-                    "inverse dynamics only",
-                    key=f"{place}.point",
-                )
+        for key, sentence in _unsupported(name, muscle):
+            raise SpecError(sentence, key=f"model.muscles.{quoted(name)}.{key}")
 
 
-def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
-    if before.wrap is not None or after.wrap is not None:
-        raise SpecError(
-            "in a run, a path has at most one circle between two points; several are for inverse dynamics only", key=key
-        )
-    if before.offset != after.offset:
-        raise SpecError(
-            "in a run, the points next to a circle have equal offsets from the plane; different ones are for inverse "
-            "dynamics only",
-            key=key,
-        )
+def _unsupported(name: str, muscle: Muscle) -> Iterator[tuple[str, str]]:
+    """Yield keys of a muscle whose values runs do not support, with sentences on them."""
+    if muscle.excitation is None:
+        why = "a muscle needs an excitation between 0 and 1 (number, expression or table)"
+        yield "excitation", f"is missing: in a run, {why}"
+    if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS[muscle.curves]:
+        yield "excitation", "the excitation has too many points for a run; leave out some, or split the run"
+    if muscle.tendon == "elastic" and not muscle.tendon_length:
+        yield "tendon_length", "should be greater than 0, because an elastic tendon needs a length"
+    if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
+        why = "undamped fibres cannot be in equilibrium with every force of an elastic tendon"
+        yield "damping", f"should be greater than 0: with the curves millard, {why}"
+    if muscle.patella is not None:
+        instead = "it is for inverse dynamics only: lead the path around a circle to the shank instead"
+        yield "patella", f"in a run, muscles have no patella; {instead}"
+    for index, item in enumerate(muscle.path):
+        key = f"path[{index}]"
+        if item.wrap is not None:
+            before, after = muscle.path[index - 1], muscle.path[index + 1]
+            if before.wrap is not None or after.wrap is not None:
+                what = "a path has at most one circle between two points; several"
+                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+            if before.offset != after.offset:
+                what = "the points next to a circle have equal offsets from the plane; different ones"
+                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+        if item.when is not None:
+            what = "a path has all of its points at all times; conditions"
+            yield f"{key}.when", f"in a run, {what} are for inverse dynamics only"
+        if item.moves:
+            what = "points of muscles are fixed to their bodies; points that move with a coordinate"
+            yield f"{key}.point", f"in a run, {what} are for inverse dynamics only"
 
 
 @spec_criterion

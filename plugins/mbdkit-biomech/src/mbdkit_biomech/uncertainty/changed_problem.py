@@ -35,8 +35,7 @@ from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
-from mbdkit_biomech.uncertainty.cocontraction import shared_activations
-from mbdkit_biomech.uncertainty.sources import Place, segment_of
+from mbdkit_biomech.uncertainty.sources import Place, segment_of, shared_activations
 
 MOVING = ("centers", "lengths", "angles")  #: Keys of places that change the motion.
 

@@ -26,8 +26,7 @@ from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
-from mbdkit_biomech.inverse_dynamics.muscles.elastic_tendons import ElasticMuscles, in_equilibrium
-from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_on_rigid_tendon
+from mbdkit_biomech.inverse_dynamics.muscles.fibers import ElasticMuscles, fibers_on_rigid_tendon, in_equilibrium
 from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
     ActivationDynamics,
     share_over_time,

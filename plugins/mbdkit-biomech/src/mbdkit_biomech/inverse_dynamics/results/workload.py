@@ -145,17 +145,13 @@ class _Series:
         inside = time[(time > start) & (time < end)]
         t = np.concatenate([[start], inside, [end]])
 
-        def at(values: np.ndarray) -> np.ndarray:
-            return np.asarray(np.interp(t, time, values))
+        def at(values: np.ndarray | None) -> Any:
+            return None if values is None else np.interp(t, time, values)
 
+        load = _load(t, at(self.value), self.units, at(self.error))
+        torque = None if self.torque is None else _load(t, at(self.torque), "N m", at(self.torque_error))
         return ElementWorkload(
-            self.name,
-            self.kind,
-            _load(t, at(self.value), self.units, None if self.error is None else at(self.error)),
-            None
-            if self.torque is None
-            else _load(t, at(self.torque), "N m", None if self.torque_error is None else at(self.torque_error)),
-            None if self.power is None else _work(t, at(self.power)),
+            self.name, self.kind, load, torque, None if self.power is None else _work(t, at(self.power))
         )
 
 
@@ -320,14 +316,9 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
         is_actuator = one.name in run.actuators and one.kind != "joint"
         return "actuators.value" if is_actuator else "joints.force" if one.load.units == "N" else "joints.torque"
 
-    return tuple(
-        replace(
-            one,
-            load=known(one.name, one.load, what(one)),
-            torque=None if one.torque is None else known(one.name, one.torque, "joints.torque"),
-        )
-        for one in elements
-    )
+    loads = [known(one.name, one.load, what(one)) for one in elements]
+    torques = [one.torque and known(one.name, one.torque, "joints.torque") for one in elements]
+    return tuple(replace(one, load=x, torque=y) for one, x, y in zip(elements, loads, torques, strict=True))
 
 
 def _parts(

@@ -35,8 +35,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Span,
 )
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of, reserves_of
-from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
-from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
+from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject, Uncertainty
 
 S = TypeVar("S", bound=Section)
 
