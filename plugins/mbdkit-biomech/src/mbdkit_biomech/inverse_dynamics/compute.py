@@ -302,14 +302,10 @@ def compute(problem: InverseProblem) -> Inverse:
         If no pose fits the data, or the mechanism passes a singular position.
     """
     try:
-        return _of_fitted(problem, fit(problem))
+        fitted = fit(problem)
+        return forces_of(problem, fitted, *motion_of(problem, fitted))
     except SpecError as error:
         raise problem.spec.placed(error) from error
-
-
-def _of_fitted(problem: InverseProblem, fitted: Fitted) -> Inverse:
-    independent, motion = motion_of(problem, fitted)
-    return forces_of(problem, fitted, independent, motion)
 
 
 def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | None, Motion]:
