@@ -15,12 +15,7 @@ from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
 from mbdkit.trust.finding import Doubts, Finding, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, reactions_of
-from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import (
-    column_doubts,
-    doubts_before_fit,
-    equal_columns,
-    shared_columns,
-)
+from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit, shared_columns
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, residual_wrench, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
@@ -65,7 +60,6 @@ def doubts_of_data(result: Inverse, bars: ResultBars | None) -> list[str | Findi
         *shared_columns(problem),
         *column_doubts(result),
         *cutoff_doubts(result),
-        *equal_columns(problem),
         *load_doubts(result, bars),
         *forces_at_centres(problem),
         *model_doubts(result),
