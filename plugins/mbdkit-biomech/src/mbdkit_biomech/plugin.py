@@ -73,9 +73,9 @@ def mbdkit_items() -> Iterable[Item]:
             run_instead="this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section "
             "`motion`, and neither `integrator` nor a step",
             heading="Inverse dynamics",
-            load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:load_inverse_spec"),
+            load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:load_inverse_spec"),
             validate=Target("mbdkit_biomech.commands:validate_inverse"),
-            schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:inverse_schema"),
+            schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:inverse_schema"),
             run_kind="inverse",
             model=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:InverseSpec"),
             compute=Target("mbdkit_biomech.inverse_dynamics.results.inverse_run:compute_run"),

@@ -23,7 +23,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import ranked_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import misfit_doubts
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile_of_many
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.persons.marker_files import MarkerFile
 from mbdkit_biomech.persons.plate_contacts import plate_numbers
 from mbdkit_biomech.uncertainty.changed_problem import Changer

@@ -10,7 +10,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compression, compute, knees_of, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import compression_doubts
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.sources import sources_of
 from mbdkit_biomech.uncertainty.uncertain_result import uncertain_result

@@ -168,7 +168,7 @@ class Muscle(Element):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics", "patella")
-    equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
+    equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.acting_muscles:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points without `when`."""

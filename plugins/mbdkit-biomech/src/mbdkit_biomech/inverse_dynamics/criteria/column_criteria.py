@@ -356,6 +356,24 @@ def _columns(load: Load) -> Iterator[tuple[str, str]]:
             yield column.column, place
 
 
+def equal_columns(problem: InverseProblem) -> Iterator[str]:
+    """Yield a remark on columns of the motion with other headings but equal values that are not constant."""
+    measured, motion = problem.measured, problem.spec.motion
+    if motion.is_run:
+        return
+    heading = {name: name if motion.columns is None else motion.columns[name].column for name in measured.names}
+    equal = [
+        f"{a} and {b}"
+        for (i, a), (j, b) in combinations(enumerate(measured.names), 2)
+        if heading[a] != heading[b]
+        and np.array_equal(measured.given[:, i], measured.given[:, j], equal_nan=True)
+        and np.nanmin(measured.given[:, i]) < np.nanmax(measured.given[:, i])
+        and not _tied(problem, i, j)
+    ]
+    if equal:
+        yield f"columns have exactly the same values: {listed(equal)}. Is one a copy of the other?"
+
+
 def _tied(problem: InverseProblem, first: int, second: int) -> bool:
     manifold, pose = problem.fitter.manifold, problem.prepared.equations.q0[None]
     free = manifold.directions_at(problem.measured.time[:1], pose).free[0]

@@ -15,15 +15,23 @@ from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
 from mbdkit.trust.finding import Doubts, Finding, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, reactions_of
-from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit, shared_columns
+from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import (
+    column_doubts,
+    doubts_before_fit,
+    equal_columns,
+    shared_columns,
+)
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, residual_wrench, units_of_loads
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import (
     compression_doubts,
+    knee_doubts,
     misfit_doubts,
     model_doubts,
     spec_doubts,
+    turn_doubts,
+    uncertain_turns,
 )
 from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import (
     cutoff_doubts,
@@ -31,7 +39,6 @@ from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import (
     large_errors,
     record_doubts,
 )
-from mbdkit_biomech.inverse_dynamics.criteria.turn_criteria import knee_doubts, turn_doubts, uncertain_turns
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.muscles.knees import left_out_of_recruitment
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
@@ -60,6 +67,7 @@ def doubts_of_data(result: Inverse, bars: ResultBars | None) -> list[str | Findi
         *shared_columns(problem),
         *column_doubts(result),
         *cutoff_doubts(result),
+        *equal_columns(problem),
         *load_doubts(result, bars),
         *forces_at_centres(problem),
         *model_doubts(result),

@@ -43,8 +43,12 @@ from mbdkit_biomech.inverse_dynamics.loads.loads import loads_on
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec, varied_inverse
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import (
+    InverseSource,
+    InverseSpec,
+    load_inverse_spec,
+    varied_inverse,
+)
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import members_of_actuators
 from mbdkit_biomech.muscles.muscle_values import Muscles
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, expressions_of, numbers_of
