@@ -107,18 +107,7 @@ def four_bar_leg(
     except SpecError as error:
         raise SpecError(error.message, key="knee_flexion") from None
     parts = _leg(person, pose, hip, thigh, knee.shank)
-    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    on_shank = {name: xy(point - person.shank.centre) for name, point in knee.tibial.items()}
-    on_thigh = {name: xy(point - person.thigh.centre + down) for name, point in knee.femoral.items()}
-    ends = {
-        "A": (("pcl", "shank"), ((pcl, 0.0), on_shank["A"])),
-        "B": (("acl", "shank"), ((acl, 0.0), on_shank["B"])),
-        "C": (("thigh", "acl"), (on_thigh["C"], (-acl, 0.0))),
-        "D": (("thigh", "pcl"), (on_thigh["D"], (-pcl, 0.0))),
-    }
-    joints = {
-        name: Revolute(bodies=bodies, points=points, friction=friction) for name, (bodies, points) in ends.items()
-    }
+    joints = knee.pins("thigh", lambda point: point - person.thigh.centre + down, person.shank.centre, friction)
     flexion = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
     return LegParts(
         parts.bodies | knee.rods, parts.joints | joints, parts.coordinates | {"knee_flexion": flexion}, parts.markers

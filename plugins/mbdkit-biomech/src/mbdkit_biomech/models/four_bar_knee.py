@@ -153,16 +153,7 @@ def build(options: FourBarKneeOptions) -> Mechanism:
 
     mechanism = Mechanism(options.gravity, name="four-bar-knee")
     mechanism.bodies = {**knee.rods, "shank": knee.shank.carry(leg)}
-    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    ends = {
-        "A": ("pcl", "shank", (pcl, 0.0), xy(knee.tibial["A"] - leg.centre)),
-        "B": ("acl", "shank", (acl, 0.0), xy(knee.tibial["B"] - leg.centre)),
-        "C": (mechanism.ground, "acl", xy(thigh.to_global(knee.femoral["C"])), (-acl, 0.0)),
-        "D": (mechanism.ground, "pcl", xy(thigh.to_global(knee.femoral["D"])), (-pcl, 0.0)),
-    }
-    for name, (first, second, *points) in ends.items():
-        mechanism.revolute(name, first, second, points=points, friction=options.pin_friction)
-
+    mechanism.joints = knee.pins(mechanism.ground, thigh.to_global, leg.centre, options.pin_friction)
     if options.damping > 0:
         mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)
     for name, spring in options.springs.items():
