@@ -24,6 +24,15 @@ from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 
+#: Groups of the archive with a history of each element: name, order, class of the histories, and summary.
+_GROUPS = (
+    ("motion", 200, "ObservedHistory", "Observed quantities of a measured motion."),
+    ("actuators", 210, "ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
+    ("muscles", 220, "MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
+    ("knees", 225, "KneeHistory", "Forces of patella and compartments in knees."),
+    ("loads", 230, "LoadHistory", "Measured loads."),
+)
+
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
@@ -172,45 +181,16 @@ def mbdkit_items() -> Iterable[Item]:
             group="actuators",
             excluded=Target("mbdkit_biomech.uncertainty.contributions:excluded_error"),
         ),
-        QuantityKind(
-            name="motion",
-            summary="Observed quantities of a measured motion.",
-            order=200,
-            target=Target("mbdkit_biomech.quantities:MOTION"),
-            word="motion",
-            history=Target("mbdkit_biomech.histories:ObservedHistory"),
-        ),
-        QuantityKind(
-            name="actuators",
-            summary="Values and powers of actuators in inverse dynamics.",
-            order=210,
-            target=Target("mbdkit_biomech.quantities:ACTUATORS"),
-            word="actuators",
-            history=Target("mbdkit_biomech.histories:ActuatorHistory"),
-        ),
-        QuantityKind(
-            name="muscles",
-            summary="Lengths, activations, tensions and powers of muscles.",
-            order=220,
-            target=Target("mbdkit_biomech.quantities:MUSCLES"),
-            word="muscles",
-            history=Target("mbdkit_biomech.histories:MuscleHistory"),
-        ),
-        QuantityKind(
-            name="knees",
-            summary="Forces of patella and compartments in knees.",
-            order=225,
-            target=Target("mbdkit_biomech.quantities:KNEES"),
-            word="knees",
-            history=Target("mbdkit_biomech.histories:KneeHistory"),
-        ),
-        QuantityKind(
-            name="loads",
-            summary="Measured loads.",
-            order=230,
-            target=Target("mbdkit_biomech.quantities:LOADS"),
-            word="loads",
-            history=Target("mbdkit_biomech.histories:LoadHistory"),
+        *(
+            QuantityKind(
+                name=name,
+                summary=summary,
+                order=order,
+                target=Target(f"mbdkit_biomech.quantities:{name.upper()}"),
+                word=name,
+                history=Target(f"mbdkit_biomech.histories:{history}"),
+            )
+            for name, order, history, summary in _GROUPS
         ),
         QuantityKind(
             name="followers",

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import partial
 
 import numpy as np
-from markupsafe import Markup
 
 from mbdkit.archive.headlines import EXACT
 from mbdkit.archive.run import Run
@@ -20,7 +18,6 @@ from mbdkit_report import (
     Axis,
     Cell,
     Figure,
-    Illustration,
     Line,
     Section,
     Table,
@@ -29,15 +26,10 @@ from mbdkit_report import (
     bar_cells,
     bar_columns,
     columns_of,
-    short_name,
-    svg_of,
 )
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.seams import report_charts, report_sections
 
-#: Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
-#: out first.
-BARS = 24
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 
@@ -50,7 +42,7 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     elements = workload(run).elements
     return (
         Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
-        Section("workload", "Workload", (), _bars(elements), (_workload_table(elements),)),
+        Section("workload", "Workload", (), None, (_workload_table(elements),)),
         *_muscles(run),
         _disagreement(run),
         *uncertainty_sections(run),
@@ -173,39 +165,6 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
         "N m/s. Residuals act from outside on a part that no joint connects to the ground."
     )
     return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
-
-
-def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
-    text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
-    return Illustration.of(partial(_bars_svg, elements), text, text)
-
-
-def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
-    """Return a drawing with one horizontal bar for each element: first forces, then torques, each with their own
-    scale.
-    """
-    left, right, step = (150.0, 110.0, 22.0) if width > Illustration.NARROW else (130.0, 80.0, 22.0)
-    letters = 22 if width > Illustration.NARROW else 19
-    parts, y = [], 8.0
-    for unit in ("N", "N m"):
-        chosen = sorted(
-            (element for element in elements if element.load.units == unit),
-            key=lambda one: (one.kind == "residual", -one.load.peak),
-        )[:BARS]
-        most = max((one.load.peak for one in chosen), default=0.0) or 1.0
-        for one in chosen:
-            long, short = ((width - left - right) * size / most for size in (one.load.peak, one.load.rms))
-            text = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
-            end, name = Markup(' text-anchor="end"'), short_name(one.name, letters)
-            parts.append(Markup(text).format(left - 8, y + 12, end, name))
-            bar = '<rect class="bar of-{} {}" x="{:.0f}" y="{:.1f}" width="{:.1f}" height="14"/>'
-            kind = one.kind
-            parts.append(Markup(bar).format(kind, "pale", left, y, long))
-            parts.append(Markup(bar).format(kind, "full", left, y, short))
-            parts.append(Markup(text).format(left + long + 6, y + 12, "", f"{one.load.peak:.4g} {unit}"))
-            y += step
-        y += 10.0 if chosen else 0.0
-    return svg_of(parts, width, y)
 
 
 def _disagreement(run: Run) -> Section:
