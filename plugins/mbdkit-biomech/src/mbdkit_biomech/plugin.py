@@ -116,7 +116,7 @@ def mbdkit_items() -> Iterable[Item]:
                 obstacle=Target("mbdkit_biomech.muscles.acting_muscles:torn_path"),
                 stiffest=Target("mbdkit_biomech.muscles.acting_muscles:stiffest"),
             ),
-            draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
+            draw=Target("mbdkit_biomech.muscles.muscle_path:muscle_lines"),
             example="elbow-curl",
             supports={
                 "gradients": "gradients of runs do not include muscles; leave them out",

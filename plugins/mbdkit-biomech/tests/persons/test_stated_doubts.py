@@ -24,7 +24,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import unmeas
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import misfit_doubts
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile_of_many
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
-from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.landmarks import MarkerFile
 from mbdkit_biomech.persons.plate_contacts import plate_numbers
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult

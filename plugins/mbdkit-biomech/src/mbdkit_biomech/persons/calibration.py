@@ -22,8 +22,7 @@ from mbdkit_biomech.persons.joint_centers import (
     landmark_center,
     turn_of,
 )
-from mbdkit_biomech.persons.landmarks import LEFT, SIDES, Side, landmark, side_of
-from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.landmarks import LEFT, SIDES, MarkerFile, Side, landmark, side_of
 from mbdkit_biomech.persons.person_sections import Center, Midpoint, PlaneAxes
 from mbdkit_biomech.persons.rigid_clusters import Artefact, MarkerCluster, Poses, poses_of, rate_of
 

@@ -249,16 +249,6 @@ class ElasticMuscles:
             equilibrium = self.at(tension, path, before, step, rate)
         return equilibrium
 
-    def require_room(self, time: np.ndarray, path: np.ndarray) -> None:
-        """Raise RunError if the tendon of a muscle is at least as long as its path (T, M) [m] in some frame."""
-        for index, name in enumerate(self.names):
-            frame = int(np.argmin(path[:, index]))
-            if path[frame, index] <= self._tendon[index]:
-                raise RunError(
-                    f"the tendon of muscle '{name}' is longer ({self._tendon[index]:.6g} m) than its path "
-                    f"({path[frame, index]:.6g} m) at t = {time[frame]:.6g} s; correct `tendon_length`, or the path"
-                )
-
 
 def _relaxation(size: float, last: np.ndarray, change: np.ndarray) -> float:
     """Return the share of a change that is applied, by Aitken's method; `size` is the share of the `last` change.
@@ -286,16 +276,15 @@ def in_equilibrium(
     Parameters
     ----------
     path, rate
-        (T, M) lengths of the paths [m] and their rates [m/s].
+        (T, M) lengths of the paths [m], longer than the tendons, and their rates [m/s].
     share
         Solves the programme of a frame. In frames without a solution, the last tensions are returned.
 
     Raises
     ------
     RunError
-        If a tendon is at least as long as its path, or if the programmes of a frame do not converge.
+        If the programmes of a frame do not converge.
     """
-    elastic.require_room(time, path)
     equilibriums: list[MuscleEquilibrium] = []
     tension = 0.05 * elastic.max_force
     for frame in range(len(time)):
