@@ -12,7 +12,6 @@ import numpy as np
 from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.finding import Finding
-from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import (
@@ -23,6 +22,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import (
     unlike_distances,
 )
 from mbdkit_biomech.inverse_dynamics.criteria.time_criteria import off_neighbours, uneven_times, unit_of_time
+from mbdkit_biomech.inverse_dynamics.files.measured_table import cited
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Load, NoSmoothing, QuinticSpline
 

@@ -22,9 +22,8 @@ from mbdkit.base.text import counted
 from mbdkit.engine.linear_systems import products, pseudoinverses, singular_values
 from mbdkit_biomech.inverse_dynamics.loads.loads import Loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Manifold
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Manifold, Quantities
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator
 
 #: A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below

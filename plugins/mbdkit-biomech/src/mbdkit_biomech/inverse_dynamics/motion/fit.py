@@ -11,8 +11,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.linear_systems import least_norms, products, pseudoinverses, singular_values
 from mbdkit.engine.observed_states import JointSums
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold, Quantities
 
 MOST_ITERATIONS = 200
 #: Scaled step up to which an iteration has converged.

@@ -19,13 +19,17 @@ from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, table_of, unit_of_time_as_cause
+from mbdkit_biomech.inverse_dynamics.files.measured_table import (
+    MeasuredTable,
+    cited,
+    continued,
+    table_of,
+    unit_of_time_as_cause,
+)
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Quantities
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     ColumnOfTable,
     Gaps,
