@@ -15,30 +15,14 @@ from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
 from mbdkit.trust.finding import Doubts, Finding, open_doubts
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, reactions_of
-from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import (
-    column_doubts,
-    doubts_before_fit,
-    equal_columns,
-    shared_columns,
+from mbdkit_biomech.inverse_dynamics.criteria import (
+    column_criteria,
+    load_criteria,
+    load_point_criterion,
+    model_criteria,
+    record_criteria,
 )
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion
-from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts, residual_wrench, units_of_loads
-from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
-from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import (
-    compression_doubts,
-    knee_doubts,
-    misfit_doubts,
-    model_doubts,
-    spec_doubts,
-    turn_doubts,
-    uncertain_turns,
-)
-from mbdkit_biomech.inverse_dynamics.criteria.record_criteria import (
-    cutoff_doubts,
-    large_deviations,
-    large_errors,
-    record_doubts,
-)
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.muscles.knees import left_out_of_recruitment
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
@@ -64,26 +48,26 @@ def doubts_of_data(result: Inverse, bars: ResultBars | None) -> list[str | Findi
     """Return the doubts about columns, loads, model, record and person, and remarks on them as sentences."""
     problem, uncertain = result.problem, None if bars is None else bars.uncertain
     return [
-        *shared_columns(problem),
-        *column_doubts(result),
-        *cutoff_doubts(result),
-        *equal_columns(problem),
-        *load_doubts(result, bars),
-        *forces_at_centres(problem),
-        *model_doubts(result),
-        *missing_points(problem),
-        *turn_doubts(result),
-        *knee_doubts(result),
-        *compression_doubts(result),
-        *uncertain_turns(result),
-        *large_deviations(result, bars),
+        *column_criteria.shared_columns(problem),
+        *column_criteria.column_doubts(result),
+        *record_criteria.cutoff_doubts(result),
+        *column_criteria.equal_columns(problem),
+        *load_criteria.load_doubts(result, bars),
+        *load_point_criterion.forces_at_centres(problem),
+        *model_criteria.model_doubts(result),
+        *load_point_criterion.missing_points(problem),
+        *model_criteria.turn_doubts(result),
+        *model_criteria.knee_doubts(result),
+        *model_criteria.compression_doubts(result),
+        *model_criteria.uncertain_turns(result),
+        *record_criteria.large_deviations(result, bars),
         *inertias_about_joints(problem.names.mechanism),
         *left_out_of_recruitment(result),
-        *record_doubts(result, bars),
-        *units_of_loads(problem),
-        *large_errors(result, bars),
+        *record_criteria.record_doubts(result, bars),
+        *load_criteria.units_of_loads(problem),
+        *record_criteria.large_errors(result, bars),
         *person_findings(problem),
-        *misfit_doubts(result, bars),
+        *model_criteria.misfit_doubts(result, bars),
         *([] if uncertain is None else uncertain.remarks),
     ]
 
@@ -98,10 +82,14 @@ def doubts_before_computation(problem: InverseProblem) -> tuple[str, ...]:
     """Return those doubts about the data and the model that do not depend on the computed motion and forces, and that
     the spec does not accept.
     """
-    columns = doubts_before_fit(problem.measured, problem.fitter.manifold.length)
-    found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
-    found += person_findings(problem)
-    found += spec_doubts(problem.spec)
+    found = [
+        *column_criteria.shared_columns(problem),
+        *column_criteria.doubts_before_fit(problem.measured, problem.fitter.manifold.length),
+        *load_criteria.units_of_loads(problem),
+        *load_point_criterion.missing_points(problem),
+        *person_findings(problem),
+        *model_criteria.spec_doubts(problem.spec),
+    ]
     return open_doubts(found, problem.spec.accept)
 
 
@@ -131,7 +119,8 @@ def ranked_doubts(result: Inverse, bars: ResultBars | None, findings: Sequence[F
 def _effect(criterion: str, result: Inverse, bars: ResultBars | None, row: int, joint: int) -> float:
     """Return the effect of the doubts of a criterion on the force of a joint in a row [N]; 0 if it is not known."""
     if criterion in ("residuals", "residual-size"):
-        residual = residual_wrench(result, free_roots(result.problem.names.mechanism)[0], None, only_residuals=False)[0]
+        root = free_roots(result.problem.names.mechanism)[0]
+        residual, _ = load_criteria.residual_wrench(result, root, None, only_residuals=False)
         return float(np.linalg.norm(residual[row, :2]))
     person = result.problem.source.person
     if criterion == "plates" and person is not None and person.plates.offset is not None and person.plates.loads:
