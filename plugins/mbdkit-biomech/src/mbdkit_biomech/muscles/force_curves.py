@@ -75,17 +75,18 @@ class DeGrooteFregly:
         x = d2 * velocity + d3
         return d1 * elementary.asinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
 
+    #: Constants c1 and c3 of the force of the tendon, and its stiffness; the force is 1 at a strain of 0.049.
+    TENDON: ClassVar[tuple[float, float, float]] = 0.2, 0.2, elementary.log((1.0 + 0.2) / 0.2) / 0.049
+
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon, which is 1 at a strain of 0.049."""
-        c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        c1, c3, stiffness = self.TENDON
         grown = c1 * elementary.exp(stiffness * (length - 1.0))
         return grown - c3, grown * stiffness
 
     def stretch(self, force: np.ndarray) -> Curve:
         """Return the length of the tendon for a positive force, the inverse of `tendon`."""
-        c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        c1, c3, stiffness = self.TENDON
         return 1.0 + elementary.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
 
 

@@ -78,6 +78,15 @@ class UncertainScalar:
         return [(float(value), 1 / LEVELS) for value in self.levels]
 
 
+def _scalar(
+    size: float, *place: str, kind: Kind = "person", span: tuple[float, float] | None = None
+) -> UncertainScalar:
+    """Return the scalar that changes a place by a size, named by the words of its key."""
+    key, *elements = place
+    group = WORDS[key].format(*(element.replace("_", " ") for element in elements))
+    return UncertainScalar(group, kind, {place: size}, span)
+
+
 def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
     """Return the uncertainty of a problem; None if there is none."""
     spec = problem.source
@@ -117,13 +126,11 @@ class _Sources:
             size = self._size(key)
             sizes = size if isinstance(size, dict) else dict.fromkeys(segments, size)
             require_known(sizes, segments, f"uncertainty.{key}", "segment")
-            yield from (self._scalar(key, segment, size) for segment, size in sizes.items() if size)
+            yield from (_scalar(size, key, segment) for segment, size in sizes.items() if size)
         yield from self._of_loads()
         yield from self._angles()
         if self.person is not None and self.person.plates.offset is not None and self.person.plates.loads:
-            yield UncertainScalar(
-                "offset in time of the plates", "person", {("offset",): self.person.plates.offset.deviation}
-            )
+            yield _scalar(self.person.plates.offset.deviation, "offset")
         yield from self._of_muscles()
         yield from self._of_followers()
 
@@ -133,9 +140,6 @@ class _Sources:
         if isinstance(given, dict) and self.person is not None:
             return DEFAULTS[key] | given
         return given if given is not None or self.person is None else DEFAULTS.get(key)
-
-    def _scalar(self, key: str, element: str, size: float, kind: Kind = "person") -> UncertainScalar:
-        return UncertainScalar(WORDS[key].format(element.replace("_", " ")), kind, {(key, element): size})
 
     def _require(self, key: str, reason: str) -> None:
         """Raise SpecError if the spec itself has a key that needs something else."""
@@ -171,7 +175,7 @@ class _Sources:
             if not names:
                 self._require(key, f"needs a load with a {what}, but `loads` has none")
             elif size := self._size(key):
-                yield from (self._scalar(key, name, size) for name in names)
+                yield from (_scalar(size, key, name) for name in names)
 
     def _angles(self) -> Iterator[UncertainScalar]:
         size, measured = self.asked.angles, self.problem.measured
@@ -199,34 +203,26 @@ class _Sources:
             yield UncertainScalar("strength of all muscles", "muscles", moves)
         for key in keys[:3]:
             if size := self._size(key):
-                yield from (self._scalar(key, name, size, "muscles") for name in recruiter.muscles)
+                yield from (_scalar(size, key, name, kind="muscles") for name in recruiter.muscles)
         names = list(recruiter.muscles)
         for knee in recruiter.targets.knees:
-            group, moved = f"place across of the {knee.joint.replace('_', ' ')}", ("across", knee.joint)
-            yield UncertainScalar(group, "person", {moved: knee.deviation})
+            yield _scalar(knee.deviation, "across", knee.joint)
         for channel in recruiter.targets.emg:
-            name = names[channel.muscle]
-            yield UncertainScalar(f"EMG of {name.replace('_', ' ')}", "muscles", {("emg", name): channel.deviation})
+            yield _scalar(channel.deviation, "emg", names[channel.muscle], kind="muscles")
         if size := self._size("muscle_points"):
             for name, muscle in recruiter.muscles.items():
-                group = f"points of {name.replace('_', ' ')}"
-                for place in product(["muscle_points"], [name], dict.fromkeys(item.on for item in muscle.path), "xy"):
-                    yield UncertainScalar(group, "muscles", {place: size})
+                for body, axis in product(dict.fromkeys(item.on for item in muscle.path), "xy"):
+                    yield _scalar(size, "muscle_points", name, body, axis, kind="muscles")
         for joint in dict.fromkeys(one.joint for one in recruiter.patellas.values()):
             if size := self._size("extensor_arm"):
-                name = f"extensor arm of the {joint.replace('_', ' ')}"
-                yield UncertainScalar(name, "muscles", {("extensor_arm", joint): size})
+                yield _scalar(size, "extensor_arm", joint, kind="muscles")
         largest = dict(zip(PHASES, self._size("cocontraction") or (0.0, 0.0), strict=True))
         for knee, phase, _ in shared_activations(self.problem):
             if size := largest[phase]:
-                name = f"co-contraction at the {knee.replace('_', ' ')}, {phase}"
-                yield UncertainScalar(name, "muscles", {("cocontraction", knee, phase): 1.0}, (0.0, size))
+                yield _scalar(1.0, "cocontraction", knee, phase, kind="muscles", span=(0.0, size))
         if size := self._size("muscle_delay"):
-            yield UncertainScalar("timing of muscles", "muscles", {("muscle_delay",): size})
-        for key, name, value in (
-            ("exponent", "exponent of recruitment", recruiter.exponent),
-            ("minimum", "least activation", recruiter.asked.minimum),
-        ):
+            yield _scalar(size, "muscle_delay", kind="muscles")
+        for key, value in (("exponent", recruiter.exponent), ("minimum", recruiter.asked.minimum)):
             own = self._size(key)
             if own is None or (getattr(self.asked, key) is None and not own[0] <= value <= own[1]):
                 continue
@@ -234,7 +230,7 @@ class _Sources:
                 raise SpecError(f"needs `recruitment.exponent` of 2 or more, not {recruiter.asked.exponent}",
                                 key=f"uncertainty.{key}")  # fmt: skip
             if own[0] < own[1] or own[0] != value:
-                yield UncertainScalar(name, "muscles", {(key,): 1.0}, (own[0] - value, own[1] - value))
+                yield _scalar(1.0, key, kind="muscles", span=(own[0] - value, own[1] - value))
 
     def _of_followers(self) -> Iterator[UncertainScalar]:
         followers, devices = self.problem.followers, self.asked.devices or {}

@@ -294,12 +294,7 @@ def _butterworth(time: np.ndarray, series: np.ndarray, how: Butterworth) -> np.n
 
 def _opensim(time: np.ndarray, series: np.ndarray, how: OpenSimFilter) -> Smoothed:
     """Filter as OpenSim does (Storage::pad, Storage::lowpassIIR, Signal::LowpassIIR)."""
-    pad = len(time) // 2
-    before, after = 2 * time[0] - time[pad:0:-1], 2 * time[-1] - time[-2 : -pad - 2 : -1]
-    times = np.concatenate([before, time, after])
-    padded = np.concatenate(
-        [2 * series[0] - series[pad:0:-1], series, 2 * series[-1] - series[-2 : -pad - 2 : -1]], axis=0
-    )
+    times, padded = (_extended(one, len(time) // 2) for one in (time, series))
     interval = float(np.min(np.diff(times)))
     even = times[0] + interval * np.arange(int(np.floor((times[-1] - times[0]) / interval + 1e-6)) + 1)
     if len(even) != len(times) or np.max(np.abs(even - times)) > 1e-9 * interval * len(times):
@@ -353,14 +348,18 @@ def filtered(b: np.ndarray, a: np.ndarray, series: np.ndarray, state: np.ndarray
     return out
 
 
+def _extended(series: np.ndarray, padding: int) -> np.ndarray:
+    """Return series (T, ...) with `padding` rows more at both ends, point-symmetric to the first and the last row."""
+    before, after = 2 * series[0] - series[padding:0:-1], 2 * series[-1] - series[-2 : -padding - 2 : -1]
+    return np.concatenate([before, series, after])
+
+
 def filtered_both_ways(b: np.ndarray, a: np.ndarray, series: np.ndarray, padding: int) -> np.ndarray:
     """Return series (T, K) filtered forward and backward.
 
-    They are extended at both ends by `padding` rows, point-symmetric to the first and the last row, and each pass
-    begins in the steady state of a constant series.
+    They are extended at both ends by `padding` rows, and each pass begins in the steady state of a constant series.
     """
-    before, after = 2 * series[0] - series[padding:0:-1], 2 * series[-1] - series[-2 : -padding - 2 : -1]
-    out = np.concatenate([before, series, after])
+    out = _extended(series, padding)
     steady = _steady_state(tuple(b.tolist()), tuple(a.tolist()))[:, None]
     for _ in range(2):
         out = filtered(b, a, out, steady * out[0])[::-1]
