@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,7 +16,7 @@ from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
 from mbdkit_biomech.muscles.muscle import Muscle
 
 #: Quantities of muscles that are functions of other quantities.
-ENERGETICS = ("fiber_power", "metabolic_power")
+ENERGETICS: Mapping[str, Callable[..., np.ndarray]] = {"fiber_power": fiber_power, "metabolic_power": metabolic_power}
 
 
 def _of_each(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
@@ -95,9 +95,8 @@ class MuscleValues:
         if self.states.q.ndim > 2:
             raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
         muscles = tuple(force.force.muscle for force in self.acting) if own is None else own.muscles
-        function, names = fiber_power, ["force"]
-        if name != "fiber_power":
-            function, names = metabolic_power, ["activation", "excitation" if own is None else "activation"]
+        function, names = ENERGETICS[name], ["activation", "excitation" if own is None else "activation"]
+        names = ["force"] if name == "fiber_power" else names
         arrays = [self.array(of) for of in (*names, "fiber_length", "fiber_rate")]
         columns = [_of_each(partial(function, one), *(x[:, k] for x in arrays)) for k, one in enumerate(muscles)]
         return np.stack(columns, axis=1)
