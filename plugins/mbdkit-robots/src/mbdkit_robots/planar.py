@@ -15,6 +15,7 @@ from mbdkit.plugin import did_you_mean, listed, quoted
 GROUND = "ground"
 KEY = "model.file"
 Plane = Literal["xy", "xz", "yz"]
+LinkKind = Literal["turn", "slide", "fixed", "free"]
 PARALLEL = 1e-6  #: Largest sine of the angle between an axis and the direction that it should have.
 MOST_NAMED = 6  #: Largest number of names that a warning lists.
 
@@ -57,7 +58,7 @@ class Link:
     """
 
     name: str
-    kind: Literal["turn", "slide", "fixed", "free"]
+    kind: LinkKind
     parent: str
     child: str
     point: np.ndarray

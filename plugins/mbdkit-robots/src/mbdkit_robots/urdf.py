@@ -9,10 +9,12 @@ import numpy as np
 import yaml
 
 from mbdkit_robots.documents import about, number, numbers, read_xml, unit
-from mbdkit_robots.planar import GROUND, Follower, Link, Part, SpatialModel, refused
+from mbdkit_robots.planar import GROUND, Follower, Link, LinkKind, Part, SpatialModel, refused
 from mbdkit_robots.trees import leave_out_contacts
 
-KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
+KINDS: dict[str, LinkKind] = {
+    "revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"
+}  # fmt: skip
 _NAMES = yaml.safe_load(Path(__file__).with_name("urdf_schema.yaml").read_text("utf-8"))
 NOTED: dict[str, str] = _NAMES["noted"]
 
@@ -121,17 +123,7 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
     damping, friction = number(dynamics, "damping", 0.0), number(dynamics, "friction", 0.0)
     if kind == "floating" and (damping or friction):
         model.leave_out("dynamics of floating joints", name, acts=True)
-    return Link(
-        name,
-        KINDS[kind],
-        parent,
-        child,
-        here,
-        axis,
-        damping=damping,
-        friction=friction,
-        limits=limits,  # type: ignore[arg-type]
-    )
+    return Link(name, KINDS[kind], parent, child, here, axis, damping=damping, friction=friction, limits=limits)
 
 
 def _add_part(
