@@ -63,7 +63,7 @@ def test_muscles_that_act_late_or_early_change_forces_by_their_rate() -> None:
     inside = (result.motion.time > 0.1) & (result.motion.time < 0.9)
     change = (late.recruited.force - result.recruited.force)[inside, 0]
     np.testing.assert_allclose(change, -rate * DELAY, rtol=1e-6)
-    np.testing.assert_array_equal(late.recruited.reserve, result.recruited.reserve)
+    np.testing.assert_array_equal(late.recruited.actuators[..., 0], result.recruited.actuators[..., 0])
     with mbdkit.inverse(spec) as run:
         bar = run.muscles["biceps"].force_error[inside]
         np.testing.assert_allclose(bar, 1.96 * rate * DELAY, rtol=0.12)  # 500 samples scatter by 5 %

@@ -216,9 +216,7 @@ class Inverse:
         """(T, U, 2) values and powers of the actuators in `InverseProblem.recorded_actuators`."""
         if self.recruited is None:
             return np.stack([self.dynamics.value, self.dynamics.power], axis=-1)
-        one = self.recruited
-        values, powers = np.hstack([one.actuator, one.reserve]), np.hstack([one.actuator_power, one.reserve_power])
-        return np.stack([values, powers], axis=-1)
+        return self.recruited.actuators
 
     @property
     def warnings(self) -> tuple[str, ...]:

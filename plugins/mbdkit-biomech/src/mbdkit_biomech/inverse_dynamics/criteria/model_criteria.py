@@ -108,12 +108,12 @@ def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
 
 def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
     problem = result.problem
-    names = [actuator.name for actuator in problem.actuators]
+    names, every = [actuator.name for actuator in problem.actuators], recruited.actuators[..., 0]
     reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]
-    for reserve, values in zip(reserves, recruited.reserve.T, strict=True):
+    for reserve, values in zip(reserves, every[:, len(names) :].T, strict=True):
         name = reserve.removeprefix(RESERVE)
         actuator = names.index(name)
-        most, whole = (float(np.max(np.abs(x))) for x in (values, recruited.actuator[:, actuator]))
+        most, whole = (float(np.max(np.abs(x))) for x in (values, every[:, actuator]))
         if most > AT_REST and most > RESERVE_SHARE * whole:
             at = result.motion.time[int(np.argmax(np.abs(values)))]
             unit = problem.actuators[actuator].unit

@@ -256,7 +256,8 @@ class _Frames:
         left = change.pushed - self._needed(lack)
         lam = np.stack([balance.directions.multipliers(force) for force in np.moveaxis(left, -1, 0)], axis=-1)
         driven, places = recruited.sharing.driven, recruiter.reserve_places
-        own = self._actuators(recruited.actuator, np.where(driven[:, None], value, change.beside))
+        values = recruited.actuators[:, : value.shape[1], 0]
+        own = self._actuators(values, np.where(driven[:, None], value, change.beside))
         left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
         spare = self._actuators(*left_over)[:, places]
         return (

@@ -231,7 +231,7 @@ class Recruiter:
             beside = dynamics.value - products(sharing.arms, force)
         pushed = products(balance.columns, beside) + products(own.pull, force)
         speed = products(np.swapaxes(balance.columns, 1, 2), motion.v)
-        actuator = np.where(driven, dynamics.value, beside)
+        values = np.hstack([np.where(driven, dynamics.value, beside), reserve])
         return Recruited(
             contraction=own,
             sharing=sharing,
@@ -241,10 +241,7 @@ class Recruiter:
             force=force,
             power=-force * own.rate,
             beside=beside,
-            reserve=reserve,
-            reserve_power=reserve * speed[:, places],
-            actuator=actuator,
-            actuator_power=actuator * speed,
+            actuators=np.stack([values, values * np.hstack([speed, speed[:, places]])], axis=-1),
             lam=balance.directions.multipliers(pushed - needed),
         )
 
