@@ -39,8 +39,6 @@ class Fibers:
     ----------
     length, rate
         Length of the fibres [m] and its rate [m/s].
-    cosine
-        Cosine of the angle between fibres and tendon.
     active
         Active force along the tendon at full activation [N].
     passive
@@ -49,7 +47,6 @@ class Fibers:
 
     length: np.ndarray
     rate: np.ndarray
-    cosine: np.ndarray
     active: np.ndarray
     passive: np.ndarray
 
@@ -113,7 +110,7 @@ def fibers_of_length(
     active = np.maximum(curves.active(normal)[0], 0.0) * by_velocity
     passive = np.maximum(curves.passive(normal)[0], 0.0) if with_passive else np.zeros_like(normal)
     force = max_force * cosine
-    return Fibers(own, velocity, cosine, force * active, force * passive)
+    return Fibers(own, velocity, force * active, force * passive)
 
 
 ITERATIONS = 60  #: Largest number of programmes for one frame; 4 to 8 are usual.
