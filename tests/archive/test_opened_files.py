@@ -31,7 +31,7 @@ MAKE = """
 import json, sys
 import mbdkit
 from mbdkit_report.figures.drawing_geometry import draw_mechanism
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit.spec import load_spec
 drawings = {}
 for name, spec in json.load(open("specs.json")).items():

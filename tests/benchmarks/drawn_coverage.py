@@ -11,10 +11,10 @@ from mbdkit.base.errors import RunError
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute, fit, forces_of, recorded_states
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.motion import reduced_motion
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Quantities
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, motion_of_series
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.benchmarks.drawn_mechanisms import COLUMNS, KINDS, RATE, Drawn, draw
 
 TRIES = 200

@@ -20,7 +20,7 @@ from rich.table import Table
 import mbdkit
 from mbdkit import Run
 from mbdkit.base.errors import MbdkitError
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
 from .drawn_persons import Array, Drawn, _walker, drawn_person, forces_of
 

@@ -14,7 +14,7 @@ from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_data
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.benchmarks.drawn_mechanisms import RATE, Drawn, draw
 from tests.benchmarks.drawn_plate_faults import glitch, lost_point
 

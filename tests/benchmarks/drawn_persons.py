@@ -34,8 +34,7 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments
 from mbdkit_biomech.inverse_dynamics.results.record import run_of
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.persons.plate_contacts import later
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of

@@ -22,7 +22,7 @@ import mbdkit
 from mbdkit.plugin import MbdkitError, SpecError, show
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.person import Person
 from mbdkit_biomech.persons.plate_contacts import later

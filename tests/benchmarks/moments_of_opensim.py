@@ -25,8 +25,8 @@ import mbdkit
 from mbdkit.plugin import show
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Butterworth
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
 FILTER = Butterworth(name="butterworth", cutoff=6.0)
 SIDES = {"": "r", "_left": "l"}

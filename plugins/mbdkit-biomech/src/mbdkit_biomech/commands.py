@@ -26,7 +26,7 @@ def inverse(command: SpecCommand) -> None:
     actuators and the reactions. See `mbdkit guide inverse`, and `mbdkit guide persons` for
     the markers of a person.
     """
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
     checked = command.load(load_inverse_spec)
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
@@ -79,7 +79,7 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     from mbdkit.base.text import shown
     from mbdkit.spec.reading import Document
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
     folder, motion = archive.parent.resolve(), before.spec["motion"]
     own = [before.spec.get(key, {}).values() for key in ("loads", "emg")]
@@ -105,7 +105,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import causes_named
     from mbdkit_biomech.inverse_dynamics.results.inverse_summary import UNUSED_DATA
-    from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+    from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
     from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
 
     spec = load_inverse_spec(source, assignments)
@@ -123,7 +123,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     for label, text in ({} if spec.person is None else spec.person.lines()).items():
         show(f"{label:<12} {text}")
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
-    for key, text in problem.unused.notes.items():
+    for key, text in problem.unused.items():
         show(f"{UNUSED_DATA[key]:<12} {text}")
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")

@@ -24,6 +24,15 @@ from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 
+#: Groups of the archive with a history of each element: name, order, class of the histories, and summary.
+_GROUPS = (
+    ("motion", 200, "ObservedHistory", "Observed quantities of a measured motion."),
+    ("actuators", 210, "ActuatorHistory", "Values and powers of actuators in inverse dynamics."),
+    ("muscles", 220, "MuscleHistory", "Lengths, activations, tensions and powers of muscles."),
+    ("knees", 225, "KneeHistory", "Forces of patella and compartments in knees."),
+    ("loads", 230, "LoadHistory", "Measured loads."),
+)
+
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
@@ -73,9 +82,9 @@ def mbdkit_items() -> Iterable[Item]:
             run_instead="this is a run spec: run it with `mbdkit run`; a spec of inverse dynamics has a section "
             "`motion`, and neither `integrator` nor a step",
             heading="Inverse dynamics",
-            load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:load_inverse_spec"),
+            load=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:load_inverse_spec"),
             validate=Target("mbdkit_biomech.commands:validate_inverse"),
-            schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_loading:inverse_schema"),
+            schema=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:inverse_schema"),
             run_kind="inverse",
             model=Target("mbdkit_biomech.inverse_dynamics.spec.inverse_spec:InverseSpec"),
             compute=Target("mbdkit_biomech.inverse_dynamics.results.inverse_run:compute_run"),
@@ -107,7 +116,7 @@ def mbdkit_items() -> Iterable[Item]:
                 obstacle=Target("mbdkit_biomech.muscles.acting_muscles:torn_path"),
                 stiffest=Target("mbdkit_biomech.muscles.acting_muscles:stiffest"),
             ),
-            draw=Target("mbdkit_biomech.muscles.muscle_lines:muscle_lines"),
+            draw=Target("mbdkit_biomech.muscles.muscle_path:muscle_lines"),
             example="elbow-curl",
             supports={
                 "gradients": "gradients of runs do not include muscles; leave them out",
@@ -145,15 +154,8 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_biomech.uncertainty.contributions:contributions_of"),
         ),
         SummaryLine(
-            name="uncertainty",
-            summary="Sources of the error bars of joint forces.",
-            order=510,
-            text=Target("mbdkit_biomech.uncertainty.contributions:uncertainty_lines"),
-            of=frozenset({"inverse"}),
-        ),
-        SummaryLine(
             name="inverse",
-            summary="Fit, gaps, actuators, residuals and reserves.",
+            summary="Fit, gaps, actuators, residuals, reserves, and sources of the error bars of joint forces.",
             text=Target("mbdkit_biomech.inverse_dynamics.results.inverse_summary:inverse_lines"),
             of=frozenset({"inverse"}),
         ),
@@ -179,45 +181,16 @@ def mbdkit_items() -> Iterable[Item]:
             group="actuators",
             excluded=Target("mbdkit_biomech.uncertainty.contributions:excluded_error"),
         ),
-        QuantityKind(
-            name="motion",
-            summary="Observed quantities of a measured motion.",
-            order=200,
-            target=Target("mbdkit_biomech.quantities:MOTION"),
-            word="motion",
-            history=Target("mbdkit_biomech.histories:ObservedHistory"),
-        ),
-        QuantityKind(
-            name="actuators",
-            summary="Values and powers of actuators in inverse dynamics.",
-            order=210,
-            target=Target("mbdkit_biomech.quantities:ACTUATORS"),
-            word="actuators",
-            history=Target("mbdkit_biomech.histories:ActuatorHistory"),
-        ),
-        QuantityKind(
-            name="muscles",
-            summary="Lengths, activations, tensions and powers of muscles.",
-            order=220,
-            target=Target("mbdkit_biomech.quantities:MUSCLES"),
-            word="muscles",
-            history=Target("mbdkit_biomech.histories:MuscleHistory"),
-        ),
-        QuantityKind(
-            name="knees",
-            summary="Forces of patella and compartments in knees.",
-            order=225,
-            target=Target("mbdkit_biomech.quantities:KNEES"),
-            word="knees",
-            history=Target("mbdkit_biomech.histories:KneeHistory"),
-        ),
-        QuantityKind(
-            name="loads",
-            summary="Measured loads.",
-            order=230,
-            target=Target("mbdkit_biomech.quantities:LOADS"),
-            word="loads",
-            history=Target("mbdkit_biomech.histories:LoadHistory"),
+        *(
+            QuantityKind(
+                name=name,
+                summary=summary,
+                order=order,
+                target=Target(f"mbdkit_biomech.quantities:{name.upper()}"),
+                word=name,
+                history=Target(f"mbdkit_biomech.histories:{history}"),
+            )
+            for name, order, history, summary in _GROUPS
         ),
         QuantityKind(
             name="followers",
@@ -227,18 +200,11 @@ def mbdkit_items() -> Iterable[Item]:
         ),
         ReportSection(
             name="loads",
-            summary="Loads over the motion, workload, and disagreement of model and data.",
+            summary="Loads over the motion, workload, disagreement of model and data, and sources of the error bars.",
             order=100,
             make=Target("mbdkit_biomech.inverse_dynamics.results.load_sections:inverse_sections"),
             charts=Target("mbdkit_biomech.inverse_dynamics.results.load_sections:inverse_charts"),
             film=Target("mbdkit_biomech.inverse_dynamics.loads.load_frames:film_with_arrows"),
-        ),
-        ReportSection(
-            name="uncertainty",
-            summary="Sources of the error bars of joint forces.",
-            order=110,
-            make=Target("mbdkit_biomech.uncertainty.contributions:uncertainty_sections"),
-            charts=Target("mbdkit_biomech.uncertainty.contributions:uncertainty_charts"),
         ),
         ViewItem(
             name="workload",
@@ -255,55 +221,19 @@ def mbdkit_items() -> Iterable[Item]:
             elements="muscles",
         ),
         CriterionItem(
-            name="columns",
-            summary="Columns of the motion and their smoothing.",
+            name="data",
+            summary="Columns, loads, model and record of inverse dynamics, and the person.",
             order=0,
             stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_columns"),
+            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_data"),
             of=frozenset({"inverse"}),
             criteria=(
                 *("times", "time-unit", "outliers", "constant", "units", "shared-column", "turns", "fit", "noise"),
-                "cutoff",
+                *("cutoff", "load-point", "load-sign", "load-direction", "load-offset", "load-time", "residuals"),
+                *("residual-size", "knee", "inertia", "elements", "fibers", "reserves", "max-force", "left-out"),
+                *("compression", "gaps", "ends", "large-errors", "plane", "centers", "lengths", "plates", "misfit"),
             ),
-        ),
-        CriterionItem(
-            name="loads",
-            summary="Measured loads.",
-            order=10,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_loads"),
-            of=frozenset({"inverse"}),
-            criteria=(
-                *("load-point", "load-sign", "load-direction", "load-offset", "load-time"),
-                *("residuals", "residual-size"),
-            ),
-        ),
-        CriterionItem(
-            name="model",
-            summary="The model, forces without a point, turns and signs of angles.",
-            order=20,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_model"),
-            of=frozenset({"inverse"}),
-            criteria=("knee", "inertia", "elements", "fibers", "reserves", "max-force", "left-out", "compression"),
-        ),
-        CriterionItem(
-            name="record",
-            summary="The record, units of loads, and errors.",
-            order=30,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_record"),
-            of=frozenset({"inverse"}),
-            criteria=("gaps", "ends", "large-errors"),
-        ),
-        CriterionItem(
-            name="person",
-            summary="The person: plane of motion, joint centres, lengths and plates.",
-            order=40,
-            stage="data",
-            find=Target("mbdkit_biomech.inverse_dynamics.criteria.data_verdict:doubts_of_person"),
-            of=frozenset({"inverse"}),
-            criteria=("plane", "centers", "lengths", "plates", "misfit"),
+            level=None,
         ),
         *Example.folder(_HERE / "examples", "People and their devices"),
         *GuidePage.folder(_HERE / "guide", "Persons"),

@@ -12,7 +12,7 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.spec import load_spec
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute, recorded_states
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
 OBSERVED = {
     "knee": ("shank.angle",), "watt-six-bar": ("A.angle",), "double-wishbone": ("lower inner.angle", "guide.angle"),

@@ -11,7 +11,7 @@ from tests.inverse_dynamics.moved_linkages import TORQUES, moved
 
 import mbdkit
 from mbdkit import SpecError
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.margins import assert_within
 
 T = np.linspace(0.0, 1.0, 201)

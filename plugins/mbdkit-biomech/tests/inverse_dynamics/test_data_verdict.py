@@ -19,7 +19,7 @@ from mbdkit_biomech.inverse_dynamics.compute import InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import suspicious_columns
 from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_before_computation
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import exchanged_markers
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.benchmarks.drawn_faults import FAULTS, outcomes
 
 PARTS = {"x": "real", "y": "imag"}

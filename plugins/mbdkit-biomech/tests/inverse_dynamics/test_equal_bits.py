@@ -10,7 +10,7 @@ import sys
 import pytest
 
 import mbdkit
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
 SPECS = {"walking-muscles": ["time={start: 0.5, end: 0.6}"], "person-walking": []}
 """Examples with changes of their specs: nine frames have all terms of the error bars of muscles."""

@@ -20,7 +20,7 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import _norm_bound
 from mbdkit_biomech.inverse_dynamics.results import measure_samples
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SAMPLES, SampledMeasures
 from mbdkit_biomech.inverse_dynamics.results.workload import workload
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_report import run_report
 from tests.benchmarks.drawn_coverage import coverage
 from tests.margins import assert_within

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 import mbdkit
 from mbdkit.base.errors import SpecError
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.identified import write_identified
 
 TIME = np.linspace(0.0, 2.0, 101)

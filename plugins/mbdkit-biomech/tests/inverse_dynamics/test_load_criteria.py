@@ -19,7 +19,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import doubts_about_d
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import load_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import forces_at_centres, missing_points
 from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import mechanism_doubts
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
 
 def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> None:

@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import make_smoothing_spline
 
-from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed
-from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
-from mbdkit_biomech.inverse_dynamics.signals.digital_filters import (
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
     butterworth_coefficients,
     filtered,
     filtered_both_ways,
+    fixed,
     single_cutoff,
+    smoothed,
     state_after,
 )
+from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import SmoothingSpline
 from tests.margins import assert_within

@@ -12,7 +12,7 @@ from tests.inverse_dynamics.running import reference, table_of
 import mbdkit
 from mbdkit import Run
 from mbdkit.spec.loading import example_files, read_source
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.benchmarks.walking_both_legs import LEFT, residuals
 from tests.benchmarks.walking_data import (
     ANGLES,

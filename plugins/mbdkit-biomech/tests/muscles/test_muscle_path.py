@@ -11,8 +11,7 @@ from tests.muscles.models import directions, leg_mechanism, poses
 from mbdkit import Mechanism, RunError, SpecError
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_on_rigid_tendon
-from mbdkit_biomech.muscles.muscle_lines import muscle_lines
-from mbdkit_biomech.muscles.muscle_path import MusclePath
+from mbdkit_biomech.muscles.muscle_path import MusclePath, muscle_lines
 from mbdkit_report import draw_mechanism
 
 OPENSIM = json.loads((Path(__file__).parent / "opensim_muscles.json").read_text())["geometry"]

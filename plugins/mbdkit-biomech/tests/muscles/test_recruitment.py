@@ -13,8 +13,8 @@ from tests.muscles.shared_loads import FRAMES, by_casadi, problems
 
 import mbdkit
 from mbdkit import RunError, SpecError
+from mbdkit_biomech.inverse_dynamics.gradient.recruitment_gradient import ProgrammeChange, change_of_shares
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import share_loads
-from mbdkit_biomech.inverse_dynamics.muscles.shared_loads_derivative import ProgrammeChange, change_of_shares
 from mbdkit_report import report
 from tests.margins import assert_within
 

@@ -8,7 +8,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compute
 from mbdkit_biomech.inverse_dynamics.results import measure_samples
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
 from mbdkit_biomech.uncertainty.sources import change_of, sources_of
 from mbdkit_biomech.uncertainty.uncertain_result import drawn, uncertain_result

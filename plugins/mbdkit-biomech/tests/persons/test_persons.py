@@ -17,7 +17,7 @@ from tests.persons.walkers import FUNCTIONAL, SUBJECT, data_of, loaded, person_s
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.commands import repeated_inverse
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.persons.calibration import angle_of
 from mbdkit_biomech.persons.joint_centers import LANDMARKS, REGRESSION
 from mbdkit_biomech.persons.landmarks import Side, landmark

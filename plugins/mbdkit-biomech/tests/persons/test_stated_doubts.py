@@ -19,14 +19,14 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit.plugin import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, compute
+from mbdkit_biomech.inverse_dynamics.criteria.data_verdict import ranked_doubts
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import unmeasured_frames
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import misfit_doubts
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import quantile_of_many
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
-from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
+from mbdkit_biomech.persons.landmarks import MarkerFile
 from mbdkit_biomech.persons.plate_contacts import plate_numbers
 from mbdkit_biomech.uncertainty.changed_problem import Changer
-from mbdkit_biomech.uncertainty.compression_criterion import misfit_doubts
-from mbdkit_biomech.uncertainty.ranked_doubts import ranked_doubts
 from mbdkit_biomech.uncertainty.uncertain_result import UncertainResult
 from tests.benchmarks.person_markers import Walker, columns_of
 from tests.margins import assert_within
@@ -63,7 +63,7 @@ def test_muscles_that_act_late_or_early_change_forces_by_their_rate() -> None:
     inside = (result.motion.time > 0.1) & (result.motion.time < 0.9)
     change = (late.recruited.force - result.recruited.force)[inside, 0]
     np.testing.assert_allclose(change, -rate * DELAY, rtol=1e-6)
-    np.testing.assert_array_equal(late.recruited.reserve, result.recruited.reserve)
+    np.testing.assert_array_equal(late.recruited.actuators[..., 0], result.recruited.actuators[..., 0])
     with mbdkit.inverse(spec) as run:
         bar = run.muscles["biceps"].force_error[inside]
         np.testing.assert_allclose(bar, 1.96 * rate * DELAY, rtol=0.12)  # 500 samples scatter by 5 %
@@ -92,8 +92,8 @@ def test_too_few_samples_are_named_with_the_scatter_of_the_bars(samples: int, is
 
 def test_the_number_of_samples_that_would_do_follows_from_the_scatter() -> None:
     # expected: standard errors fall with the root of the number, 500 (0.12 / 0.1)^2 = 720, in hundreds
-    scattered = SimpleNamespace(scatter=np.array([0.04, 0.12]), samples=500)
-    told = UncertainResult.too_few.fget(scattered)
+    scattered = SimpleNamespace(scatter=np.array([0.04, 0.12]), samples=500, failed=0)
+    (told,) = UncertainResult.remarks.fget(scattered)
     assert told.endswith("uncertain by up to 12.0% (standard error); it falls to 10% with about 800")
 
 

@@ -9,9 +9,9 @@ from tests.persons.walkers import loaded, person_spec
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.compute import InverseProblem, compression, compute, knees_of, reactions_of
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.criteria.model_criteria import compression_doubts
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_biomech.uncertainty.changed_problem import Changer
-from mbdkit_biomech.uncertainty.compression_criterion import compression_doubts
 from mbdkit_biomech.uncertainty.sources import sources_of
 from mbdkit_biomech.uncertainty.uncertain_result import uncertain_result
 from tests.benchmarks.drawn_persons import JOINTS, Tally, add_person

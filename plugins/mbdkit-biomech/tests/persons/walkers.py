@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 
 from mbdkit_biomech.inverse_dynamics.files.measured_table import table_of
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import TimeColumn
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
-from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.landmarks import MarkerFile
 from mbdkit_biomech.persons.person import Skeleton
 from mbdkit_biomech.persons.person_sections import Subject
 from tests.benchmarks.person_markers import CLUSTERS, Array, Walker, columns_of, in_laboratory

@@ -24,8 +24,7 @@ from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import SampledMeasures, sampled_measures
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import varied_inverse
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec, varied_inverse
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_studies import Batches
 

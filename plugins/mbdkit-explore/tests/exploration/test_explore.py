@@ -25,7 +25,7 @@ import pytest
 import mbdkit
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_explore.explorer import explorer_of
 from mbdkit_explore.server import LARGEST, Exploration
 from tests.browser import executable, launched, until

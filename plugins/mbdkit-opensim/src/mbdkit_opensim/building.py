@@ -27,7 +27,7 @@ from mbdkit_opensim.osim_document import (
     refused,
     text_of,
 )
-from mbdkit_opensim.osim_muscles import CURVES, MuscleReader, UnreadError, read_muscle
+from mbdkit_opensim.osim_muscles import CURVES, MuscleReader
 from mbdkit_opensim.planar_joints import OsimCoordinate, PlanarJoint, Term, coordinates_of, planar_joint
 from mbdkit_opensim.understood import IDLE, Unread, is_actuator, is_off, unread_in
 
@@ -169,10 +169,11 @@ class _ModelBuilder:
         for element in self.muscles():
             name = name_of(element)
             try:
-                self.result.muscle(name, **read_muscle(reader, element))
-            except UnreadError as reason:
-                told.append(f"muscle '{name}' of the model of OpenSim is left out: {reason}")
+                arguments = reader.muscle(element)
+            except SpecError as reason:
+                told.append(f"muscle '{name}' of the model of OpenSim is left out: {reason.message}")
                 continue
+            self.result.muscle(name, **arguments)
             if element.tag == "Thelen2003Muscle":
                 replaced.append(name)
         if replaced:
@@ -294,11 +295,9 @@ class _ModelBuilder:
             direction, term = moved.moving[0]
             axis, points = (parent.axes @ direction).tolist(), self.points(parent, child, rest)
             self.result.prismatic(name, parent.body, child.body, points=points, axis=axis, angle=offset)
-            self.name_coordinate(term.coordinate, f"{name}.angle", *_line(term))
-            assert term.coordinate is not None
-            self.of_pairs[term.coordinate.name] = PairCoordinate(
-                (parent.body, child.body), f"({axis[0]!r})*x + ({axis[1]!r})*y", *_line(term), points
-            )
+            quantity = f"({axis[0]!r})*x + ({axis[1]!r})*y"
+            pair = PairCoordinate((parent.body, child.body), quantity, *_line(term), points)
+            self.name_coordinate(term.coordinate, f"{name}.angle", pair)
         elif parent.body == "ground" and len(moved.coordinates) == 3 and all(_is_linear(t) for _, t in moved.moving):
             self.free(name, parent, child, moved, rest)
         else:
@@ -325,9 +324,8 @@ class _ModelBuilder:
         }
         points = self.points(parent, child, rest)
         self.result.revolute(name, parent.body, child.body, points=points, center=center if parts else None)
-        self.name_coordinate(moved.angle.coordinate, f"{name}.angle", slope, offset)
-        assert moved.angle.coordinate is not None
-        self.of_pairs[moved.angle.coordinate.name] = PairCoordinate((parent.body, child.body), "angle", slope, offset)
+        pair = PairCoordinate((parent.body, child.body), "angle", slope, offset)
+        self.name_coordinate(moved.angle.coordinate, f"{name}.angle", pair)
 
     def free(self, name: str, parent: OffsetFrame, child: OffsetFrame, moved: PlanarJoint, rest: np.ndarray) -> None:
         """Name the coordinates of a body that moves freely: those of a marker at the origin of its frame, and its
@@ -343,15 +341,12 @@ class _ModelBuilder:
             slope, offset = _line(term)
             sign = float(np.sign(axis[along]))
             line = sign * slope, sign * offset + float(rest[along])
-            self.name_coordinate(term.coordinate, f"{marker}.{'xy'[along]}", *line)
-            assert term.coordinate is not None
             points = [0.0, 0.0], (child.place - self.centres[child.body]).tolist()
             pair = PairCoordinate(("ground", child.body), "xy"[along], *line, points)
-            self.of_pairs[term.coordinate.name] = pair
+            self.name_coordinate(term.coordinate, f"{marker}.{'xy'[along]}", pair)
         offset, slope = self.relative(parent, child, moved)
-        self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", slope, offset)
-        assert moved.angle.coordinate is not None
-        self.of_pairs[moved.angle.coordinate.name] = PairCoordinate(("ground", child.body), "angle", slope, offset)
+        pair = PairCoordinate(("ground", child.body), "angle", slope, offset)
+        self.name_coordinate(moved.angle.coordinate, f"{child.body}.angle", pair)
 
     def add_point_on_line(self, constraint: Element) -> None:
         """Add a point of a body that stays on a line of another one."""
@@ -378,7 +373,7 @@ class _ModelBuilder:
         if len(names) != 1:
             raise refused(f"{label} is not read: it depends on {len(names)} coordinates, not on one")
         function = function_named(constraint, "coupled_coordinates_function", label)
-        if function.polynomial is None:
+        if function.spline is not None:
             raise refused(f"{label} is not read: its function is a spline; polynomials and linear functions are")
         pairs = []
         for name in (text_of(constraint, "dependent_coordinate_name"), names[0]):
@@ -413,10 +408,11 @@ class _ModelBuilder:
             name += "'"
         return name
 
-    def name_coordinate(self, coordinate: OsimCoordinate | None, of: str, slope: float, offset: float) -> None:
-        """Assign the name of a coordinate to the quantity `of`, which equals ``slope * coordinate + offset``."""
+    def name_coordinate(self, coordinate: OsimCoordinate | None, of: str, pair: PairCoordinate) -> None:
+        """Assign the name of a coordinate to the quantity `of`, whose line is that of the pair, and keep the pair."""
         assert coordinate is not None, "only a free coordinate moves a joint"
-        self.result.coordinate(coordinate.name, of, scale=1.0 / slope, offset=-float(offset) / slope)
+        self.of_pairs[coordinate.name] = pair
+        self.result.coordinate(coordinate.name, of, scale=1.0 / pair.slope, offset=-float(pair.offset) / pair.slope)
 
 
 def _by_name(elements: Iterable[Element]) -> dict[str, Element]:
@@ -433,7 +429,6 @@ def _is_linear(term: Term) -> bool:
 
 
 def _line(term: Term) -> tuple[float, float]:
-    assert term.function.polynomial is not None
     offset, slope, *_ = term.function.polynomial
     return slope, offset
 
@@ -451,12 +446,7 @@ def _angle(axes: np.ndarray) -> float:
 def sentences_about(dropped: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
     """Return a sentence for each kind of ignored components, with the names of some of them."""
     return tuple(
-        f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: {shortened(names)}"
+        f"the model of OpenSim has {len(names)} {kind}, which the mechanism leaves out: "
+        f"{listed(names, 'and', MOST_NAMED)}"
         for kind, names in dropped.items()
     )
-
-
-def shortened(names: Sequence[str]) -> str:
-    """Return a list of names, at most `MOST_NAMED` of them."""
-    more = [f"{len(names) - MOST_NAMED} more"] if len(names) > MOST_NAMED else []
-    return listed([*names[:MOST_NAMED], *more], "and")

@@ -26,42 +26,38 @@ class Function:
     Attributes
     ----------
     polynomial
-        Coefficients in ascending powers; None for a spline.
+        Coefficients in ascending powers; empty for a spline.
     spline
         None for a polynomial.
     """
 
-    polynomial: tuple[float, ...] | None
+    polynomial: tuple[float, ...]
     spline: PPoly | None = None
 
     def __call__(self, at: float) -> float:
         """Return the value of the function at a value of the coordinate."""
-        if self.polynomial is not None:
-            return float(np.polynomial.polynomial.polyval(at, self.polynomial))
-        assert self.spline is not None
-        return float(self.spline(at))
+        if self.spline is not None:
+            return float(self.spline(at))
+        return float(np.polynomial.polynomial.polyval(at, self.polynomial))
 
     def slope(self, at: float) -> float:
         """Return the derivative of the function at a value of the coordinate."""
-        if self.polynomial is not None:
-            return float(np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyder(self.polynomial)))
-        assert self.spline is not None
-        return float(self.spline(at, 1))
+        if self.spline is not None:
+            return float(self.spline(at, 1))
+        return float(np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyder(self.polynomial)))
 
     @property
     def degree(self) -> int:
         """Degree of the polynomial; 3 for a spline."""
-        if self.polynomial is None:
+        if self.spline is not None:
             return 3
         powers = np.flatnonzero(self.polynomial)
         return int(powers[-1]) if len(powers) else 0
 
     def times(self, factor: float) -> Function:
         """Return the function times a number."""
-        if self.polynomial is not None:
-            return Function(tuple(factor * c for c in self.polynomial))
-        assert self.spline is not None
-        return Function(None, PPoly(factor * self.spline.c, self.spline.x))
+        spline = None if self.spline is None else PPoly(factor * self.spline.c, self.spline.x)
+        return Function(tuple(factor * c for c in self.polynomial), spline)
 
 
 def constant(value: float) -> Function:
@@ -75,10 +71,7 @@ def function_in(holder: Element, owner: str) -> Function:
     """
     result = holder.find("*[@name='function']")
     if result is None or result.tag in ("coordinates", "axis"):
-        wrapper = holder.find("function")
-        result = None if wrapper is None else next(iter(wrapper), None)
-    if result is None:
-        raise refused(f"{owner} has no function")
+        return function_named(holder, "function", owner)
     return _function(result, owner)
 
 
@@ -120,7 +113,7 @@ def _through_points(element: Element, owner: str) -> Function:
         slope = (y[1] - y[0]) / (x[1] - x[0])
         return Function((float(y[0] - slope * x[0]), float(slope)))
     if element.tag in ("SimmSpline", "NaturalCubicSpline"):
-        return Function(None, simm_spline(x, y))
+        return Function((), simm_spline(x, y))
     raise refused(f"{owner} has a PiecewiseLinearFunction, whose slope jumps; use a SimmSpline")
 
 

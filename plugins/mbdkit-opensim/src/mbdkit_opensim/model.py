@@ -11,13 +11,7 @@ import mbdkit
 from mbdkit.plugin.seams import model_builder
 from mbdkit_opensim.building import build_mechanism
 
-REFERENCES = (
-    """@article{seth2018,
-  author = {Seth, Ajay and Hicks, Jennifer L. and Uchida, Thomas K. and others},
-  title = {{OpenSim}: Simulating musculoskeletal dynamics and neuromuscular control to study human and animal movement},
-  journal = {PLOS Computational Biology}, volume = {14}, number = {7}, pages = {e1006223}, year = {2018},
-  doi = {10.1371/journal.pcbi.1006223}}""",
-)
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n"))
 
 
 class OpenSimOptions(BaseModel):

@@ -16,7 +16,6 @@ from defusedxml.ElementTree import fromstring
 
 from mbdkit import ResourceError, SpecError
 from mbdkit.plugin import read_data
-from mbdkit_opensim.osim_defaults import MOST, TooManyError, apply_defaults
 from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 
 #: First format versions of OpenSim 3, of the format that describes joints by frames, as written by OpenSim 4, and of
@@ -24,6 +23,9 @@ from mbdkit_opensim.osim_format_3 import as_format_4, rename_switches
 OLDEST, WITH_FRAMES, WITH_SWITCHES = 30_000, 30_500, 30_508
 
 LARGEST = 50 * 2**20  #: Largest size of a file [bytes]; models of the full body have less than 5 MB.
+
+#: Largest number of elements that the section `defaults` adds; it bounds those that complete each other.
+MOST = 1_000_000
 
 KEY = "model.file"
 
@@ -58,13 +60,45 @@ def read_model(file: str) -> Element:
     version = int(root.get("Version", ""))
     if version < WITH_SWITCHES:
         rename_switches(model)
-    try:
-        apply_defaults(model)
-    except TooManyError:
-        raise refused(f"{path} has more than {MOST} components that its section `defaults` completes") from None
+    _apply_defaults(model, path)
     if version < WITH_FRAMES:
         as_format_4(model)
     return model
+
+
+def _apply_defaults(model: Element, path: Path) -> None:
+    """Add the properties in the section `defaults` of a model to components of the same type that lack them.
+
+    Like other components, defaults are completed by those before them. Raise SpecError if they add too many elements.
+    """
+    properties: dict[str, dict[str, list[Element]]] = {}  # by type and tag
+    sizes: dict[int, int] = {}
+    left = MOST
+
+    def complete(element: Element) -> None:
+        nonlocal left
+        for part in list(element.iter()):
+            known = properties.get(part.tag, {})
+            present = {child.tag for child in part} if known else set()
+            for tag, added in known.items():
+                if tag not in present:
+                    left -= sum(sizes[id(child)] for child in added)
+                    if left < 0:
+                        raise refused(f"{path} has more than {MOST} components that its section `defaults` completes")
+                    part.extend(added)
+
+    for default in model.iterfind("defaults/*"):
+        complete(default)
+        known, new = properties.setdefault(default.tag, {}), dict[str, list[Element]]()
+        for part in default:
+            if part.tag not in known:
+                new.setdefault(part.tag, []).append(part)
+                sizes[id(part)] = sum(1 for _ in part.iter())
+                left -= sizes[id(part)]
+        known |= new
+    for section in model:
+        if section.tag != "defaults":
+            complete(section)
 
 
 def _read_document(path: Path) -> tuple[Element, int]:

@@ -10,7 +10,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from mbdkit import SpecError
 from mbdkit_opensim.frames import OsimFrames, turn
 from mbdkit_opensim.functions import Function, function_named
 from mbdkit_opensim.osim_document import (
@@ -21,6 +20,7 @@ from mbdkit_opensim.osim_document import (
     number_of,
     numbers_of,
     objects_of,
+    refused,
     text_of,
 )
 from mbdkit_opensim.understood import defaults_of
@@ -36,10 +36,6 @@ CURVES = {
 FLAT = 1e-6  #: Largest sine of the angle between the axis of a cylinder and the z axis.
 
 QUADRANTS = {"x": (1.0, 0.0), "+x": (1.0, 0.0), "-x": (-1.0, 0.0), "y": (0.0, 1.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
-
-
-class UnreadError(Exception):
-    """Raised if a muscle cannot be read; the message is the reason as a clause."""
 
 
 @dataclass(frozen=True)
@@ -71,11 +67,11 @@ class MuscleReader:
     place: Callable[[str, np.ndarray], np.ndarray]
 
     def muscle(self, element: Element) -> dict[str, Any]:
-        """Return the arguments of `Mechanism.muscle`; raises UnreadError if it cannot be read."""
+        """Return the arguments of `Mechanism.muscle`; raises SpecError with the reason if it cannot be read."""
         path = element.find("GeometryPath")
         path = element.find("path/*") if path is None else path
         if path is None or path.find("PathPointSet") is None:
-            raise UnreadError("its path is not a GeometryPath")
+            raise refused("its path is not a GeometryPath")
         items = [item for point in objects_of(path, "PathPointSet") for item in self._point(point)]
         for wrap in objects_of(path, "PathWrapSet"):
             self._add_circle(items, wrap)
@@ -106,7 +102,7 @@ class MuscleReader:
         if element.tag == "MovingPathPoint":
             return [self._moving(element)]
         if element.tag not in ("PathPoint", "ConditionalPathPoint"):
-            raise UnreadError(f"its path has a {element.tag}")
+            raise refused(f"its path has a {element.tag}")
         body, place, axes = self.frames.of_point(element)
         item = self._item(body, place + axes @ numbers_of(element, "location", 3, "0 0 0"))
         if element.tag == "ConditionalPathPoint":
@@ -125,7 +121,7 @@ class MuscleReader:
     def _moving(self, element: Element) -> dict[str, object]:
         body, place, axes = self.frames.of_point(element)
         if np.any(place != 0) or not np.allclose(axes, np.eye(3), rtol=0, atol=1e-12):
-            raise UnreadError("it has a moving point in a frame that is offset from its body")
+            raise refused("it has a moving point in a frame that is offset from its body")
         parts: list[Any] = []
         for axis, centre in zip("xyz", (*self.centres[body], -self.heights[body]), strict=True):
             coordinate = last_part(text_of(element, f"socket_{axis}_coordinate"))
@@ -133,7 +129,7 @@ class MuscleReader:
             if coordinate not in self.coordinates or function.degree == 0:
                 parts.append(function(self.values.get(coordinate, 0.0)) - float(centre))
             elif axis == "z":
-                raise UnreadError("it has a point that moves perpendicular to the plane")
+                raise refused("it has a point that moves perpendicular to the plane")
             else:
                 parts.append(_of_coordinate(function, coordinate, float(centre)))
         return {"body": body, "point": parts}
@@ -148,18 +144,18 @@ class MuscleReader:
             if name_of(one) == name
         ]
         if not results:
-            raise UnreadError(f"it wraps around '{name}', which does not exist")
+            raise refused(f"it wraps around '{name}', which does not exist")
         owner, surface = results[0]
         body = "ground" if owner.tag == "Ground" else name_of(owner)
         if surface.tag != "WrapCylinder":
-            raise UnreadError(f"it wraps around a {surface.tag}")
+            raise refused(f"it wraps around a {surface.tag}")
         if not flag_of(surface, "active", default=True):
             return
         axes = turn(numbers_of(surface, "xyz_body_rotation", 3, "0 0 0"))
         if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
-            raise UnreadError(f"it wraps around '{name}', whose axis is not along z")
+            raise refused(f"it wraps around '{name}', whose axis is not along z")
         if len(items) != 2:
-            raise UnreadError(f"it wraps around '{name}' between one pair of several points")
+            raise refused(f"it wraps around '{name}' between one pair of several points")
         center = numbers_of(surface, "translation", 3, "0 0 0")[:2]
         quadrant = text_of(surface, "quadrant", "all")
         start, end = (self._start(item) for item in items)
@@ -178,24 +174,15 @@ class MuscleReader:
         """Return the initial position (2,) of a fixed point [m]."""
         x, y, _ = item["point"]
         if not isinstance(x, float) or not isinstance(y, float):
-            raise UnreadError("it wraps around a cylinder beside a moving point")
+            raise refused("it wraps around a cylinder beside a moving point")
         return self.place(item["body"], np.array([x, y]) + self.centres[item["body"]])
-
-
-def read_muscle(reader: MuscleReader, element: Element) -> dict[str, Any]:
-    """Return the arguments of `Mechanism.muscle`; raises UnreadError if the muscle cannot be read."""
-    try:
-        return reader.muscle(element)
-    except SpecError as error:
-        raise UnreadError(error.message) from None
 
 
 def _of_coordinate(function: Function, coordinate: str, centre: float) -> object:
     """Return a function of a coordinate minus the number `centre`, as a table or an expression."""
     if function.spline is None:
         if not coordinate.isidentifier():
-            raise UnreadError(f"the name of coordinate '{coordinate}' is no word, as an expression needs it")
-        assert function.polynomial is not None
+            raise refused(f"the name of coordinate '{coordinate}' is no word, as an expression needs it")
         first, *others = function.polynomial
         terms = [f"({c!r})*{coordinate}**{power}" for power, c in enumerate(others, start=1)]
         return " + ".join([repr(first - centre), *terms])

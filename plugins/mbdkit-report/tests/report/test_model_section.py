@@ -19,7 +19,7 @@ from mbdkit.archive.stored_mechanism import mechanism_json, read_mechanism
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.beams import parts_of
 from mbdkit.spec import example_names, load_spec
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import load_inverse_spec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from mbdkit_report import Drawing, Illustration, NamedPose, draw_mechanism, run_report
 from mbdkit_report.figures.drawing_geometry import draw_run
 from mbdkit_report.figures.label_placement import LINE, Name, place_names

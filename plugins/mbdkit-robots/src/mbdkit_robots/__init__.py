@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from mbdkit.plugin import ForceLawPlugin, ModelPlugin, Target, hookimpl
-
-if TYPE_CHECKING:
-    from mbdkit_robots.linkages import to_pylinkage as to_pylinkage
 
 mbdkit_api = {"models": 1, "laws": 1}
 
@@ -48,11 +43,3 @@ def mbdkit_force_laws() -> list[ForceLawPlugin]:
             law=Target("mbdkit_robots.models:LAW"),
         )
     ]
-
-
-def __getattr__(name: str) -> object:
-    if name == "to_pylinkage":
-        from mbdkit_robots.linkages import to_pylinkage
-
-        return to_pylinkage
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,15 +1,13 @@
-"""Reads and writes linkages of pylinkage, in the JSON format of `pylinkage.mechanism.mechanism_to_json`."""
+"""Reads linkages of pylinkage, in the JSON format of `pylinkage.mechanism.mechanism_to_json`."""
 
 from __future__ import annotations
 
 import json
 import math
 from itertools import pairwise
-from typing import Any
 
-import mbdkit
 from mbdkit import Mechanism
-from mbdkit.plugin import Driver, Revolute, listed
+from mbdkit.plugin import listed
 from mbdkit_robots.documents import read_content
 from mbdkit_robots.planar import GROUND, refused
 
@@ -102,69 +100,3 @@ def _add_rod(m: Mechanism, name: str, points: list[tuple[float, float]], mass_pe
     (x0, y0), (x1, y1) = points[0], points[1]
     m.body(name, mass=mass_per_length * total, inertia=mass_per_length * inertia, position=(center[0], center[1]),
            angle=math.atan2(y1 - y0, x1 - x0))  # fmt: skip
-
-
-def to_pylinkage(mechanism: Mechanism, *, steps_per_second: float = 100.0) -> dict[str, Any]:
-    """Return a mechanism with pin joints as data for `pylinkage.mechanism.mechanism_from_dict`. Masses and forces are
-    omitted, because pylinkage has none.
-
-    Parameters
-    ----------
-    mechanism
-        A mechanism with bodies, revolute joints, markers, and drivers that turn a body relative to ground at a constant
-        rate.
-    steps_per_second
-        Number of pylinkage steps per second.
-
-    Raises
-    ------
-    SpecError
-        If the mechanism has other joints or drivers.
-    """
-    joints: list[dict[str, Any]] = []
-    members: dict[str, list[str]] = {name: [] for name in (GROUND, *mechanism.bodies)}
-    rates: dict[str, float] = {}
-    pins_at: dict[tuple[str, float, float], str] = {}
-    for name, joint in mechanism.joints.items():
-        if isinstance(joint, Revolute) and joint.center is None:
-            place = mechanism.to_global(joint.bodies[0], joint.points[0])
-            pin = pins_at.setdefault((joint.bodies[0], *joint.points[0]), name)  # several bodies may share a pin
-            if pin == name:
-                joints.append({"id": name, "type": "revolute", "position": list(place)})
-            if GROUND in joint.bodies:
-                next(joint for joint in joints if joint["id"] == pin)["type"] = "ground"
-            for body in joint.bodies:
-                members[body] += [] if pin in members[body] else [pin]
-        elif isinstance(joint, Driver) and joint.coordinate == "angle" and joint.bodies[0] == GROUND:
-            rates[joint.bodies[1]] = _rate(name, joint)
-        else:
-            raise mbdkit.SpecError(f"joint '{name}' is no pin and no motor of constant rate against the ground")
-    for name, marker in mechanism.markers.items():
-        joints.append(
-            {"id": name, "type": "revolute", "position": list(mechanism.to_global(marker.body, marker.point))}
-        )
-        members[marker.body].append(name)
-    places = {joint["id"]: joint for joint in joints}
-    links: list[dict[str, object]] = [{"id": GROUND, "type": "ground", "joints": members.pop(GROUND)}]
-    for body, ids in members.items():
-        link: dict[str, object] = {"id": body, "type": "link", "joints": ids}
-        pins = [one for one in ids if places[one]["type"] == "ground"]
-        if body in rates and pins:
-            other = next(places[one]["position"] for one in ids if one != pins[0])
-            x, y = places[pins[0]]["position"]
-            link |= {"type": "driver", "motor_joint": pins[0], "angular_velocity": rates[body] / steps_per_second,
-                     "initial_angle": math.atan2(other[1] - y, other[0] - x)}  # fmt: skip
-        links.append(link)
-    return {"name": mechanism.name, "joints": joints, "links": links, "ground": GROUND}
-
-
-def _rate(name: str, joint: Driver) -> float:
-    probe = Mechanism()
-    probe.body("body", mass=1.0, inertia=1.0)
-    probe.revolute("pin", GROUND, "body", at=(0.0, 0.0))
-    probe.driver("motor", GROUND, "body", coordinate="angle", motion=joint.motion)
-    result = mbdkit.kinematics(probe, integrator={"name": "rk4"}, time={"end": 1.0, "step": 0.25})
-    rates = result["body"].velocity[:, 2]
-    if max(rates) - min(rates) > 1e-9 * max(abs(rates)):
-        raise mbdkit.SpecError(f"the rate of the motor '{name}' is not constant")
-    return float(rates[0])

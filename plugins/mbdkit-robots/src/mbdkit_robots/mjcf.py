@@ -9,20 +9,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from mbdkit.plugin import listed
+from mbdkit_robots import mjcf_schema as schema
 from mbdkit_robots.documents import about, keyword, number, numbers, read_xml, unit
-from mbdkit_robots.mjcf_schema import (
-    ACTUATORS,
-    BODY_PARTS,
-    IDLE_SECTIONS,
-    INHERITED,
-    LACKING_SECTIONS,
-    LISTS,
-    MODEL_SECTIONS,
-    NOTED_SECTIONS,
-    ORIENTATIONS,
-    WITHOUT_FORCE,
-    leave_out_attributes,
-)
 from mbdkit_robots.planar import GROUND, Closure, Follower, Link, Part, SpatialModel, refused
 from mbdkit_robots.shapes import SIZES, volume_and_inertia
 from mbdkit_robots.trees import leave_out_contacts
@@ -71,7 +59,7 @@ class _MjcfReader:
             self._add_closure(equality)
         for name, geoms in self.geoms.items():
             for geom in geoms:
-                leave_out_attributes(self.model, geom, _label(geom, name))
+                schema.leave_out_attributes(self.model, geom, _label(geom, name))
         self._leave_out()
 
     def _merged(self, path: str) -> Element:
@@ -97,17 +85,17 @@ class _MjcfReader:
         if len(self.order) != 3 or set(self.order.lower()) - set("xyz"):
             raise refused(f'eulerseq="{self.order[:60]}" of <compiler> should have three of the letters xyzXYZ')
         for element in (self.compiler, self.option, self.flag):
-            leave_out_attributes(self.model, element, "the file")
+            schema.leave_out_attributes(self.model, element, "the file")
 
     def _leave_out(self) -> None:
-        known = (*MODEL_SECTIONS, *IDLE_SECTIONS, *NOTED_SECTIONS, *LACKING_SECTIONS)
+        known = (*schema.MODEL_SECTIONS, *schema.IDLE_SECTIONS, *schema.NOTED_SECTIONS, *schema.LACKING_SECTIONS)
         for section in self.root:
             if section.tag not in known:
                 self.model.leave_out(f"elements <{section.tag}>", "the file", acts=True)
-        for tag in NOTED_SECTIONS:
+        for tag in schema.NOTED_SECTIONS:
             for element in self.root.iterfind(f"{tag}/*"):
                 self.model.leave_out(f"elements of <{tag}>", element.get("name", element.tag))
-        for tag, words in LACKING_SECTIONS.items():
+        for tag, words in schema.LACKING_SECTIONS.items():
             for element in self.root.iterfind(f"{tag}/*"):
                 self.model.leave_out(words, element.get("name", element.tag), acts=True)
         for actuator in self.root.iterfind("actuator/*"):
@@ -118,7 +106,7 @@ class _MjcfReader:
         excluded = []
         for element in self.root.iterfind("contact/*"):
             if element.tag == "exclude":
-                leave_out_attributes(self.model, element, element.get("name", "exclude"))
+                schema.leave_out_attributes(self.model, element, element.get("name", "exclude"))
                 excluded.append(frozenset(_body(element, key) for key in ("body1", "body2")))
             else:
                 self.model.leave_out("contacts", element.get("name", element.tag), acts=True)
@@ -136,9 +124,9 @@ class _MjcfReader:
     def _leave_out_actuator(self, actuator: Element) -> None:
         """Note an actuator, and whether it acts while its control is zero."""
         name, shortcut = actuator.get("name", actuator.tag), actuator.attrib.pop("", "general")
-        is_idle = actuator.tag in WITHOUT_FORCE or (
+        is_idle = actuator.tag in schema.WITHOUT_FORCE or (
             actuator.tag == "general"
-            and shortcut in ("general", *WITHOUT_FORCE)
+            and shortcut in ("general", *schema.WITHOUT_FORCE)
             and actuator.get("biastype", "none") == "none"
             and actuator.get("gaintype", "fixed") in ("fixed", "affine")
             and actuator.get("dyntype", "none") in ("none", "integrator", "filter", "filterexact")
@@ -151,13 +139,13 @@ class _MjcfReader:
             if np.any(numbers(actuator, key, "0")):
                 self.model.leave_out(f"{key} of actuators", name, acts=True)
         if is_idle:
-            leave_out_attributes(self.model, actuator, name, "actuator")
+            schema.leave_out_attributes(self.model, actuator, name, "actuator")
 
     def _check_parts(self, body: Element, label: str) -> None:
         for part in body:
             if part.tag in MACROS:
                 raise refused(f"<{part.tag}> is not read; save the model as one file, as MuJoCo's mj_saveLastXML does")
-            if part.tag not in BODY_PARTS:
+            if part.tag not in schema.BODY_PARTS:
                 self.model.leave_out(f"elements <{part.tag}>", label, acts=True)
             elif part.tag == "geom":
                 for inner in part:
@@ -185,7 +173,7 @@ class _MjcfReader:
         return math.radians(value) if self.is_degree else value
 
     def _rotation(self, element: Element) -> np.ndarray:
-        if len(names := [name for name in ORIENTATIONS if element.get(name)]) > 1:
+        if len(names := [name for name in schema.ORIENTATIONS if element.get(name)]) > 1:
             raise refused(f"<{element.tag}> has several orientations: {listed(names)}")
         if element.get("quat"):
             w, x, y, z = unit(numbers(element, "quat", "", 4), "a quaternion")
@@ -215,7 +203,7 @@ class _MjcfReader:
         if name in self.places:
             raise refused(f"there are two bodies with the name '{name}'")
         self._check_parts(body, name)
-        leave_out_attributes(self.model, body, name)
+        schema.leave_out_attributes(self.model, body, name)
         if number(body, "gravcomp", 0.0):
             self.model.leave_out("compensations of gravity", name, acts=True)
         childclass = body.get("childclass", childclass)
@@ -232,7 +220,7 @@ class _MjcfReader:
                 "or use <freejoint>"
             )
         for joint in (*joints, *free_joints):
-            leave_out_attributes(self.model, joint, joint.get("name", name))
+            schema.leave_out_attributes(self.model, joint, joint.get("name", name))
         free = bool(free_joints) or any(joint.get("type") == "free" for joint in joints)
         if free and parent != GROUND:
             raise refused(f"body '{name}' has a free joint, but is not a child of the world")
@@ -284,7 +272,7 @@ class _MjcfReader:
         if inertial is None and self.from_geoms == "false":
             raise refused(f"body '{name}' has no <inertial>, although inertiafromgeom is false")
         if inertial is not None and self.from_geoms != "true":
-            leave_out_attributes(self.model, inertial, name)
+            schema.leave_out_attributes(self.model, inertial, name)
             own = turned @ self._rotation(inertial)
             if inertial.get("fullinertia"):
                 xx, yy, zz, xy, xz, yz = numbers(inertial, "fullinertia", "", 6)
@@ -294,15 +282,7 @@ class _MjcfReader:
             center = here + turned @ numbers(inertial, "pos", "0 0 0", 3)
             return Part(name, number(inertial, "mass", 0.0), center, own @ tensor @ own.T)
         solids = [result for one in self.geoms[name] if (result := self._solid(one, name, here, turned)).mass > 0]
-        mass = sum(solid.mass for solid in solids)
-        if not mass:
-            return Part(name, 0.0, here, np.zeros((3, 3)))
-        center = np.sum([solid.mass * solid.center for solid in solids], axis=0) / mass
-        tensor = np.zeros((3, 3))
-        for one in solids:
-            arm = one.center - center
-            tensor = tensor + one.inertia + one.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-        return Part(name, mass, center, tensor)
+        return Part.joined(name, solids) if solids else Part(name, 0.0, here, np.zeros((3, 3)))
 
     def _solid(self, geom: Element, body: str, here: np.ndarray, turned: np.ndarray) -> Part:
         kind, size = geom.get("type", "sphere"), numbers(geom, "size", "0")
@@ -353,7 +333,7 @@ class _MjcfReader:
             )
         if element.tag == "weld" and (equality.get("relpose") or not number(equality, "torquescale", 1.0)):
             raise refused(f"the weld '{name}' has a relpose or a torquescale of 0, which are not read")
-        leave_out_attributes(self.model, equality, name, "equality")
+        schema.leave_out_attributes(self.model, equality, name, "equality")
         turned, here = self.places[second if element.tag == "weld" else first]
         anchor = here + turned @ numbers(equality, "anchor", "0 0 0", 3)
         self.model.closures.append(Closure(name, element.tag, (first, second), anchor))  # type: ignore[arg-type]
@@ -362,7 +342,7 @@ class _MjcfReader:
         """Add a joint whose coordinate is a polynomial of that of another one, or constant."""
         joint, leader = equality.get("joint1", ""), equality.get("joint2")
         name = equality.get("name", f"{joint} to {leader}" if leader else f"{joint} held")
-        leave_out_attributes(self.model, equality, name, "equality")
+        schema.leave_out_attributes(self.model, equality, name, "equality")
         given = numbers(equality, "polycoef", "").tolist()
         coefficients = (*given, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(given) :])
         self.model.followers.append(Follower(name, joint, leader, coefficients))
@@ -370,7 +350,7 @@ class _MjcfReader:
 
 def _key(element: Element) -> str:
     """Return the key of the defaults of an element; actuators share theirs, and so do equality constraints."""
-    if element.tag in ACTUATORS:
+    if element.tag in schema.ACTUATORS:
         return "actuator"
     return "equality" if element.tag in ("connect", "weld", "tendon", "flex", "flexstrain") else element.tag
 
@@ -382,12 +362,12 @@ def _inherit(element: Element, above: Mapping[str, str]) -> dict[str, str]:
     for an actuator replaces the inherited force law. The key "" has the shortcut that made the force law.
     """
     values = dict(above)
-    if any(name in element.attrib for name in ORIENTATIONS):
-        values = {name: text for name, text in values.items() if name not in ORIENTATIONS}
-    if element.tag in ACTUATORS and element.tag != "general":
-        values = {name: text for name, text in values.items() if name in INHERITED} | {"": element.tag}
+    if any(name in element.attrib for name in schema.ORIENTATIONS):
+        values = {name: text for name, text in values.items() if name not in schema.ORIENTATIONS}
+    if element.tag in schema.ACTUATORS and element.tag != "general":
+        values = {name: text for name, text in values.items() if name in schema.INHERITED} | {"": element.tag}
     for name, text in element.attrib.items():
-        rest = values.get(name, "").split()[len(text.split()) :] if name in LISTS else []
+        rest = values.get(name, "").split()[len(text.split()) :] if name in schema.LISTS else []
         values[name] = " ".join([text, *rest])
     return values
 

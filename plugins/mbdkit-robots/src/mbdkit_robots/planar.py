@@ -15,6 +15,7 @@ from mbdkit.plugin import did_you_mean, listed, quoted
 GROUND = "ground"
 KEY = "model.file"
 Plane = Literal["xy", "xz", "yz"]
+LinkKind = Literal["turn", "slide", "fixed", "free"]
 PARALLEL = 1e-6  #: Largest sine of the angle between an axis and the direction that it should have.
 MOST_NAMED = 6  #: Largest number of names that a warning lists.
 
@@ -35,6 +36,17 @@ class Part:
     center: np.ndarray
     inertia: np.ndarray
 
+    @classmethod
+    def joined(cls, name: str, parts: Sequence[Part]) -> Part:
+        """Return parts that are fixed to each other as one part; their mass together is not 0."""
+        mass = sum(part.mass for part in parts)
+        center = np.sum([part.mass * part.center for part in parts], axis=0) / mass
+        inertia = np.zeros((3, 3))
+        for part in parts:
+            arm = part.center - center
+            inertia = inertia + part.inertia + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        return cls(name, mass, center, inertia)
+
 
 @dataclass(frozen=True)
 class Link:
@@ -46,7 +58,7 @@ class Link:
     """
 
     name: str
-    kind: Literal["turn", "slide", "fixed", "free"]
+    kind: LinkKind
     parent: str
     child: str
     point: np.ndarray

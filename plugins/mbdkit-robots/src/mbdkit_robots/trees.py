@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from mbdkit_robots.planar import GROUND, PARALLEL, SpatialModel
+from mbdkit_robots.planar import GROUND, PARALLEL, Part, SpatialModel
 
 #: Label of a shape, and the bit masks that say what it can touch: its type, and the types that it touches.
 Shape = tuple[str, int, int]
@@ -80,7 +80,7 @@ def leaving_bodies(model: SpatialModel, normal: np.ndarray) -> list[str]:
         first, second = (trees[name] for name in closure.parts)
         if closure.kind == "weld" and GROUND in (first, second):
             trees = {name: GROUND if root in (first, second) else root for name, root in trees.items()}
-    parts: dict[str, list] = {}
+    parts: dict[str, list[Part]] = {}
     for part in model.parts:
         if part.mass > 0 and trees[part.name] != GROUND:
             parts.setdefault(groups[part.name], []).append(part)
@@ -88,15 +88,10 @@ def leaving_bodies(model: SpatialModel, normal: np.ndarray) -> list[str]:
     leaving = dict.fromkeys(root for root in trees.values() if root != GROUND and _is_oblique(model.gravity, normal))
     size = max((float(np.max(np.abs(part.center))) for part in model.parts), default=0.0)
     for members in parts.values():
-        root = trees[members[0].name]
-        mass = sum(part.mass for part in members)
-        center = np.sum([part.mass * part.center for part in members], axis=0) / mass
-        inertia = sum(
-            part.inertia + part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            for part, arm in ((part, part.center - center) for part in members)
-        )
-        heights.setdefault(root, []).append(float(center @ normal))
-        size = max(size, float(np.sqrt(np.max(np.abs(inertia)) / mass)))
+        root, whole = trees[members[0].name], Part.joined("", members)
+        inertia = whole.inertia
+        heights.setdefault(root, []).append(float(whole.center @ normal))
+        size = max(size, float(np.sqrt(np.max(np.abs(inertia)) / whole.mass)))
         across = inertia @ normal
         if np.linalg.norm(across - (across @ normal) * normal) > PARALLEL * np.max(np.abs(inertia)):
             leaving[root] = None

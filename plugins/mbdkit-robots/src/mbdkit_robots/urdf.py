@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+import yaml
 
 from mbdkit_robots.documents import about, number, numbers, read_xml, unit
-from mbdkit_robots.planar import GROUND, Follower, Link, Part, SpatialModel, refused
+from mbdkit_robots.planar import GROUND, Follower, Link, LinkKind, Part, SpatialModel, refused
 from mbdkit_robots.trees import leave_out_contacts
 
-KINDS = {"revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"}
-#: Elements of a robot that are ignored, with a warning, because they exert no force without a controller.
-NOTED = {"transmission": "transmissions", "ros2_control": "hardware interfaces", "sensor": "sensors"}
-
-#: Attributes and elements that the reader understands, by element. The names are those of `urdf.xsd` of urdfdom, and of
-#: the specification of URDF of ROS for what the schema lacks. `effort` and `velocity` limit controllers.
-UNDERSTOOD = {
-    "robot": ("name version", "link joint"),
-    "link": ("name type", "inertial collision"),
-    "inertial": ("", "origin mass inertia"),
-    "origin": ("xyz rpy", ""),
-    "mass": ("value", ""),
-    "inertia": ("ixx ixy ixz iyy iyz izz", ""),
-    "joint": ("name type", "origin parent child axis dynamics limit mimic"),
-    "mimic": ("joint multiplier offset", ""),
-    "parent": ("link", ""),
-    "child": ("link", ""),
-    "axis": ("xyz", ""),
-    "dynamics": ("damping friction", ""),
-    "limit": ("lower upper effort velocity", ""),
-}
-#: Elements that cannot change a motion, by the element that contains them.
-WITHOUT_EFFECT = {"robot": "material", "link": "visual", "joint": "calibration"}
-LOOKS = ("material", "visual", "sensor")  #: Elements of <gazebo> that cannot change a motion.
+KINDS: dict[str, LinkKind] = {
+    "revolute": "turn", "continuous": "turn", "prismatic": "slide", "fixed": "fixed", "floating": "free"
+}  # fmt: skip
+_NAMES = yaml.safe_load(Path(__file__).with_name("urdf_schema.yaml").read_text("utf-8"))
+NOTED: dict[str, str] = _NAMES["noted"]
 
 
 def read_urdf(file: str, *, floating: bool) -> SpatialModel:
@@ -74,7 +57,7 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
         for element in robot.iterfind(tag):
             model.leave_out(words, element.get("name", tag))
     for element in robot.iterfind("gazebo"):
-        acts = any(inner.tag not in LOOKS for inner in element)
+        acts = any(inner.tag not in _names("without effect", "gazebo") for inner in element)
         model.leave_out("extensions of Gazebo", element.get("reference", "gazebo"), acts=acts)
     _leave_out_unknown(model, robot, "the file")
     root = roots[0]
@@ -102,15 +85,20 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
     return model
 
 
+def _names(kind: str, tag: str) -> list[str]:
+    """Return the attributes or elements of a kind in ``urdf_schema.yaml`` that an element may have."""
+    return str(_NAMES[kind].get(tag, "")).split()
+
+
 def _leave_out_unknown(model: SpatialModel, element: Element, label: str) -> None:
     """Note the attributes and elements that may change the motion but are not understood."""
-    attributes, elements = UNDERSTOOD[element.tag]
+    attributes, elements, silent = (_names(kind, element.tag) for kind in ("attributes", "elements", "without effect"))
     for name in element.attrib:
-        if name not in attributes.split():
+        if name not in attributes:
             model.leave_out(f"{name} of <{element.tag}>", label, acts=True)
-    silent = [*WITHOUT_EFFECT.get(element.tag, "").split(), *((*NOTED, "gazebo") if element.tag == "robot" else ())]
+    silent += [*NOTED, "gazebo"] if element.tag == "robot" else []
     for inner in element:
-        if inner.tag in elements.split():
+        if inner.tag in elements:
             if inner.tag not in ("link", "joint", "collision") and len(element.findall(inner.tag)) > 1:
                 raise refused(f"<{element.tag}> of {label} has several elements <{inner.tag}>")
             if inner.tag != "collision":
@@ -135,17 +123,7 @@ def _joint(model: SpatialModel, joint: Element, parent: str, child: str, here: n
     damping, friction = number(dynamics, "damping", 0.0), number(dynamics, "friction", 0.0)
     if kind == "floating" and (damping or friction):
         model.leave_out("dynamics of floating joints", name, acts=True)
-    return Link(
-        name,
-        KINDS[kind],
-        parent,
-        child,
-        here,
-        axis,
-        damping=damping,
-        friction=friction,
-        limits=limits,  # type: ignore[arg-type]
-    )
+    return Link(name, KINDS[kind], parent, child, here, axis, damping=damping, friction=friction, limits=limits)
 
 
 def _add_part(

@@ -12,6 +12,7 @@ harmonics.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -20,63 +21,10 @@ from pydantic import BaseModel, ConfigDict, Field
 import mbdkit
 from mbdkit.plugin.seams import model_builder
 
-REFERENCES = (
-    """@book{winter2009,
-  author = {Winter, David A.},
-  title = {Biomechanics and Motor Control of Human Movement},
-  edition = {4}, publisher = {John Wiley \\& Sons}, year = {2009}, doi = {10.1002/9780470549148}}""",
-    """@article{olshen1989,
-  author = {Olshen, Richard A. and Biden, Edmund N. and Wyatt, Marilynn P. and Sutherland, David H.},
-  title = {Gait analysis and the bootstrap},
-  journal = {The Annals of Statistics}, volume = {17}, pages = {1419--1440}, year = {1989},
-  doi = {10.1214/aos/1176347372}}""",
-)
+REFERENCES = tuple(Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n"))
 # Means over the 39 boys in degrees, flexion positive, at 2.5 %, 7.5 %, ... 97.5 % of the cycle from heel strike; the
 # measurements are in hip.txt and knee.txt of the R package fda.
-HIP = [
-    42.7,
-    39.8,
-    35.8,
-    30.4,
-    25.2,
-    19.9,
-    15.2,
-    11.0,
-    6.6,
-    2.6,
-    1.1,
-    4.3,
-    12.4,
-    23.2,
-    34.0,
-    42.5,
-    47.9,
-    49.0,
-    46.8,
-    43.3,
-]
-KNEE = [
-    13.0,
-    18.5,
-    22.2,
-    21.2,
-    17.9,
-    14.3,
-    12.1,
-    10.9,
-    10.4,
-    12.8,
-    19.9,
-    35.1,
-    53.4,
-    68.0,
-    73.9,
-    70.5,
-    58.4,
-    37.7,
-    18.2,
-    11.0,
-]
+HIP, KNEE = np.loadtxt(Path(__file__).with_name("gait.csv"), delimiter=",", skiprows=1, unpack=True)
 HARMONICS = 6
 
 # Mass as a fraction of body mass, length as a fraction of body height; distance of the centre of mass from the upper
@@ -108,7 +56,7 @@ class WalkerOptions(BaseModel):
     """
 
 
-def angle(degrees: list[float], period: float, ahead: float) -> tuple[str, float]:
+def angle(degrees: np.ndarray, period: float, ahead: float) -> tuple[str, float]:
     """Return a measured angle [rad] as an expression of t, and its value at t = 0.
 
     Parameters

@@ -42,7 +42,7 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
     motion_of_series,
 )
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
-from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
+from mbdkit_biomech.inverse_dynamics.motion.unused_data import unused_data
 from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_forces
 from mbdkit_biomech.inverse_dynamics.muscles.measured_targets import measured_targets
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
@@ -81,7 +81,7 @@ class InverseProblem:
     recruiter
         Recruits the muscles; None without `recruitment`.
     unused
-        Markers of the model without data, and columns of the table that are not used.
+        Markers of the model without data, and columns of the table that are not used, see `unused_data`.
     followers
         Bodies that follow the motion, such as worn devices, by name.
     is_loaded
@@ -97,7 +97,7 @@ class InverseProblem:
     actuators: list[NamedActuator]
     source: InverseSpec
     recruiter: Recruiter | None = None
-    unused: UnusedData = field(default_factory=UnusedData)
+    unused: dict[str, str] = field(default_factory=dict)
     followers: Mapping[str, Follower] = field(default_factory=dict)
     is_loaded: bool = True
 
@@ -113,7 +113,7 @@ class InverseProblem:
         texts = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
         if self.names.mechanism.muscles and self.recruiter is None:
             texts.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
-        texts += [*self.unused.warnings, *remarks_of(self)]
+        texts += remarks_of(self)
         if any(actuator.is_residual for actuator in self.actuators):
             texts += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(texts)
@@ -146,7 +146,7 @@ class InverseProblem:
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
-        unused = UnusedData.of(spec, names, measured, table)
+        unused = unused_data(spec, names, measured, table)
         problem = cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused, followers)
         try:
             sources_of(problem)  # before the computation, so that wrong names are found early
@@ -216,9 +216,7 @@ class Inverse:
         """(T, U, 2) values and powers of the actuators in `InverseProblem.recorded_actuators`."""
         if self.recruited is None:
             return np.stack([self.dynamics.value, self.dynamics.power], axis=-1)
-        one = self.recruited
-        values, powers = np.hstack([one.actuator, one.reserve]), np.hstack([one.actuator_power, one.reserve_power])
-        return np.stack([values, powers], axis=-1)
+        return self.recruited.actuators
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -302,14 +300,10 @@ def compute(problem: InverseProblem) -> Inverse:
         If no pose fits the data, or the mechanism passes a singular position.
     """
     try:
-        return _of_fitted(problem, fit(problem))
+        fitted = fit(problem)
+        return forces_of(problem, fitted, *motion_of(problem, fitted))
     except SpecError as error:
         raise problem.spec.placed(error) from error
-
-
-def _of_fitted(problem: InverseProblem, fitted: Fitted) -> Inverse:
-    independent, motion = motion_of(problem, fitted)
-    return forces_of(problem, fitted, independent, motion)
 
 
 def motion_of(problem: InverseProblem, fitted: Fitted) -> tuple[Independent | None, Motion]:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from mbdkit.base import elementary
 from mbdkit.mechanism.bodies import Body
+from mbdkit.mechanism.joint_friction import PinFriction
+from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar, LinkagePose
 from mbdkit_biomech.models._segments import RigidSegment
 
@@ -81,6 +84,27 @@ class Knee:
     femoral: dict[str, complex]
     tibial: dict[str, complex]
     shank: MovingFrame
+
+    def pins(
+        self, body: str, on_body: Callable[[complex], complex], centre: complex, friction: PinFriction | None
+    ) -> dict[str, Joint]:
+        """Return the joints A to D.
+
+        Parameters
+        ----------
+        body, on_body
+            Body that carries the femoral joints, and the function that returns a point of the thigh in its frame [m].
+        centre
+            Centre of mass of body `shank` in the shank frame [m].
+        """
+        acl, pcl = self.ends["acl"], self.ends["pcl"]
+        ends = {
+            "A": (("pcl", "shank"), ((pcl, 0.0), xy(self.tibial["A"] - centre))),
+            "B": (("acl", "shank"), ((acl, 0.0), xy(self.tibial["B"] - centre))),
+            "C": ((body, "acl"), (xy(on_body(self.femoral["C"])), (-acl, 0.0))),
+            "D": ((body, "pcl"), (xy(on_body(self.femoral["D"])), (-pcl, 0.0))),
+        }
+        return {name: Revolute(bodies=two, points=points, friction=friction) for name, (two, points) in ends.items()}
 
 
 def knee_of(

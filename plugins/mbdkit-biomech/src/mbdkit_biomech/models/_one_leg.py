@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Set
-from functools import partial
+from collections.abc import Mapping, Set
 from typing import Any, NamedTuple
+
+from pydantic import BaseModel
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.mechanism.bodies import Body, Marker
-from mbdkit.mechanism.coordinate_function import CoordinateTable
 from mbdkit.mechanism.joint_friction import PinFriction
 from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism_data import NamedCoordinate
@@ -19,9 +19,10 @@ from mbdkit.mechanism.values import Number
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
 from mbdkit_biomech.models._segments import BodySegments
-from mbdkit_biomech.muscles.muscle import Muscle, PathItem
+from mbdkit_biomech.muscles.muscle import Muscle
 
 SUFFIX = "_left"  #: Suffix of the names of the second leg.
+_WORD = re.compile(r"[^\W\d]\w*")
 
 
 class LegPose(StrictModel):
@@ -106,18 +107,7 @@ def four_bar_leg(
     except SpecError as error:
         raise SpecError(error.message, key="knee_flexion") from None
     parts = _leg(person, pose, hip, thigh, knee.shank)
-    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    on_shank = {name: xy(point - person.shank.centre) for name, point in knee.tibial.items()}
-    on_thigh = {name: xy(point - person.thigh.centre + down) for name, point in knee.femoral.items()}
-    ends = {
-        "A": (("pcl", "shank"), ((pcl, 0.0), on_shank["A"])),
-        "B": (("acl", "shank"), ((acl, 0.0), on_shank["B"])),
-        "C": (("thigh", "acl"), (on_thigh["C"], (-acl, 0.0))),
-        "D": (("thigh", "pcl"), (on_thigh["D"], (-pcl, 0.0))),
-    }
-    joints = {
-        name: Revolute(bodies=bodies, points=points, friction=friction) for name, (bodies, points) in ends.items()
-    }
+    joints = knee.pins("thigh", lambda point: point - person.thigh.centre + down, person.shank.centre, friction)
     flexion = NamedCoordinate(of="shank.angle", relative_to="thigh", scale=-1.0)
     return LegParts(
         parts.bodies | knee.rods, parts.joints | joints, parts.coordinates | {"knee_flexion": flexion}, parts.markers
@@ -169,24 +159,8 @@ def second_leg(first: LegParts, same: LegParts) -> LegParts:
     same
         A leg with the same names, in the pose of the second leg.
     """
-    of_second = partial(_of_second, {name for kind in first for name in kind})
-    return LegParts(
-        {of_second(name): body for name, body in same.bodies.items()},
-        {
-            of_second(name): joint.model_copy(update={"bodies": tuple(map(of_second, joint.bodies))})
-            for name, joint in same.joints.items()
-        },
-        {
-            of_second(name): coordinate.model_copy(
-                update={"of": of_second(coordinate.of), "relative_to": of_second(coordinate.relative_to)}
-            )
-            for name, coordinate in same.coordinates.items()
-        },
-        {
-            of_second(name): marker.model_copy(update={"body": of_second(marker.body)})
-            for name, marker in same.markers.items()
-        },
-    )
+    own = {name for kind in first for name in kind}
+    return LegParts(*(_of_second(kind, own) for kind in same))
 
 
 def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str, Muscle]:
@@ -199,7 +173,6 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
     """
     results: dict[str, Muscle] = {}
     leg = {name for kind in first for name in kind}
-    on_leg, with_muscles = (partial(_of_second, own) for own in (leg, leg | set(muscles)))
     for name, muscle in muscles.items():
         results[name] = muscle
         if not any(item.on in first.bodies for item in muscle.path):
@@ -209,30 +182,20 @@ def muscles_of_both(muscles: Mapping[str, Muscle], first: LegParts) -> dict[str,
                 f"with `symmetric_muscles: true`, '{name}' is on the second leg under this name; choose another one",
                 key=f"muscles.{quoted(name + SUFFIX)}",
             )
-        change: dict[str, object] = {"path": [_on_second(item, on_leg) for item in muscle.path]}
-        if (patella := muscle.patella) is not None:
-            own = {"joint": on_leg(patella.joint), "flexion": on_leg(patella.flexion)}
-            change["patella"] = patella.model_copy(update=own)
-        results[name + SUFFIX] = muscle.model_copy(update=change | {"excitation": with_muscles(muscle.excitation)})
+        excitation = _of_second(muscle.excitation, leg | set(muscles))
+        results[name + SUFFIX] = _of_second(muscle, leg).model_copy(update={"excitation": excitation})
     return results
 
 
-def _of_second(own: Set[str], value: object) -> Any:
-    """Return a name or expression with names of the second leg for those of the first, `own`; others are unchanged."""
-    if not isinstance(value, str) or value in own:
-        return value + SUFFIX if isinstance(value, str) else value
-    return re.sub(r"[^\W\d]\w*", lambda found: found[0] + SUFFIX * (found[0] in own), value)
-
-
-def _on_second(item: PathItem, names: Callable[[object], Any]) -> PathItem:
-    change: dict[str, object] = {"body": names(item.body)}
-    if item.wrap is not None:
-        change["wrap"] = item.wrap.model_copy(update={"body": names(item.wrap.body)})
-    if item.when is not None:
-        change["when"] = {names(name): bounds for name, bounds in item.when.items()}
-    if item.point is not None:
-        change["point"] = tuple(
-            part.model_copy(update={"of": names(part.of)}) if isinstance(part, CoordinateTable) else names(part)
-            for part in item.point
-        )
-    return item.model_copy(update=change)
+def _of_second(value: Any, own: Set[str]) -> Any:
+    """Return a value with names of the second leg for those of the first, `own`, in all its texts and expressions."""
+    if isinstance(value, BaseModel):
+        fields = {name: getattr(value, name) for name in type(value).model_fields}
+        return value.model_copy(update={name: new for name, x in fields.items() if (new := _of_second(x, own)) != x})
+    if isinstance(value, Mapping):
+        return {_of_second(key, own): _of_second(x, own) for key, x in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(_of_second(x, own) for x in value)
+    if not isinstance(value, str):
+        return value
+    return value + SUFFIX if value in own else re.sub(_WORD, lambda word: word[0] + SUFFIX * (word[0] in own), value)

@@ -7,39 +7,14 @@ along the segment to this joint (up for a standing person), and x forward.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
-WINTER = """@book{winter2009,
-  author    = {Winter, David A.},
-  title     = {Biomechanics and Motor Control of Human Movement},
-  edition   = {4},
-  publisher = {John Wiley \\& Sons},
-  year      = {2009},
-  doi       = {10.1002/9780470549148},
-  note      = {Segment fractions of body mass, height and segment length}
-}"""
-DE_LEVA = """@article{deleva1996,
-  author  = {de Leva, Paolo},
-  title   = {Adjustments to {Zatsiorsky-Seluyanov's} segment inertia parameters},
-  journal = {Journal of Biomechanics},
-  volume  = {29},
-  number  = {9},
-  pages   = {1223--1230},
-  year    = {1996},
-  doi     = {10.1016/0021-9290(95)00178-6}
-}"""
-FRACTIONS = """@misc{gaitanalysistoolkit,
-  author       = {{csu-hmc}},
-  title        = {GaitAnalysisToolKit, gaitanalysis/octave/2d\\_inverse\\_dynamics/leg2d.m},
-  howpublished = {\\url{https://github.com/csu-hmc/GaitAnalysisToolKit}},
-  note         = {Commit 3f1c0a2bb69fff5775b71b1ed809515a6937d16c; Winter's fractions as used here}
-}"""
-GAIT2D = """@misc{gait2d,
-  author       = {{csu-hmc}},
-  title        = {gait2d, data/example\\_constants.yml},
-  howpublished = {\\url{https://github.com/csu-hmc/gait2d}},
-  note         = {Commit 44bb269cc3be09d4c36936d47b15f83a130e1ab3; height 1.8 m, heel 0.06 m behind the ankle}
-}"""
+import yaml
+
+_ENTRIES = Path(__file__).with_name("references.bib").read_text("utf-8").strip()
+WINTER, DE_LEVA, FRACTIONS, GAIT2D, EXOSKELETON = _ENTRIES.split("\n\n")  # in the order of the file
 
 #: Distance of the heel behind the ankle, and height of the ankle, as shares of body height; used with all tables.
 HEEL_BEHIND_ANKLE, ANKLE_HEIGHT = 0.06 / 1.8, 0.039
@@ -72,8 +47,7 @@ class RigidSegment:
         return RigidSegment(mass, centre, inertia)
 
 
-@dataclass(frozen=True)
-class Fractions:
+class Fractions(NamedTuple):
     """Proportions of a segment.
 
     Attributes
@@ -94,34 +68,7 @@ class Fractions:
     gyration: float
 
 
-@dataclass(frozen=True)
-class SegmentTable:
-    """Proportions of thigh (hip to knee), shank (knee to ankle) and foot (from the heel)."""
-
-    thigh: Fractions
-    shank: Fractions
-    foot: Fractions
-
-
-#: Tables by name: Winter's, and de Leva's table 4 for women (1.735 m) and men (1.741 m), with the shank that ends at
-#: the lateral malleolus and the radii of gyration of the column "transverse".
-TABLES = {
-    "winter": SegmentTable(
-        Fractions(0.1, 0.245, 0.433, 0.323),
-        Fractions(0.0465, 0.246, 0.433, 0.302),
-        Fractions(0.0145, 0.152, 0.5, 0.475),
-    ),
-    "de-leva-female": SegmentTable(
-        Fractions(0.1478, 0.3685 / 1.735, 0.3612, 0.364),
-        Fractions(0.0481, 0.4323 / 1.735, 0.4416, 0.267),
-        Fractions(0.0129, 0.2283 / 1.735, 0.4014, 0.279),
-    ),
-    "de-leva-male": SegmentTable(
-        Fractions(0.1416, 0.4222 / 1.741, 0.4095, 0.329),
-        Fractions(0.0433, 0.434 / 1.741, 0.4459, 0.249),
-        Fractions(0.0137, 0.2581 / 1.741, 0.4415, 0.245),
-    ),
-}
+_TABLES = yaml.safe_load(Path(__file__).with_name("segments.yaml").read_text("utf-8"))
 
 
 @dataclass(frozen=True)
@@ -147,24 +94,28 @@ class BodySegments:
     measured_shank: float | None = None
 
     @property
-    def fractions(self) -> SegmentTable:
-        """The table of proportions, with the measured lengths."""
-        table = TABLES[self.table]
-        thigh, shank = (
-            own if length is None else replace(own, length=length / self.height)
-            for own, length in ((table.thigh, self.measured_thigh), (table.shank, self.measured_shank))
-        )
-        return replace(table, thigh=thigh, shank=shank)
+    def fractions(self) -> dict[str, Fractions]:
+        """Proportions of thigh (hip to knee), shank (knee to ankle) and foot (from the heel), with the measured
+        lengths.
+        """
+        table = dict(_TABLES[self.table])
+        height, measured = table.pop("height"), {"thigh": self.measured_thigh, "shank": self.measured_shank}
+        results = {}
+        for name, (mass, length, centre, gyration) in table.items():
+            own = measured.get(name)
+            share = length / height if own is None else own / self.height
+            results[name] = Fractions(mass, share, centre, gyration)
+        return results
 
     @property
     def thigh_length(self) -> float:
         """Distance from hip to knee [m]."""
-        return self.fractions.thigh.length * self.height
+        return self.fractions["thigh"].length * self.height
 
     @property
     def shank_length(self) -> float:
         """Distance from knee to ankle [m]."""
-        return self.fractions.shank.length * self.height
+        return self.fractions["shank"].length * self.height
 
     @property
     def heel(self) -> complex:
@@ -174,12 +125,12 @@ class BodySegments:
     @property
     def toe(self) -> complex:
         """The front end of the foot, on the sole, in the frame of the foot [m]."""
-        return self.heel + self.fractions.foot.length * self.height
+        return self.heel + self.fractions["foot"].length * self.height
 
     @property
     def trunk(self) -> RigidSegment:
         """Head, arms and trunk: the body mass without both legs; origin at the hips."""
-        legs = 2 * (self.fractions.thigh.mass + self.fractions.shank.mass + self.fractions.foot.mass)
+        legs = 2 * sum(one.mass for one in self.fractions.values())
         mass = (1.0 - legs) * self.body_mass
         gyration = TRUNK_GYRATION * self.height
         return RigidSegment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (gyration * gyration))
@@ -187,17 +138,17 @@ class BodySegments:
     @property
     def thigh(self) -> RigidSegment:
         """Thigh; origin at the hip."""
-        return self._limb(self.fractions.thigh)
+        return self._limb(self.fractions["thigh"])
 
     @property
     def shank(self) -> RigidSegment:
         """Shank; origin at the knee."""
-        return self._limb(self.fractions.shank)
+        return self._limb(self.fractions["shank"])
 
     @property
     def foot(self) -> RigidSegment:
         """Foot, flat on the ground; origin at the ankle. Its centre of mass is at half the height of the ankle."""
-        of = self.fractions.foot
+        of = self.fractions["foot"]
         length, mass = of.length * self.height, of.mass * self.body_mass
         centre = complex(of.centre * length - HEEL_BEHIND_ANKLE * self.height, -0.5 * ANKLE_HEIGHT * self.height)
         return RigidSegment(mass, centre, mass * (of.gyration * length) * (of.gyration * length))

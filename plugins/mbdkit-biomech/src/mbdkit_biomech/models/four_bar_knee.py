@@ -52,14 +52,8 @@ from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import NotNegative, Number, Point, Points, Positive
 from mbdkit_biomech.models._crossed_four_bar import CrossedFourBar
 from mbdkit_biomech.models._knee_linkage import MovingFrame, knee_of, xy
-from mbdkit_biomech.models._segments import FRACTIONS, GAIT2D, WINTER, BodySegments
+from mbdkit_biomech.models._segments import EXOSKELETON, FRACTIONS, GAIT2D, WINTER, BodySegments
 
-EXOSKELETON = """@misc{group3exoskeleton,
-  author       = {{emelieseguin}},
-  title        = {Group3\\_Matlab: lower-limb exoskeleton design, FourBarLinkageMathDefined\\_FromGait.m},
-  howpublished = {\\url{https://github.com/emelieseguin/Group3_Matlab}},
-  note         = {Commit 0664a50104cb4168398461bcf314e19321871145; link lengths and pitches for a height of 1.78 m}
-}"""
 REFERENCES = (EXOSKELETON, WINTER, FRACTIONS, GAIT2D)
 
 REFERENCE_HEIGHT = 1.78  # m, body height for which the linkage was designed
@@ -159,16 +153,7 @@ def build(options: FourBarKneeOptions) -> Mechanism:
 
     mechanism = Mechanism(options.gravity, name="four-bar-knee")
     mechanism.bodies = {**knee.rods, "shank": knee.shank.carry(leg)}
-    acl, pcl = knee.ends["acl"], knee.ends["pcl"]
-    ends = {
-        "A": ("pcl", "shank", (pcl, 0.0), xy(knee.tibial["A"] - leg.centre)),
-        "B": ("acl", "shank", (acl, 0.0), xy(knee.tibial["B"] - leg.centre)),
-        "C": (mechanism.ground, "acl", xy(thigh.to_global(knee.femoral["C"])), (-acl, 0.0)),
-        "D": (mechanism.ground, "pcl", xy(thigh.to_global(knee.femoral["D"])), (-pcl, 0.0)),
-    }
-    for name, (first, second, *points) in ends.items():
-        mechanism.revolute(name, first, second, points=points, friction=options.pin_friction)
-
+    mechanism.joints = knee.pins(mechanism.ground, thigh.to_global, leg.centre, options.pin_friction)
     if options.damping > 0:
         mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)
     for name, spring in options.springs.items():

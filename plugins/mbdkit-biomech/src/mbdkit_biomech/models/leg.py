@@ -65,8 +65,8 @@ from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.spec.loading import read_source
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
 from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
-from mbdkit_biomech.models._segments import DE_LEVA, FRACTIONS, GAIT2D, WINTER, BodySegments
-from mbdkit_biomech.models.four_bar_knee import EXOSKELETON, KneeLinks, KneePitches, linkage
+from mbdkit_biomech.models._segments import DE_LEVA, EXOSKELETON, FRACTIONS, GAIT2D, WINTER, BodySegments
+from mbdkit_biomech.models.four_bar_knee import KneeLinks, KneePitches, linkage
 from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_contact.contact import Contact
 

@@ -1,11 +1,14 @@
-"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit_biomech.muscles.hill_laws`."""
+"""Muscles that act in a run: force elements along their paths, with the law of `mbdkit_biomech.muscles.hill_laws`; and
+the equilibrium of their fibres in predictions, where velocity and force are unknowns.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -41,7 +44,9 @@ from mbdkit_biomech.muscles.hill_laws import (
     TableForm,
     activation_rate_text,
     excitation_of,
+    fiber_pull,
     muscle_law,
+    tendon_gap,
 )
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.muscle_path import MusclePath
@@ -313,61 +318,41 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
     for name, muscle in mechanism.muscles.items():
-        key = f"model.muscles.{quoted(name)}"
-        if muscle.excitation is None:
-            raise SpecError(
-                "is missing: in a run, a muscle needs an excitation between 0 and 1 (number, expression or table)",
-                key=f"{key}.excitation",
-            )
-        if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS[muscle.curves]:
-            raise SpecError(
-                "the excitation has too many points for a run; leave out some, or split the run",
-                key=f"{key}.excitation",
-            )
-        if muscle.tendon == "elastic" and not muscle.tendon_length:
-            raise SpecError(
-                "should be greater than 0, because an elastic tendon needs a length", key=f"{key}.tendon_length"
-            )
-        if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
-            raise SpecError(
-                "should be greater than 0: with the curves millard, undamped fibres cannot be in equilibrium with "
-                "every force of an elastic tendon",
-                key=f"{key}.damping",
-            )
-        if muscle.patella is not None:
-            raise SpecError(
-                "in a run, muscles have no patella; it is for inverse dynamics only: lead the path around a circle to "
-                "the shank instead",
-                key=f"{key}.patella",
-            )
-        for index, item in enumerate(muscle.path):
-            place = f"{key}.path[{index}]"
-            if item.wrap is not None:
-                _check_circle(muscle.path[index - 1], muscle.path[index + 1], f"{place}.wrap")
-            if item.when is not None:
-                raise SpecError(
-                    "in a run, a path has all of its points at all times; conditions are for inverse dynamics only",
-                    key=f"{place}.when",
-                )
-            if item.moves:
-                raise SpecError(
-                    "in a run, points of muscles are fixed to their bodies; points that move with a coordinate are for "
-                    "inverse dynamics only",
-                    key=f"{place}.point",
-                )
+        for key, sentence in _unsupported(name, muscle):
+            raise SpecError(sentence, key=f"model.muscles.{quoted(name)}.{key}")
 
 
-def _check_circle(before: PathItem, after: PathItem, key: str) -> None:
-    if before.wrap is not None or after.wrap is not None:
-        raise SpecError(
-            "in a run, a path has at most one circle between two points; several are for inverse dynamics only", key=key
-        )
-    if before.offset != after.offset:
-        raise SpecError(
-            "in a run, the points next to a circle have equal offsets from the plane; different ones are for inverse "
-            "dynamics only",
-            key=key,
-        )
+def _unsupported(name: str, muscle: Muscle) -> Iterator[tuple[str, str]]:
+    """Yield keys of a muscle whose values runs do not support, with sentences on them."""
+    if muscle.excitation is None:
+        why = "a muscle needs an excitation between 0 and 1 (number, expression or table)"
+        yield "excitation", f"is missing: in a run, {why}"
+    if len(MuscleForce(name, muscle).numbers) > MOST_NUMBERS[muscle.curves]:
+        yield "excitation", "the excitation has too many points for a run; leave out some, or split the run"
+    if muscle.tendon == "elastic" and not muscle.tendon_length:
+        yield "tendon_length", "should be greater than 0, because an elastic tendon needs a length"
+    if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
+        why = "undamped fibres cannot be in equilibrium with every force of an elastic tendon"
+        yield "damping", f"should be greater than 0: with the curves millard, {why}"
+    if muscle.patella is not None:
+        instead = "it is for inverse dynamics only: lead the path around a circle to the shank instead"
+        yield "patella", f"in a run, muscles have no patella; {instead}"
+    for index, item in enumerate(muscle.path):
+        key = f"path[{index}]"
+        if item.wrap is not None:
+            before, after = muscle.path[index - 1], muscle.path[index + 1]
+            if before.wrap is not None or after.wrap is not None:
+                what = "a path has at most one circle between two points; several"
+                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+            if before.offset != after.offset:
+                what = "the points next to a circle have equal offsets from the plane; different ones"
+                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+        if item.when is not None:
+            what = "a path has all of its points at all times; conditions"
+            yield f"{key}.when", f"in a run, {what} are for inverse dynamics only"
+        if item.moves:
+            what = "points of muscles are fixed to their bodies; points that move with a coordinate"
+            yield f"{key}.point", f"in a run, {what} are for inverse dynamics only"
 
 
 @spec_criterion
@@ -380,3 +365,42 @@ def excitations(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Findin
             sentence = f"the excitation of muscle '{name}' is {reached}; it should stay between 0 and 1"
             key = f"model.muscles.{quoted(name)}.excitation"
             yield Finding("excitations", "doubtful", sentence, key, is_named=False)
+
+
+@dataclass(frozen=True)
+class FiberEquilibrium:
+    """The equilibrium of the fibres of a muscle; see `mbdkit_predict.exported_elements.ElementEquilibrium`."""
+
+    muscle: Muscle
+    state: ClassVar[str] = "fiber_length"
+    unknowns: ClassVar[tuple[str, str]] = ("fiber_velocity", "tendon_force")
+    recorded: ClassVar[tuple[str, str]] = ("fiber_rate", "force")
+    lowest: ClassVar[tuple[float, float]] = (-math.inf, 0.0)
+    starts: ClassVar[tuple[float, float]] = (0.0, 0.1)
+
+    @property
+    def sizes(self) -> tuple[float, float]:
+        """Largest velocity [m/s] and force [N] of the fibres."""
+        return self.muscle.max_velocity * self.muscle.optimal_length, self.muscle.max_force
+
+    def in_si(self, rate: Any, force: Any, law: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Return the velocity of the fibres [m/s] and the force of the tendon [N]."""
+        return law["max_speed"] * rate, law["max_force"] * force
+
+    def conditions(self, rate: object, force: object, length: object, law: Mapping[str, object]) -> tuple[Any, Any]:
+        """Return the force of the fibres along the tendon less that of the tendon, as a share of the largest force; and
+        the room for the tendon less its length, as a share of it (with the curves `millard`, a difference of forces).
+        """
+        curves = CURVES[self.muscle.curves]
+        return fiber_pull(rate, law, curves) - force, tendon_gap(length, force, law, curves)
+
+    def at_rest(self, lengths: np.ndarray) -> np.ndarray:
+        """Return the lengths of the fibres on a slack tendon for lengths of the muscle [m]."""
+        own = self.muscle
+        along = np.maximum(lengths - own.tendon_length, SHORTEST * own.optimal_length)
+        return np.asarray(np.hypot(along, own.thickness))
+
+
+def equilibrium_of(muscle: Muscle) -> FiberEquilibrium | None:
+    """Return the equilibrium of the fibres of a muscle with an elastic tendon; None if the tendon is rigid."""
+    return FiberEquilibrium(muscle) if muscle.tendon == "elastic" else None

@@ -21,19 +21,19 @@ Curve = tuple[np.ndarray, np.ndarray]  #: Values of a curve and its slopes, both
 class ForceCurves(Protocol):
     """Interface of the curves of a muscle; each function returns values and slopes."""
 
-    def active(self, length: np.ndarray) -> Curve:
+    def active(self, length: np.ndarray, /) -> Curve:
         """Return the active isometric force at full activation."""
 
-    def passive(self, length: np.ndarray) -> Curve:
+    def passive(self, length: np.ndarray, /) -> Curve:
         """Return the passive force."""
 
-    def velocity(self, velocity: np.ndarray) -> Curve:
+    def velocity(self, velocity: np.ndarray, /) -> Curve:
         """Return the factor of the active force that depends on velocity."""
 
-    def tendon(self, length: np.ndarray) -> Curve:
+    def tendon(self, length: np.ndarray, /) -> Curve:
         """Return the force of the tendon."""
 
-    def stretch(self, force: np.ndarray) -> Curve:
+    def stretch(self, force: np.ndarray, /) -> Curve:
         """Return the length of the tendon for a positive force."""
 
 
@@ -75,17 +75,18 @@ class DeGrooteFregly:
         x = d2 * velocity + d3
         return d1 * elementary.asinh(x) + d4, d1 * d2 / np.sqrt(x * x + 1.0)
 
+    #: Constants c1 and c3 of the force of the tendon, and its stiffness; the force is 1 at a strain of 0.049.
+    TENDON: ClassVar[tuple[float, float, float]] = 0.2, 0.2, elementary.log((1.0 + 0.2) / 0.2) / 0.049
+
     def tendon(self, length: np.ndarray) -> Curve:
         """Return the force of the tendon, which is 1 at a strain of 0.049."""
-        c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        c1, c3, stiffness = self.TENDON
         grown = c1 * elementary.exp(stiffness * (length - 1.0))
         return grown - c3, grown * stiffness
 
     def stretch(self, force: np.ndarray) -> Curve:
         """Return the length of the tendon for a positive force, the inverse of `tendon`."""
-        c1, c3, strain = 0.2, 0.2, 0.049
-        stiffness = elementary.log((1.0 + c3) / c1) / strain
+        c1, c3, stiffness = self.TENDON
         return 1.0 + elementary.log((force + c3) / c1) / stiffness, 1.0 / (stiffness * (force + c3))
 
 
@@ -103,6 +104,10 @@ class Millard:
     M. Millard, T. Uchida, A. Seth, S. L. Delp, Flexing computational muscle: modeling and simulation of musculotendon
     dynamics, Journal of Biomechanical Engineering 135:021005, 2013, with the default parameters of OpenSim 4
     (Millard2012EquilibriumMuscle with damping, for which active forces may vanish).
+
+    The active force is zero outside of the lengths 0.4441 to 1.8123, and the passive force 1 at a strain of 0.7 and
+    zero below length 1. The factor by velocity is 0 up to -1, and 1.4 from 1 on. The force of the tendon is 1 at a
+    strain of 0.049 and zero below length 1.
     """
 
     def __init__(self) -> None:
@@ -112,27 +117,9 @@ class Millard:
             "velocity": _velocity(),
             "tendon": _tendon(),
         }
-
-    def active(self, length: np.ndarray) -> Curve:
-        """Return the active isometric force at full activation, zero outside of 0.4441 to 1.8123."""
-        return self.curves["active"].at(length)
-
-    def passive(self, length: np.ndarray) -> Curve:
-        """Return the passive force, which is 1 at a strain of 0.7 and zero below length 1."""
-        return self.curves["passive"].at(length)
-
-    def velocity(self, velocity: np.ndarray) -> Curve:
-        """Return the factor of the active force that depends on velocity: 0 up to -1, and 1.4 from 1 on."""
-        return self.curves["velocity"].at(velocity)
-
-    def tendon(self, length: np.ndarray) -> Curve:
-        """Return the force of the tendon, which is 1 at a strain of 0.049 and zero below length 1."""
-        return self.curves["tendon"].at(length)
-
-    def stretch(self, force: np.ndarray) -> Curve:
-        """Return the length of the tendon for a positive force, the inverse of `tendon`."""
-        curve = self.curves["tendon"]
-        return BezierCurve(curve.y, curve.x, (0.0, 1.0 / curve.slopes[1])).at(force)
+        self.active, self.passive, self.velocity, self.tendon = (curve.at for curve in self.curves.values())
+        tendon = self.curves["tendon"]
+        self.stretch = BezierCurve(tendon.y, tendon.x, (0.0, 1.0 / tendon.slopes[1])).at
 
 
 def _active() -> BezierCurve:

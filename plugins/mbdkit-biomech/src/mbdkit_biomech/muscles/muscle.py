@@ -168,7 +168,7 @@ class Muscle(Element):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("excitation", "metabolics", "patella")
-    equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.fiber_equilibrium:equilibrium_of")
+    equilibrium: ClassVar[Target] = Target("mbdkit_biomech.muscles.acting_muscles:equilibrium_of")
 
     path: Annotated[list[PathItem], Field(min_length=2)]
     """Points and circles from origin to insertion; the first and the last item are points without `when`."""
@@ -297,20 +297,17 @@ def check_moving_points(muscles: Mapping[str, Muscle], mechanism: ElementsByName
     for name, muscle in muscles.items():
         for index, item in enumerate(muscle.path):
             for axis, part in enumerate(item.point or ()):
+                key = f"{prefix}muscles.{quoted(name)}.path[{index}].point[{axis}]"
                 for used in names_of(part):
-                    if used not in coordinates or axis == 2:
-                        if used in coordinates:
-                            raise CoordinateExpressionError(
-                                "the offset from the plane is constant: a number, or an expression of parameters",
-                                key=f"{prefix}muscles.{quoted(name)}.path[{index}].point[2]",
-                            )
+                    if used not in coordinates:
                         known = f"; coordinates: {listed(list(coordinates)) or 'none'}"
                         text = f"'{part}'" if isinstance(part, str) else "the table"
-                        raise CoordinateExpressionError(
-                            f"{text} contains '{used}', which is neither a coordinate of the model nor a parameter"
-                            f"{did_you_mean(used, list(coordinates)) or known}",
-                            key=f"{prefix}muscles.{quoted(name)}.path[{index}].point[{axis}]",
-                        )
+                        hint = did_you_mean(used, list(coordinates)) or known
+                        what = f"contains '{used}', which is neither a coordinate of the model nor a parameter{hint}"
+                        raise CoordinateExpressionError(f"{text} {what}", key=key)
+                    if axis == 2:
+                        what = "the offset from the plane is constant: a number, or an expression of parameters"
+                        raise CoordinateExpressionError(what, key=key)
 
 
 @of_models(Muscle)

@@ -14,9 +14,11 @@ acts on each body as the force ``F (e_out - e_in) s / length`` at the center of 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +26,9 @@ from mbdkit.base import elementary
 from mbdkit.base.errors import RunError
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.coordinate_function import CoordinateFunction, names_of, value_and_slopes
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_quantities import GROUND, Point, Quantity
+from mbdkit.mechanism.mechanism_seams import element_lines
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.muscles.muscle import Muscle, PathItem
 from mbdkit_biomech.muscles.patella import PatellaPath
@@ -89,28 +93,24 @@ class _PathPlace:
         (x, dx), (y, dy) = (value_and_slopes(part, values, len(q)) for part in self.functions)
         none = np.zeros(len(q))
         slopes = {name: (dx.get(name, none), dy.get(name, none)) for name in self.coordinates}
-        return _Placed(self, q, x, y, slopes)
+        point = Point(self.body, x, y)  # type: ignore[arg-type]
+        return _Placed(self, point, np.stack(point.position(q), axis=1), slopes)
 
 
-class _Placed:
-    """A place of a path in T frames: its position in the global frame, and the effect of forces on it."""
+class _Placed(NamedTuple):
+    """A place of a path in T frames, its position (T, 2) in the global frame, and the derivatives of its coordinates in
+    the frame of its body with respect to those of the mechanism.
+    """
 
-    def __init__(
-        self,
-        place: _PathPlace,
-        q: np.ndarray,
-        x: np.ndarray,
-        y: np.ndarray,
-        slopes: dict[str, tuple[np.ndarray, np.ndarray]],
-    ):
-        self.place, self._slopes = place, slopes
-        self._point = Point(place.body, x, y)  # type: ignore[arg-type]
-        self.position = np.stack(self._point.position(q), axis=1)
+    place: _PathPlace
+    point: Point
+    position: np.ndarray
+    slopes: dict[str, tuple[np.ndarray, np.ndarray]]
 
     def add_force(self, q: np.ndarray, force: np.ndarray, out: np.ndarray) -> None:
         """Add the generalized force of a force (T, 2) on the place to `out` (T, n)."""
-        self._point.add_force(q, force[:, 0], force[:, 1], out)
-        for name, (dx, dy) in self._slopes.items():
+        self.point.add_force(q, force[:, 0], force[:, 1], out)
+        for name, (dx, dy) in self.slopes.items():
             ex, ey = Point(self.place.body, dx, dy).arm(q)  # type: ignore[arg-type]
             own = np.zeros_like(out)
             self.place.coordinates[name].add_gradient(q, own)
@@ -295,3 +295,41 @@ def _passes(centers: Sequence[np.ndarray], radii: Sequence[float], before: int, 
     other_side = [-radius if place == index else radius for place, radius in enumerate(radii)]
     beyond = _sweep(centers[before], centers[index], centers[after], radii[index]) < 0
     return free & ~(beyond & (_turn(centers, other_side, before, index, after) > 0))
+
+
+Place = tuple[str, tuple[float, float]]  #: Body, and point in its frame [m].
+
+
+@element_lines
+def muscle_lines(muscle: Muscle, mechanism: Mechanism) -> list[list[Place]]:
+    """Return the line of a muscle, from its origin to its insertion.
+
+    Moving points are drawn at their initial positions; conditional points are left out. On a circle, the point farthest
+    to the side of the path is used.
+    """
+    items = [item for item in muscle.path if item.when is None]
+    places: list[Place] = []
+    for item in items:  # a point, or the center of a circle, in the frame of its body at the start
+        x, y = (_value(mechanism, part) for part in item.center)
+        places.append((item.on, (x, y)))
+    results: list[Place] = []
+    for index, item in enumerate(items):
+        body, center = places[index]
+        if item.wrap is None:
+            results.append((body, center))
+            continue
+        (ax, ay), (bx, by) = (mechanism.to_global(*places[other]) for other in (index - 1, index + 1))
+        size = math.hypot(bx - ax, by - ay) or 1.0
+        reach = item.wrap.radius * (1.0 if item.wrap.side == "left" else -1.0) / size
+        x, y = mechanism.to_global(body, center)
+        results.append((body, mechanism.to_local(body, (x - reach * (by - ay), y + reach * (bx - ax)))))
+    return [results]
+
+
+def _value(mechanism: Mechanism, part: CoordinateFunction) -> float:
+    if isinstance(part, int | float):
+        return float(part)
+    names = QuantityNames(mechanism)
+    q = np.array([[x for body in mechanism.bodies.values() for x in (*body.position, body.angle)]])
+    values = {name: names.coordinate(name).value(q) for name in names_of(part)}
+    return float(value_and_slopes(part, values, 1)[0][0])

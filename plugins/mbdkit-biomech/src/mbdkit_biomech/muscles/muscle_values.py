@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,13 +16,7 @@ from mbdkit_biomech.muscles.energetics import fiber_power, metabolic_power
 from mbdkit_biomech.muscles.muscle import Muscle
 
 #: Quantities of muscles that are functions of other quantities.
-ENERGETICS = ("fiber_power", "metabolic_power")
-
-
-def _by_muscle(muscles: Sequence[Muscle], *arrays: np.ndarray) -> Iterator[tuple[Muscle, tuple[np.ndarray, ...]]]:
-    """Yield each muscle with its columns (T,) of arrays (T, M)."""
-    for index, muscle in enumerate(muscles):
-        yield muscle, tuple(x[:, index] for x in arrays)
+ENERGETICS: Mapping[str, Callable[..., np.ndarray]] = {"fiber_power": fiber_power, "metabolic_power": metabolic_power}
 
 
 def _of_each(function: Callable[..., np.ndarray], *arrays: np.ndarray) -> np.ndarray:
@@ -101,15 +95,10 @@ class MuscleValues:
         if self.states.q.ndim > 2:
             raise SpecError(f"derivatives of {name} of muscles with respect to parameters are not known")
         muscles = tuple(force.force.muscle for force in self.acting) if own is None else own.muscles
-        length, rate = self.array("fiber_length"), self.array("fiber_rate")
-        if name == "fiber_power":
-            every = _by_muscle(muscles, self.array("force"), length, rate)
-            columns = [_of_each(partial(fiber_power, one), *x) for one, x in every]
-        else:
-            activation = self.array("activation")
-            excitation = self.array("excitation") if own is None else activation
-            every = _by_muscle(muscles, activation, excitation, length, rate)
-            columns = [_of_each(partial(metabolic_power, one), *x) for one, x in every]
+        function, names = ENERGETICS[name], ["activation", "excitation" if own is None else "activation"]
+        names = ["force"] if name == "fiber_power" else names
+        arrays = [self.array(of) for of in (*names, "fiber_length", "fiber_rate")]
+        columns = [_of_each(partial(function, one), *(x[:, k] for x in arrays)) for k, one in enumerate(muscles)]
         return np.stack(columns, axis=1)
 
     def _of_acting_muscle(self, number: int, one: ActingMuscle, name: str) -> np.ndarray:

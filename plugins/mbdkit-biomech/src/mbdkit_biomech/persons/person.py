@@ -13,10 +13,9 @@ from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product, symmetric_eigenvectors
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.models._segments import BodySegments
-from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, Segments, angle_of
+from mbdkit_biomech.persons.calibration import ENDS, LEAST_FRAMES, MotionPlane, Segments, angle_of, plane_of
 from mbdkit_biomech.persons.joint_centers import JointCenter
 from mbdkit_biomech.persons.landmarks import LEFT
-from mbdkit_biomech.persons.motion_plane import MotionPlane, plane_of
 from mbdkit_biomech.persons.person_sections import Center, PlaneAxes, Subject
 from mbdkit_biomech.persons.plate_contacts import FootMotion, PlateResult
 from mbdkit_biomech.persons.rigid_clusters import Artefact, rate_of

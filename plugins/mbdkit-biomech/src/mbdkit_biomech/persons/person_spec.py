@@ -12,7 +12,7 @@ from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_biomech.persons.calibration import Segments, legs_of
-from mbdkit_biomech.persons.marker_files import MarkerFile
+from mbdkit_biomech.persons.landmarks import MarkerFile
 from mbdkit_biomech.persons.person import Person, Skeleton
 from mbdkit_biomech.persons.person_sections import OF_PERSONS
 from mbdkit_biomech.persons.plate_contacts import PlateResult, plate_numbers, plates_under_feet

@@ -19,8 +19,8 @@ from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import UNLOADED
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
-from mbdkit_biomech.persons.marker_files import MarkerFile
-from mbdkit_biomech.persons.motion_plane import MotionPlane
+from mbdkit_biomech.persons.calibration import MotionPlane
+from mbdkit_biomech.persons.landmarks import MarkerFile
 
 SHORTEST = 0.05  #: Shorter contacts [s] are vibrations of the plate, and left out.
 

@@ -23,11 +23,10 @@ from mbdkit.runs.followers import Follower
 from mbdkit_biomech.inverse_dynamics.compute import Fitted, Inverse, InverseProblem, forces_of
 from mbdkit_biomech.inverse_dynamics.loads.loads import LoadSeries
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
-from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold
+from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold, Quantities
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent, Motion, motion_of_series
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import fixed, smoothed_each
 from mbdkit_biomech.inverse_dynamics.muscles.recruitment import Recruiter
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Smoothing
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of
 from mbdkit_biomech.muscles.muscle import Muscle
@@ -35,8 +34,7 @@ from mbdkit_biomech.persons.calibration import ENDS, joints_of
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.plate_contacts import later
 from mbdkit_biomech.persons.scaled_model import moved_muscle, of_model, scaled_model
-from mbdkit_biomech.uncertainty.cocontraction import shared_activations
-from mbdkit_biomech.uncertainty.sources import Place, segment_of
+from mbdkit_biomech.uncertainty.sources import Place, segment_of, shared_activations
 
 MOVING = ("centers", "lengths", "angles")  #: Keys of places that change the motion.
 

@@ -9,15 +9,13 @@ from types import MethodType
 import numpy as np
 
 from mbdkit.archive.headlines import excluded_words
-from mbdkit.archive.result_seams import run_attribute, summary_lines
+from mbdkit.archive.result_seams import run_attribute
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.base.text import listed, plus_minus, table
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.uncertainty.sources import ADVICE
 from mbdkit_biomech.uncertainty.uncertain_result import INTERACTIONS
 from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, columns_of
-from mbdkit_report.seams import report_charts, report_sections
 
 SHOWN = 0.005  #: Smallest share of a source in the printed table.
 
@@ -132,7 +130,6 @@ def largest_joints(run: Run) -> list[str]:
     return [run.joint_names[index] for index in order]
 
 
-@summary_lines
 def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
     """Return lines of the summary with the sources of the error bars at the largest forces."""
     every = [contributions(run, joint) for joint in largest_joints(run)]
@@ -143,8 +140,7 @@ def uncertainty_lines(run: Run) -> list[tuple[str, str]]:
 DRAWN = 6  #: Number of sources of a chart; those that are left out have smaller shares.
 
 
-@report_sections
-def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Section, ...]:
+def uncertainty_sections(run: Run) -> tuple[Section, ...]:
     """Return the section with the sources of the error bars at the largest forces; empty without uncertainty."""
     if not has_contributions(run):
         return ()
@@ -164,7 +160,6 @@ def uncertainty_sections(run: Run, _mechanism: Mechanism | None) -> tuple[Sectio
     return (Section("uncertainty", "Uncertainty", (first, *sentences), None, (shown,)),)
 
 
-@report_charts
 def uncertainty_charts(run: Run) -> list[Figure]:
     """Return a chart of the shares over time for the joints with the largest forces; empty without uncertainty."""
     accuracy, time, found = run.accuracy, np.asarray(run.time), []

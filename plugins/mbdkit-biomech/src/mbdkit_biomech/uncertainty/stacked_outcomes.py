@@ -37,8 +37,7 @@ from mbdkit_biomech.uncertainty.changed_problem import (
     Changer,
     with_moved_points,
 )
-from mbdkit_biomech.uncertainty.cocontraction import shared_activations
-from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar
+from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar, shared_activations
 
 #: Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
 #: many steps, more cost memory: two blocks of this size take about 1 GB.

@@ -126,24 +126,23 @@ class UncertainResult:
     knees: KneeBars | None  #: Compressions of knees; None without muscles.
 
     @property
-    def failures(self) -> str:
-        """A sentence on the samples without solution."""
-        return (
-            f"in {self.failed} of {self.samples} samples of the uncertain muscles, some frames have no result "
-            f"({self.failed_rows:.2%} of all), and error bars leave them out: {self.reasons}"
-        )
-
-    @property
-    def too_few(self) -> str:
-        """A sentence on the number of samples if it is too small; empty otherwise."""
+    def remarks(self) -> list[str]:
+        """Sentences on the samples without solution, and on the number of samples if it is too small."""
+        sentences = []
+        if self.failed:
+            sentences.append(
+                f"in {self.failed} of {self.samples} samples of the uncertain muscles, some frames have no result "
+                f"({self.failed_rows:.2%} of all), and error bars leave them out: {self.reasons}"
+            )
         worst = float(np.nanmax(self.scatter, initial=0.0))
-        if worst <= LARGEST_SCATTER:
-            return ""
-        needed = math.ceil(self.samples * (worst / LARGEST_SCATTER) ** 2 / 100) * 100
-        return (
-            f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
-            f"uncertain by up to {worst:.1%} (standard error); it falls to {LARGEST_SCATTER:.0%} with about {needed}"
-        )
+        if worst > LARGEST_SCATTER:
+            needed = math.ceil(self.samples * (worst / LARGEST_SCATTER) ** 2 / 100) * 100
+            sentences.append(
+                f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
+                f"uncertain by up to {worst:.1%} (standard error); it falls to {LARGEST_SCATTER:.0%} with about "
+                f"{needed}"
+            )
+        return sentences
 
     @property
     def told(self) -> str:

@@ -27,6 +27,7 @@ from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import (
 )
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import free_roots
+from mbdkit_biomech.persons.plate_contacts import later
 
 #: A plate on the ground cannot push its body sideways, on average, with more than this multiple of its vertical force.
 #:
@@ -137,8 +138,8 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
     width: dict[float, float] = {}
     for delay in np.linspace(-LONGEST_LAG, LONGEST_LAG, LAGS).tolist():
         is_known = (time + delay >= time[0]) & (time + delay <= time[-1])
-        weight = np.linalg.norm(_at(time, time + delay, force), axis=1) * is_known
-        shifted = _at(time, time + delay, point)
+        weight = np.linalg.norm(later(time, force, delay), axis=1) * is_known
+        shifted = later(time, point, delay)
         arm = shifted - q[:, :2]
         of_contact = v[:, :2] + v[:, 2:] * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
         if not (whole := float(np.sum(weight))) > 0:
@@ -396,15 +397,9 @@ def _cause(result: Inverse, residual: np.ndarray, height: float, inside: np.ndar
         return f"The loads seem to have an offset of ({-offset[0]:.3g}, {-offset[1]:.3g}) N."
     late: dict[float, float] = {}
     for delay in np.linspace(-LATEST, LATEST, 41).tolist():
-        moved = [_at(time, time + delay, one) for one in (loads.force, loads.point, loads.torque)]
+        moved = [later(time, one, delay) for one in (loads.force, loads.point, loads.torque)]
         late[delay] = float(np.sum((needed - wrench(*moved))[inside] ** 2))
     best = min(late, key=lambda delay: late[delay])
     if late[best] < usual:
         return f"The loads seem to be {abs(best):.3g} s too {'late' if best > 0 else 'early'}."
     return "A load or a body is missing, or a load has a wrong sign, scale, frame or time."
-
-
-def _at(time: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (T, ...) interpolated linearly at other times."""
-    columns = values.reshape(len(time), -1).T
-    return np.stack([np.interp(times, time, column) for column in columns], axis=1).reshape(values.shape)

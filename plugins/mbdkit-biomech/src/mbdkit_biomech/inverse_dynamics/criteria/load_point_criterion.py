@@ -11,10 +11,10 @@ from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.trust.finding import Finding
-from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import spans
+from mbdkit_biomech.inverse_dynamics.files.measured_table import cited
 from mbdkit_biomech.inverse_dynamics.loads.loads import UNLOADED_SHARE
 
 #: A body stands on the ground if an end of the points at which plates act on it moves more slowly [m/s] and is less

@@ -1,5 +1,6 @@
-"""Criteria of the verdict on the largest values of a result, which may lie in long gaps or near ends of the record, and
-on actuators whose values are mostly noise.
+"""Criteria of the verdict on the record and its smoothing: largest values of a result in long gaps or near ends of the
+record, actuators whose values are mostly noise, a cutoff below frequencies that the motion contains, and stated
+deviations that are much too large.
 """
 
 from __future__ import annotations
@@ -8,14 +9,23 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import periodogram
 
+from mbdkit.base import elementary
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
-from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
-from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import NoSmoothing, QuinticSpline
+from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ResultBars
+from mbdkit_biomech.inverse_dynamics.motion.smoothing import UNEVEN, cutoff_of
+from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
+    Butterworth,
+    NoSmoothing,
+    OpenSimFilter,
+    QuinticSpline,
+    SmoothingSpline,
+)
 
 #: A largest value is doubtful if the part of its error bar due to the ends of the record exceeds this share of it, or
 #: if the data before smoothing show values near an end that are larger by more than this share.
@@ -184,3 +194,116 @@ def large_errors(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
             f"{listed(told, 'and', NAMED)} (doubtful above {MOSTLY:g} times as much; noise alone gives 2): "
             f"{cure}, or check deviations that the spec states.",
         )
+
+
+TINY = np.finfo(float).tiny
+
+#: Limits for what the smoothing removes near the cutoff.
+#:
+#: White noise has the same power density at all frequencies. The cutoff is too low if the differences between data and
+#: smoothed motion have more than `EXCESS` times the power density near the cutoff that they have at high frequencies,
+#: and if what is removed there changes the acceleration by more than the share `REMOVED`. In 80 random data sets with
+#: cutoffs of at least 2.5 times the highest frequency of the motion, the share is at most 0.02 where the ratio of the
+#: densities exceeds `EXCESS`; in the example `walking`, it is 0.15 with the usual cutoff of 6 Hz.
+EXCESS, REMOVED = 10.0, 0.2
+
+#: The cutoff is examined if the record has at least so many rows and periods of the cutoff.
+FEWEST_ROWS, FEWEST_PERIODS = 50, 1.0
+
+FEWEST_HIGH = 8  #: Least number of high frequencies that give the level of the noise.
+
+
+def cutoff_doubts(result: Inverse) -> Iterator[Finding]:
+    """Yield a doubt if a cutoff given in the spec removes a part of the motion (residual analysis; D. A. Winter,
+    Biomechanics and Motor Control of Human Movement, 4th edition, Wiley 2009, section 3.4.4.3).
+    """
+    how, independent, time = result.problem.spec.motion.smooth, result.independent, result.motion.time
+    fixed = isinstance(how, Butterworth | OpenSimFilter) or (isinstance(how, SmoothingSpline) and how.parameter)
+    if independent is None or len(independent.intervals) != 1 or not fixed or len(time) < FEWEST_ROWS:
+        return
+    steps, cutoff = np.diff(time), cutoff_of(time, how)
+    rate = float(1 / np.mean(steps))
+    if np.ptp(steps) > 2 * UNEVEN / rate or cutoff * (time[-1] - time[0]) < FEWEST_PERIODS:
+        return
+    smooth = independent.quantities.values(result.motion.q)
+    left = independent.quantities.values(result.fitted.q) - smooth
+    frequency, removed = periodogram(left, rate, window="hann", axis=0)
+    _, kept = periodogram(smooth, rate, window="hann", axis=0)
+    near, high = (frequency > 0.5 * cutoff) & (frequency < 2 * cutoff), frequency >= 2.5 * cutoff
+    if np.sum(high) < FEWEST_HIGH:
+        return
+    noise = np.median(removed[high], axis=0) / elementary.log(2)  # the median of exponentially distributed densities
+    excess = np.mean(removed[near], axis=0) / np.maximum(noise, TINY)
+    weight = (frequency**4 * (frequency < 2 * cutoff))[:, None]
+    share = np.sqrt(
+        np.sum(weight * np.maximum(0.0, removed - noise), axis=0) / np.maximum(np.sum(weight * kept, axis=0), TINY)
+    )
+    low = np.flatnonzero((excess > EXCESS) & (share > REMOVED))
+    if low.size:
+        texts = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
+        yield doubt(
+            "cutoff",
+            f"the cutoff of {cutoff:.3g} Hz removes a part of the motion: the accelerations that it removes are "
+            f"{listed(texts, 'and')} (doubtful above {REMOVED:g}), and noise does not explain them. Choose a higher "
+            "cutoff.",
+        )
+
+
+#: A stated deviation is too large if it exceeds this many times the noise seen in the residuals, and if the
+#: residuals that all deviations lead to expect exceed this many times the actual ones.
+LARGE = 5.0
+
+#: Columns are not examined if the correlation of consecutive residuals exceeds this number.
+#:
+#: Such data were smoothed before, and their residuals do not show the noise of the measurement. The correlation is
+#: below 0.1 for independent noise, and 0.77 to 0.93 in the example `walking`, whose data are filtered.
+CORRELATED = 0.5
+
+
+def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:
+    """Yield sentences on stated deviations that are much larger than the noise of the data, or than the data."""
+    if bars is None:
+        return
+    told = [*_above_noise(result, bars)]
+    if told:
+        yield (
+            f"stated deviations are more than {LARGE:g} times the noise seen in the data, so that error bars are too "
+            f"wide: {listed(told, 'and', NAMED)}. Check their units."
+        )
+    told = [*_above_values(result, bars)]
+    if told:
+        yield f"stated deviations exceed the data themselves: {listed(told, 'and', NAMED)}. Check their units."
+
+
+def _above_noise(result: Inverse, bars: ResultBars) -> Iterator[str]:
+    measured, noise = result.fitted.measured, bars.noise
+    left = measured.raw - measured.quantities.values(result.motion.q)
+    correlation = np.nanmean(left[1:] * left[:-1], axis=0) / np.maximum(np.nanmean(left**2, axis=0), TINY)
+    for index in np.flatnonzero((noise.excess > LARGE) & (correlation < CORRELATED)).tolist():
+        stated = float(measured.deviation[index])
+        if stated > LARGE * noise.seen[index]:
+            unit = measured.quantities.quantities[index].unit
+            yield f"{measured.names[index]} {stated:.3g} {unit} (seen {noise.seen[index]:.2g} {unit})"
+
+
+def _above_values(result: Inverse, bars: ResultBars) -> Iterator[str]:
+    """Yield columns whose noise cannot be seen, and loads, which are not smoothed, whose deviations exceed the values.
+
+    Angles and coordinates are compared with their ranges, forces and torques with their root mean squares, and points
+    of application with the longest link.
+    """
+    measured, size = result.fitted.measured, result.problem.fitter.manifold.length
+    spans = np.nanmax(measured.raw, axis=0) - np.nanmin(measured.raw, axis=0)
+    for index, stated in enumerate(measured.deviation.tolist()):
+        if np.isnan(bars.noise.seen[index]) and stated > spans[index] > 0:
+            unit = measured.quantities.quantities[index].unit
+            yield f"{measured.names[index]} {stated:.3g} {unit} (range {spans[index]:.2g} {unit})"
+    for name, series in result.problem.loads.items():
+        for (array, axis), stated in series.deviation.items():
+            label = f"{name}.{array}{'' if axis is None else '.' + 'xy'[axis]} {stated:.3g} {LOAD_UNITS[array]}"
+            values = getattr(series, array)[series.acts]
+            rms = float(np.sqrt(np.mean(np.sum(values.reshape(len(values), -1) ** 2, axis=1)))) if len(values) else 0.0
+            if array == "point" and stated > size:
+                yield f"{label} (longest link {size:.2g} m)"
+            elif array != "point" and stated > rms > 0:
+                yield f"{label} (root mean square {rms:.2g} {LOAD_UNITS[array]})"

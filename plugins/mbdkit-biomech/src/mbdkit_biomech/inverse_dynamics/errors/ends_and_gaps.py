@@ -121,9 +121,8 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
     acceleration = np.abs(products(jacobian, motion.a) + curvature)
     changes = np.zeros((len(time), path.columns, 2 * len(gaps)))
     for number, gap in enumerate(gaps):
-        near = (time > gap.start - gap.longest) & (
-            time < gap.end + gap.longest
-        )  # has the amplified noise of the filling
+        # rows with the amplified noise of the filling
+        near = (time > gap.start - gap.longest) & (time < gap.end + gap.longest)
         largest = np.max(acceleration[~near if not np.all(near) else near, gap.column])
         place = (time[gap.rows] - gap.start) / gap.length
         # the largest second derivative of s^2 (1 - s)^2, and of its product with 1 - 2 s, is 2, at both ends

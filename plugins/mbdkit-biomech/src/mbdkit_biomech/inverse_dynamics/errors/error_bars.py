@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -92,8 +93,7 @@ class ResultBars:
     uncertain: UncertainResult | None = None
 
 
-@dataclass(frozen=True)
-class _Outcome:
+class _Outcome(NamedTuple):
     """The quantities that have error bars.
 
     Actuators (T, U), reactions (T, J, 3), positions and velocities (T, B, 3), and muscles (T, M).
@@ -106,11 +106,7 @@ class _Outcome:
     muscles: np.ndarray
 
     def minus(self, other: _Outcome) -> _Outcome:
-        return _Outcome(*(a - b for a, b in zip(self.parts, other.parts, strict=True)))
-
-    @property
-    def parts(self) -> tuple[np.ndarray, ...]:
-        return self.actuators, self.reactions, self.position, self.velocity, self.muscles
+        return _Outcome(*(a - b for a, b in zip(self, other, strict=True)))
 
 
 class _Response:
@@ -144,7 +140,7 @@ class _Response:
                 recruiter = recruiter.with_targets(base.recruited.targets.repeated(count))
                 problem = replace(problem, recruiter=recruiter)
             outcome = _outcome(forces_of(problem, base.fitted, independent, motion, strict=False))
-            yield from (_Outcome(*(part[at : at + frames] for part in outcome.parts)) for at in shifts)
+            yield from (_Outcome(*(part[at : at + frames] for part in outcome)) for at in shifts)
 
 
 def _outcome(result: Inverse) -> _Outcome:
@@ -277,7 +273,7 @@ def _sensitivity(response: _Response, series: Smoothed, covariance: np.ndarray) 
             moved[order][:, column] += sign * steps[-1]
             moves.append(Smoothed(*moved))
     sides = response.each(moves)
-    results = [[part / (2 * step) for part in next(sides).minus(next(sides)).parts] for step in steps]
+    results = [[part / (2 * step) for part in next(sides).minus(next(sides))] for step in steps]
     return [np.array(one) for one in zip(*results, strict=True)]
 
 
@@ -308,7 +304,7 @@ def _with_loads(
             loads = problem.loads | {name: series.moved(component, deviation)}
             with_noise = replace(problem, loads=loads)
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
-            columns.append([part / deviation for part in _outcome(moved).minus(base).parts])
+            columns.append([part / deviation for part in _outcome(moved).minus(base)])
             deviations.append(deviation)
     if not columns:
         return sensitivity, covariance
@@ -418,7 +414,7 @@ def _other_coordinates(response: _Response) -> list[_Other]:
         q = motion_of_series(problem.fitter, other, times, result.motion.q, series).q
         outcome = response(smoothed(times, quantities.values(q), QuinticSpline()))
     except RunError:  # no pose fits the smoothed quantities, and the effect of the choice is unknown
-        outcome = _Outcome(*(np.full_like(part, np.nan) for part in base.parts))
+        outcome = _Outcome(*(np.full_like(part, np.nan) for part in base))
     noise = partial(NoisePath(result, other, how).smoothed_as, quantities)
     return [_Other.of(listed(other.names, "and", NAMED), noise, outcome, base)]
 

@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.linear_systems import product, products
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Quantities
 from mbdkit_biomech.inverse_dynamics.motion.measured import bridged
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Independent
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
@@ -25,7 +25,6 @@ from mbdkit_biomech.inverse_dynamics.motion.smoothing import (
     smoothed_each,
     with_cutoff,
 )
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import ErrorBars, Gaps, Smoothing
 
 CUBIC = Gaps(longest=1.0)  #: Gaps that cubic splines fill.

@@ -1,10 +1,12 @@
-"""A table of measured data, whose cells are converted to numbers when a column is used."""
+"""A table of measured data, whose cells are converted to numbers when a column is used; measured angles, which may jump
+by full turns, become continuous functions of time.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -14,10 +16,8 @@ from typing import TypeAlias
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.text import did_you_mean, listed
+from mbdkit.base.text import did_you_mean, listed, shortened, shown
 from mbdkit.base.units import Unit, read_quantity, read_unit
-from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
 
 #: Texts, in lower case, of cells without a value.
 GAPS = (
@@ -243,7 +243,7 @@ class MeasuredTable:
         return values
 
     def continued(self, time: np.ndarray, values: np.ndarray, period: float, heading: str) -> np.ndarray:
-        """Return a column (T,) of an angle, continued over full turns; see `continued_angles`."""
+        """Return a column (T,) of an angle, continued over full turns; see `continued`."""
         return continued(time, values, period, (self.error, heading, np.arange(len(values))))
 
     def function(self, x: str, y: str, unit: Unit | None) -> tuple[list[float], list[float]]:
@@ -298,3 +298,64 @@ def table_of(data: Mapping[str, Sequence[float | None]], key: str) -> MeasuredTa
             key=key,
         )
     return MeasuredTable("", list(data), list(zip(*data.values(), strict=True)))
+
+
+#: Largest number of intervals next to a gap from which the rate of an angle is computed; with fewer intervals, noise
+#: would have a greater effect.
+RATE_SAMPLES = 5
+
+
+def continued(
+    time: np.ndarray, values: np.ndarray, period: float, where: tuple[Callable[..., SpecError], str, np.ndarray]
+) -> np.ndarray:
+    """Return an angle (T,) continued over full turns, from sample to sample and across gaps, which remain nan.
+
+    Between neighbouring samples, the angle changes by at most half a turn. Across a gap, the number of turns is chosen
+    that agrees best with the rates on both sides.
+
+    Raises
+    ------
+    SpecError
+        If the number of turns during a gap is uncertain.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    turned = np.unwrap(values[known], period=period)
+    if known.size and np.ptp(values[known]) > period / 2:  # otherwise, the angle does not turn
+        gap = np.diff(known) > 1
+        change = np.diff(turned)
+        for place in np.flatnonzero(gap).tolist():
+            lasts = time[known[place + 1]] - time[known[place]]
+            sides = [_rate_beside(time[known], change, gap, place, step) for step in (-1, 1)]
+            expected = [rate * lasts for rate in sides if rate is not None]
+            off = float(np.mean(expected)) - change[place] if expected else 0.0
+            turns = np.round(off / period)
+            turned[place + 1 :] += period * turns
+            if not expected or abs(off - period * turns) > period / 4 or np.ptp(expected) > period / 2:
+                error, heading, rows = where
+                raise error(
+                    f"column '{cited(heading)}': the number of full turns during a gap of {lasts:.4g} s is not "
+                    "certain; fill the gap, or cut the motion with `time.start` and `time.end`",
+                    row=int(rows[known[place] + 1]),
+                )
+    found = values.copy()
+    found[known] = turned
+    return found
+
+
+def _rate_beside(time: np.ndarray, change: np.ndarray, gap: np.ndarray, place: int, step: int) -> float | None:
+    """Return the mean rate of a column before (`step` -1) or after (`step` 1) a gap; None if it is not known.
+
+    At most `RATE_SAMPLES` intervals are used, none of which lies beyond another gap.
+    """
+    last = place
+    while abs(last - place) < RATE_SAMPLES and 0 <= last + step < len(change) and not gap[last + step]:
+        last += step
+    if last == place:
+        return None
+    first, end = (last, place) if step < 0 else (place + 1, last + 1)
+    return float(np.sum(change[first:end]) / (time[end] - time[first]))
+
+
+def cited(text: object) -> str:
+    """Return text from files for a sentence about it: escaped, see `shown`, and shortened to 300 characters."""
+    return shortened(shown(str(text)[:301]))

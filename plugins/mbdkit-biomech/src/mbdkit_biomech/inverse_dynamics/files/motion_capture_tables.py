@@ -12,8 +12,7 @@ from typing import NamedTuple, TypeGuard, TypeVar
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable
+from mbdkit_biomech.inverse_dynamics.files.measured_table import Cell, MeasuredTable, cited
 
 Rows = Sequence[tuple[int, list[str]]]  #: Rows of cells with the numbers of their lines, without empty lines.
 

@@ -17,13 +17,13 @@ import numpy as np
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files_read import check_readable, read_data
 from mbdkit.base.units import NUMBER, read_unit
-from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
 from mbdkit_biomech.inverse_dynamics.files.measured_table import (
     CLOCK,
     DECIMAL_COMMA,
     MeasuredTable,
     begins_like_number,
+    cited,
 )
 from mbdkit_biomech.inverse_dynamics.files.motion_capture_tables import (
     is_qualisys,

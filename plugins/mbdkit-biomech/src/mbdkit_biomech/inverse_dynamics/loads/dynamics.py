@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,9 +22,8 @@ from mbdkit.base.text import counted
 from mbdkit.engine.linear_systems import products, pseudoinverses, singular_values
 from mbdkit_biomech.inverse_dynamics.loads.loads import Loads
 from mbdkit_biomech.inverse_dynamics.motion.fit import Fitter
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Manifold
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Directions, Manifold, Quantities
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import NamedActuator
 
 #: A free direction counts as not driven if the effect of the actuators on it, relative to the largest effect, is below
@@ -75,7 +75,7 @@ def solve_dynamics(
     manifold = fitter.manifold
     frames = manifold.frames(motion.time, motion.q, motion.v, forces=True)
     balance = Balance(manifold, motion, actuators, manifold.directions(frames.jacobian))
-    rank = _rank(fitter, balance.directions, balance.effect, motion.time, report)
+    rank = _rank(fitter, balance, motion.time, report)
     needed = manifold.mass * motion.a - frames.force - loads.generalized
     value, lam, unbalanced = balance.solved(needed)
     power = value * products(np.swapaxes(balance.columns, 1, 2), motion.v)
@@ -123,13 +123,12 @@ class Balance:
         self._free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
         self._weight = weights_of(manifold, actuators)
         self.effect = products(self._free, self.columns) / self._weight
-        self._inverse: np.ndarray | None = None
 
     def solved(self, needed: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return values (T, U), multipliers (T, m) and unbalanced forces (T, n) for the generalized forces `needed` (T,
         n).
         """
-        inverse, effect = self._inverted(), self.effect
+        inverse, effect = self._inverse, self.effect
         right = products(self._free, needed)
         scaled = products(inverse, right)
         # One step of iterative refinement reduces rounding errors.
@@ -143,21 +142,17 @@ class Balance:
 
     def as_actuators(self, forces: np.ndarray) -> np.ndarray:
         """Return the values (T, U, M) of actuators that have the same effect as generalized forces (T, n, M)."""
-        return np.asarray(products(self._inverted(), products(self._free, forces)) / self._weight[:, None])
+        return np.asarray(products(self._inverse, products(self._free, forces)) / self._weight[:, None])
 
-    def _inverted(self) -> np.ndarray:
-        if self._inverse is None:
-            self._inverse = pseudoinverses(self.effect, WEAK)
-        return self._inverse
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        return pseudoinverses(self.effect, WEAK)
 
 
 def require_driven(fitter: Fitter, time: float, q: np.ndarray, actuators: Sequence[NamedActuator]) -> None:
     """Raise SpecError if actuators cannot produce every motion from a pose (n,), as `solve_dynamics` does."""
-    manifold, times, poses = fitter.manifold, np.array([time]), q[None]
-    directions = manifold.directions_at(times, poses)
-    free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)
-    effect = products(free, columns_of(poses, actuators)) / weights_of(manifold, actuators)
-    _rank(fitter, directions, effect, times, report=False)
+    motion = Motion(np.array([time]), q[None], *np.zeros((2, 1, len(q))))
+    _rank(fitter, Balance(fitter.manifold, motion, actuators), motion.time, report=False)
 
 
 def columns_of(q: np.ndarray, actuators: Sequence[NamedActuator]) -> np.ndarray:
@@ -179,12 +174,13 @@ def _require_regular(directions: Directions, motion: Motion) -> None:
         )
 
 
-def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, time: np.ndarray, report: bool) -> int:
+def _rank(fitter: Fitter, balance: Balance, time: np.ndarray, report: bool) -> int:
     """Return the smallest number of free directions that the actuators drive in a frame.
 
     Raise SpecError if the actuators do not drive all free directions, unless `report` is True.
     """
-    freedoms = directions.free.shape[2]
+    free, effect = balance.directions.free, balance.effect
+    freedoms = free.shape[2]
     if not freedoms:
         return 0
     values = singular_values(effect)
@@ -193,7 +189,7 @@ def _rank(fitter: Fitter, directions: Directions, effect: np.ndarray, time: np.n
     frame = int(np.argmin(ranks))
     rank = int(ranks[frame])
     if rank < freedoms and not report:
-        undriven = directions.free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
+        undriven = free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
         where = "" if np.all(ranks == rank) else f" at t = {time[frame]:.6g} s"
         missing = freedoms - rank
         raise SpecError(

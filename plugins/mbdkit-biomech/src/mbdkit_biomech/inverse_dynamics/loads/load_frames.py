@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
-from numpy.typing import NDArray
 
 from mbdkit.archive.run import Run
 from mbdkit.mechanism.mechanism import Mechanism
@@ -18,7 +17,6 @@ from mbdkit_report import Canvas, Drawing, Illustration, NamedPose, draw_sketch,
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.seams import film_data
 
-Array = NDArray[np.float64]
 FRAMES, FRAMES_NARROW = 6, 3  #: Number of frames side by side on a wide page and on a narrow one.
 #: Length of the longest arrow, as a share of the height or width of the mechanism, whichever is larger.
 ARROW = 0.45
@@ -43,13 +41,10 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
         return None
     assert mechanism is not None
     when = "of time" if _cycle(run) is None else "of a cycle, which begins with the contact"
-    first = NamedPose.of(mechanism, list(run.bodies), run.array("trajectory/position")[0], np.asarray(run.time))
-    kinds = {kind for kind, *_ in _arrows(run, first, 0)}
-    description = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
+    kinds = {kind for kind, *_ in _frames(run, mechanism, [0])[1][0]}
+    described = "; ".join(words for kind, words in _PLACES.items() if kind in kinds)
     text = (
-        f"Forces to one scale, at equal intervals {when}: {description}."
-        if description
-        else f"At equal intervals {when}."
+        f"Forces to one scale, at equal intervals {when}: {described}." if described else f"At equal intervals {when}."
     )
     wide, narrow = (
         _svg(run, mechanism, *size) for size in ((FRAMES, Illustration.WIDE), (FRAMES_NARROW, Illustration.NARROW))
@@ -58,13 +53,8 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
 
 
 @film_data
-def film_with_arrows(run: Run, film: dict[str, object]) -> dict[str, object]:
-    """Return the data of the player of a run, with arrows of forces if it is one of inverse dynamics."""
-    return with_arrows(run, mechanism_of(run), film) if run.kind == "inverse" else film
-
-
-def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> dict[str, object]:
-    """Return the data of the player with the arrows of forces in each of its frames.
+def film_with_arrows(run: Run, film: dict[str, Any]) -> dict[str, object]:
+    """Return the data of the player of a run, with the arrows of forces in each frame if it is one of inverse dynamics.
 
     Returns
     -------
@@ -74,13 +64,9 @@ def with_arrows(run: Run, mechanism: Mechanism | None, film: dict[str, Any]) -> 
         position x, y [m] and the force x, y [N] of each arrow, frame by frame. The ``view`` is enlarged about its
         centre so that it contains the arrows.
     """
-    if not _has_arrows(run, mechanism):
+    if run.kind != "inverse" or not _has_arrows(run, mechanism := mechanism_of(run)):
         return film
-    times = np.asarray(film["time"])
-    poses, rows = run.array("trajectory/position"), nearest_rows(np.asarray(run.time), times)
-    first = NamedPose.of(mechanism, list(run.bodies), poses[0], np.asarray(run.time))
-    frames = [replace(first, pose=poses[row]) for row in rows]
-    found = [list(_arrows(run, frame, int(row))) for frame, row in zip(frames, rows, strict=True)]
+    frames, found = _frames(run, mechanism, nearest_rows(np.asarray(run.time), np.asarray(film["time"])).tolist())
     values = np.array([[(*point, *force) for _, point, force in arrows] for arrows in found])
     longest = float(np.max(np.hypot(values[..., 2], values[..., 3]), initial=0.0))
     if longest == 0.0:
@@ -116,6 +102,14 @@ def _has_arrows(run: Run, mechanism: Mechanism | None) -> bool:
     return mechanism is not None and list(mechanism.bodies) == list(run.bodies) and len(run.bodies) <= Drawing.CROWD
 
 
+def _frames(run: Run, mechanism: Mechanism | None, rows: Sequence[int]) -> tuple[list[NamedPose], list[list[Arrow]]]:
+    """Return the poses in some rows, and the arrows in each."""
+    poses = run.array("trajectory/position")
+    first = NamedPose.of(mechanism, list(run.bodies), poses[0], np.asarray(run.time))
+    frames = [replace(first, pose=poses[row]) for row in rows]
+    return frames, [list(_arrows(run, frame, row)) for frame, row in zip(frames, rows, strict=True)]
+
+
 def _box(frame: NamedPose) -> np.ndarray:
     """Return the drawn points (P, 2) [m] of the moving bodies in a frame."""
     return np.asarray(frame.drawing.world(frame.pose)[frame.drawing.owner >= 0])
@@ -124,9 +118,7 @@ def _box(frame: NamedPose) -> np.ndarray:
 def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
     times = _moments(run, count)
     rows = np.unique(nearest_rows(np.asarray(run.time), times)).tolist()
-    poses = run.array("trajectory/position")
-    frames = [NamedPose.of(mechanism, list(run.bodies), poses[row], np.asarray(run.time)) for row in rows]
-    arrows = [list(_arrows(run, frame, row)) for frame, row in zip(frames, rows, strict=True)]
+    frames, arrows = _frames(run, mechanism, rows)
     longest = max((float(np.hypot(*force)) for arrow in arrows for *_, force in arrow), default=0.0)
     boxes = [_box(frame) for frame in frames]
     low, high = min(float(box[:, 1].min()) for box in boxes), max(float(box[:, 1].max()) for box in boxes)

@@ -15,8 +15,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.mechanism_quantities import GROUND
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, cited
 from mbdkit_biomech.inverse_dynamics.motion.measured import (
     GivenUnit,
     contradicted_units,

@@ -11,8 +11,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.linear_systems import least_norms, products, pseudoinverses, singular_values
 from mbdkit.engine.observed_states import JointSums
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold, Quantities
 
 MOST_ITERATIONS = 200
 #: Scaled step up to which an iteration has converged.
@@ -110,7 +109,7 @@ class Fitter:
         turn = 2 * np.pi * quantities.scale
         q = start[None]
         for _ in range(3):
-            q = self._converged(first, q)
+            q = self.refined(first, q)
             turns = np.round((quantities.values(q) - first.values) / turn) * quantities.is_angle
             if not np.any(turns):
                 break
@@ -152,10 +151,6 @@ class Fitter:
             start[:, index] = np.interp(np.arange(count), keys, known[:, index])
         return self.refined(target, start)
 
-    def refined(self, target: FitTarget, start: np.ndarray) -> np.ndarray:
-        """Return the poses (T, n) that fit a target best, near the poses `start` (T, n)."""
-        return self._converged(target, start)
-
     def _following(self, target: FitTarget, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the pose of a key frame, and its distance from `start`, the pose of the previous key frame."""
         rows, q = target.rows(slice(frame, frame + 1)), start[None]
@@ -166,8 +161,10 @@ class Fitter:
                 break
         return q[0], float(self._size(q - start)[0])
 
-    def _converged(self, target: FitTarget, start: np.ndarray) -> np.ndarray:
-        """Return the poses at which the iteration has converged; all frames are computed together."""
+    def refined(self, target: FitTarget, start: np.ndarray) -> np.ndarray:
+        """Return the poses (T, n) that fit a target best, near the poses `start` (T, n); all frames are computed
+        together.
+        """
         q, active, before = start.copy(), np.arange(len(start)), np.full(len(start), np.inf)
         for _ in range(MOST_ITERATIONS):
             step = self._step(target.rows(active), q[active])

@@ -1,9 +1,10 @@
 """The constraint manifold of a mechanism, for many frames at once: matrices, free directions, least-squares
-solutions.
+solutions; and quantities that are evaluated together.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.frames import Frames, Reactions, evaluate_frames, reactions_in_frames
 from mbdkit.engine.linear_systems import complete_qr, least_norms, products, solve_triangles
 from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
 
 #: The position is singular if the smallest pivot of the QR decomposition of the constraint rows is at most this share
@@ -176,3 +178,52 @@ class Directions:
             seen, rest = products(scaled, self.free), values - products(scaled, x)
             x = x + products(self.free, least_norms(seen, rest, NEGLIGIBLE))
         return np.asarray(x * self.scale)
+
+
+class Quantities:
+    """Several quantities, evaluated together.
+
+    Parameters
+    ----------
+    quantities
+        The K quantities.
+    """
+
+    def __init__(self, quantities: Sequence[Quantity]):
+        self.quantities = tuple(quantities)
+        self.is_angle = np.array([quantity.unit == "rad" for quantity in self.quantities], dtype=bool)
+        self.scale = np.array([quantity.scale for quantity in self.quantities])
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def only(self, places: Sequence[int]) -> Quantities:
+        """Return the quantities with the given indices."""
+        return Quantities([self.quantities[place] for place in places])
+
+    def sizes(self, length: float) -> np.ndarray:
+        """Return the values (K,) that count as 1: 1 rad for angles, and `length` for lengths."""
+        return np.asarray(np.where(self.is_angle, 1.0, length) * self.scale)
+
+    def values(self, q: np.ndarray) -> np.ndarray:
+        """Return the values (T, K)."""
+        out = np.empty((len(q), len(self)))
+        for index, quantity in enumerate(self.quantities):
+            out[:, index] = quantity.value(q)
+        return out
+
+    def jacobian(self, q: np.ndarray) -> np.ndarray:
+        """Return the Jacobian (T, K, n)."""
+        out = np.zeros((len(q), len(self), q.shape[1]))
+        for index, quantity in enumerate(self.quantities):
+            quantity.add_gradient(q, out[:, index])
+        return out
+
+    def curvature(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second time derivatives (T, K) that the quantities have if the accelerations of the coordinates
+        are zero.
+        """
+        out = np.empty((len(q), len(self)))
+        for index, quantity in enumerate(self.quantities):
+            out[:, index] = quantity.curvature(q, v)
+        return out

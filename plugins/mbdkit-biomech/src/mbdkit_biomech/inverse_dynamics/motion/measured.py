@@ -19,13 +19,17 @@ from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit_biomech.cited_text import cited
-from mbdkit_biomech.inverse_dynamics.files.continued_angles import continued
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, table_of, unit_of_time_as_cause
+from mbdkit_biomech.inverse_dynamics.files.measured_table import (
+    MeasuredTable,
+    cited,
+    continued,
+    table_of,
+    unit_of_time_as_cause,
+)
 from mbdkit_biomech.inverse_dynamics.files.table_files import read_table
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Quantities
 from mbdkit_biomech.inverse_dynamics.signals.interpolating_splines import interpolating_spline
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     ColumnOfTable,
     Gaps,
@@ -42,8 +46,6 @@ SHORTEST, LONGEST = 1e-9, 1e9  #: Shortest and longest interval between two rows
 
 #: Share by which an angle may exceed one turn, and a gap its greatest length, because values are rounded.
 ROUNDED = 1e-6
-
-SI = {"m": "m", "rad": "rad", "N": "N", "N m": "N m"}
 
 #: Key of a column in the spec, its heading, its unit in the spec or None, and its SI unit.
 GivenUnit: TypeAlias = tuple[str, str, str | None, str]
@@ -134,7 +136,8 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Meas
     table = source_table(motion, spec.folder, "motion")
     assert table is not None
     columns = _columns(motion, table, names)
-    time, kept = _times(spec, table)
+    times = times_of(table, motion.time, "motion.time")
+    time = times[kept := rows_within(spec, times)]
     quantities = Quantities([names.find(name, f"motion.columns.{quoted(name)}") for name in columns])
     raw = np.empty((len(time), len(columns)))
     values = raw.copy()
@@ -233,7 +236,7 @@ def _require_all_or_none(
 
 def unit_factor(column: ColumnOfTable, table: MeasuredTable, unit: str, key: str) -> float:
     """Return the factor from the numbers of a column to values in the SI `unit`."""
-    wanted, in_file = read_unit(SI[unit]), table.unit(column.column)
+    wanted, in_file = read_unit(unit), table.unit(column.column)
     if column.unit is not None:
         given = read_unit(column.unit)
     elif in_file is not None:
@@ -299,11 +302,6 @@ def times_of(table: MeasuredTable, column: TimeColumn, key: str) -> np.ndarray:
             row=row,
         )
     return times
-
-
-def _times(spec: InverseSpec, table: MeasuredTable) -> tuple[np.ndarray, np.ndarray]:
-    every = times_of(table, spec.motion.time, "motion.time")
-    return every[kept := rows_within(spec, every)], kept
 
 
 def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:

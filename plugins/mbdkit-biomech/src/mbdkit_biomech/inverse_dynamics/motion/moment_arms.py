@@ -14,8 +14,7 @@ from mbdkit.base.errors import SpecError, UnknownNameError
 from mbdkit.engine.linear_systems import least_norms, product, products
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.runs.assembled_mechanism import AssembledMechanism
-from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
+from mbdkit_biomech.inverse_dynamics.motion.manifold import GivenMechanism, Manifold, Quantities
 from mbdkit_biomech.muscles.muscle_path import MusclePath
 
 #: A quantity is chosen if more than this share of its gradient is independent of the gradients chosen before it.

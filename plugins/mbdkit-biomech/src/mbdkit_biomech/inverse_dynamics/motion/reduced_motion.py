@@ -25,10 +25,9 @@ import numpy as np
 from mbdkit.engine.linear_systems import products, singular_values
 from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitTarget, Fitter
-from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold
+from mbdkit_biomech.inverse_dynamics.motion.manifold import Manifold, Quantities
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import Smoothed
-from mbdkit_biomech.inverse_dynamics.signals.several_quantities import Quantities
 
 #: If the observed quantities alone do not suffice, an observed quantity with at least this independence is preferred to
 #: a quantity that is not observed, even if the latter is more independent.

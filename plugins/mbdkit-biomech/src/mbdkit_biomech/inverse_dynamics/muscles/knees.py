@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from mbdkit.base.text import listed
-from mbdkit_biomech.cited_text import cited
+from mbdkit_biomech.inverse_dynamics.files.measured_table import cited
 from mbdkit_biomech.muscles.patella import FLEXION, contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 

@@ -23,7 +23,7 @@ from scipy.sparse import block_array, block_diag, coo_array, csc_array, csr_arra
 
 from mbdkit.base import elementary
 from mbdkit.engine.linear_systems import SparseFactors
-from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
 from mbdkit_biomech.inverse_dynamics.muscles.shared_loads import SOLVED, Shared
 
 ITERATIONS = 80  #: Largest number of iterations of the interior-point method; 15 to 25 are usual.
@@ -67,9 +67,6 @@ class _Whole:
     less: csr_array
     most: np.ndarray
     exponent: float
-
-    def slope(self, x: np.ndarray) -> np.ndarray:
-        return np.asarray(self.exponent * np.sign(x) * elementary.pow(np.abs(x), self.exponent - 1))
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
         values: np.ndarray = self.exponent * (self.exponent - 1) * elementary.pow(np.abs(x), self.exponent - 2)
@@ -176,7 +173,7 @@ class _Iterate:
     @cached_property
     def _residuals(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         one, x = self.whole, self.x
-        dual = one.slope(x) + one.equal.T @ self.y + one.less.T @ self.z
+        dual = slope_of_cost(x, one.exponent) + one.equal.T @ self.y + one.less.T @ self.z
         return dual, one.equal @ x - one.right, one.less @ x + self.slack - one.most
 
     @cached_property
@@ -247,7 +244,7 @@ def _polished(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tup
         for _ in range(POLISHED):
             if not np.all(np.isfinite(x)):
                 return given
-            dual = whole.slope(x) + equal.T @ every
+            dual = slope_of_cost(x, whole.exponent) + equal.T @ every
             dx, dy = _System(diags_array(whole.curvature(x)), equal).solved(-dual, right - equal @ x)
             x, every = x + dx, every + dy
         y, z = every[: len(y)], np.zeros(len(z))
@@ -268,7 +265,7 @@ def _certificate(whole: _Whole, x: np.ndarray, y: np.ndarray, z: np.ndarray, fra
     with a multiplier should hold with equality, so that its slack counts as violation too. The largest violation of all
     inequalities counts in every frame.
     """
-    parts = whole.slope(x), whole.equal.T @ y, whole.less.T @ z
+    parts = slope_of_cost(x, whole.exponent), whole.equal.T @ y, whole.less.T @ z
     size = max(float(np.max(np.abs(part), initial=0.0)) for part in parts) or 1.0
     dual = np.max(np.abs(sum(parts) / size).reshape(frames, -1), axis=1)
     equal = np.max(np.abs(whole.equal @ x - whole.right).reshape(frames, -1), axis=1, initial=0.0)

@@ -8,9 +8,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, did_you_mean
 from mbdkit.mechanism.quantity_names import QuantityNames
-from mbdkit_biomech.cited_text import cited
 from mbdkit_biomech.inverse_dynamics.files.c3d_file import read_c3d
-from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable
+from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, cited
 from mbdkit_biomech.inverse_dynamics.files.table_files import MOST_CELLS, read_table
 from mbdkit_biomech.inverse_dynamics.motion.measured import source_table, times_of, with_gaps_bridged
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import low_passed

@@ -70,11 +70,10 @@ class Recruited:
         (T, M) activations, tensions [N], and powers that the muscles supply to the bodies [W].
     beside
         (T, U) values that actuators and reserves exert in addition to the muscles.
-    reserve, reserve_power
-        (T, R) values of the reserves [N, N m] and their powers [W].
-    actuator, actuator_power
-        (T, U) values of the actuators [N, N m] and their powers [W]. For driven actuators (see `Sharing`), these are
-        the net values that muscles and reserves produce together; the other actuators act in addition to the muscles.
+    actuators
+        (T, U + R, 2) values of the actuators and of the reserves [N, N m] and their powers [W]. For driven actuators
+        (see `Sharing`), these are the net values that muscles and reserves produce together; the other actuators act in
+        addition to the muscles.
     lam
         (T, m) multipliers of the independent constraint rows, with the forces of the muscles.
     """
@@ -87,8 +86,5 @@ class Recruited:
     force: np.ndarray
     power: np.ndarray
     beside: np.ndarray
-    reserve: np.ndarray
-    reserve_power: np.ndarray
-    actuator: np.ndarray
-    actuator_power: np.ndarray
+    actuators: np.ndarray
     lam: np.ndarray

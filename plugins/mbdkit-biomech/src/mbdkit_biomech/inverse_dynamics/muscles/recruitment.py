@@ -26,8 +26,7 @@ from mbdkit.engine.linear_systems import products
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.loads.dynamics import Balance, Dynamics
 from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import Motion
-from mbdkit_biomech.inverse_dynamics.muscles.elastic_tendons import ElasticMuscles, in_equilibrium
-from mbdkit_biomech.inverse_dynamics.muscles.fibers import fibers_on_rigid_tendon
+from mbdkit_biomech.inverse_dynamics.muscles.fibers import ElasticMuscles, fibers_on_rigid_tendon, in_equilibrium
 from mbdkit_biomech.inverse_dynamics.muscles.loads_over_time import (
     ActivationDynamics,
     share_over_time,
@@ -232,7 +231,7 @@ class Recruiter:
             beside = dynamics.value - products(sharing.arms, force)
         pushed = products(balance.columns, beside) + products(own.pull, force)
         speed = products(np.swapaxes(balance.columns, 1, 2), motion.v)
-        actuator = np.where(driven, dynamics.value, beside)
+        values = np.hstack([np.where(driven, dynamics.value, beside), reserve])
         return Recruited(
             contraction=own,
             sharing=sharing,
@@ -242,10 +241,7 @@ class Recruiter:
             force=force,
             power=-force * own.rate,
             beside=beside,
-            reserve=reserve,
-            reserve_power=reserve * speed[:, places],
-            actuator=actuator,
-            actuator_power=actuator * speed,
+            actuators=np.stack([values, values * np.hstack([speed, speed[:, places]])], axis=-1),
             lam=balance.directions.multipliers(pushed - needed),
         )
 

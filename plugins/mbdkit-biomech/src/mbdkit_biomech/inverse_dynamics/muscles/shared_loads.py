@@ -30,8 +30,7 @@ from scipy.sparse.csgraph import connected_components
 
 from mbdkit.base import elementary
 from mbdkit.engine.linear_systems import least_norms, products
-from mbdkit_biomech.inverse_dynamics.muscles.interior_point import near_optimum
-from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, slope_of_cost
+from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, near_optimum, slope_of_cost
 
 #: Largest numbers of evaluations in the first attempt, and in each further one; 5 to 15 are usual.
 FIRST_STEPS, STEPS = 25, 200

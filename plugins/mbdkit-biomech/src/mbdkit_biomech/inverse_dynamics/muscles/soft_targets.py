@@ -34,9 +34,8 @@ FOLLOWS = 0.5  #: Correlation below which a channel is named.
 #: 0.05 to 0.42 (M. O. Ericson et al., Scand. J. Rehabil. Med. 18 (1986) 159-163).
 USUAL_PEAK, PEAKS = 0.2, 1.0
 
-STRENGTH = (
-    0.28  #: Standard deviation of the logarithm of a scale by the strength of a muscle, which scales activations.
-)
+#: Standard deviation of the logarithm of a scale by the strength of a muscle, which scales activations.
+STRENGTH = 0.28
 
 #: Standard deviations of scales about those of `EmgTarget.scaled_to`, as a share, and of moments by EMG, as a share of
 #: their root mean square.

@@ -111,22 +111,16 @@ def exact_loads(run: Run) -> str:
     or no error bars.
     """
     uncertain = run.spec.get("uncertainty") or {}
-    names = (
-        []
-        if run.accuracy is None or {"pressure", "plate_gain"} & set(uncertain)
-        else [name for name, load in (run.spec.get("loads") or {}).items() if any(map(_is_exact, _measured(load)))]
-    )
+    if run.accuracy is None or {"pressure", "plate_gain"} & set(uncertain):
+        return ""
+    names = [name for name, load in (run.spec.get("loads") or {}).items() if _is_exact(load)]
     return f"loads count as exact where columns have no `deviation`: {listed(names, 'and')}" if names else ""
 
 
-def _measured(load: Mapping[str, Any]) -> list[object]:
-    """Return the columns of data that a measured load refers to, without components that are constant numbers."""
+def _is_exact(load: Mapping[str, Any]) -> bool:
+    """Return whether a measured load has a column without `deviation`; constant numbers are no columns."""
     every = [*(load.get("force") or ()), *(load.get("point") or ()), load.get("torque")]
-    return [one for one in every if one is not None and not isinstance(one, int | float)]
-
-
-def _is_exact(column: object) -> bool:
-    return not (isinstance(column, Mapping) and column.get("deviation"))
+    return any(isinstance(one, str) or (isinstance(one, Mapping) and not one.get("deviation")) for one in every)
 
 
 def known_rows(run: Run) -> np.ndarray:

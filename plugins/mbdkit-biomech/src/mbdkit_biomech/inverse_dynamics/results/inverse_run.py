@@ -28,8 +28,7 @@ from mbdkit_biomech.inverse_dynamics.errors.error_bars import error_bars
 from mbdkit_biomech.inverse_dynamics.motion.fit import FitError
 from mbdkit_biomech.inverse_dynamics.results.measure_samples import errors_of_measures
 from mbdkit_biomech.inverse_dynamics.results.record import run_of
-from mbdkit_biomech.inverse_dynamics.spec.inverse_loading import InverseSource, load_inverse_spec
-from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
+from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSource, InverseSpec, load_inverse_spec
 
 _LOG = logger_of(__name__)
 

@@ -16,6 +16,7 @@ from mbdkit.archive.run_summary import few
 from mbdkit.base.text import counted, plus_minus
 from mbdkit_biomech.inverse_dynamics.results.frame_errors import known_rows
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import RESERVE
+from mbdkit_biomech.uncertainty.contributions import uncertainty_lines
 
 #: Labels of entries of the provenance of inverse dynamics: markers without data, and columns that are not used.
 UNUSED_DATA = {"unobserved_markers": "no data", "unused_columns": "not used"}
@@ -37,6 +38,7 @@ def inverse_lines(run: Run) -> list[tuple[str, str]]:
         ("residuals", _actuators(run, residual=True)),
         ("reserves", _reserves(run)),
         ("compression", _compressions(run)),
+        *uncertainty_lines(run),
     ]
 
 

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Iterable
 
 import numpy as np
-from markupsafe import Markup
 
 from mbdkit.archive.headlines import EXACT
 from mbdkit.archive.run import Run
@@ -14,12 +13,11 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
 from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, Workload, workload
+from mbdkit_biomech.uncertainty.contributions import uncertainty_charts, uncertainty_sections
 from mbdkit_report import (
     Axis,
     Cell,
-    Column,
     Figure,
-    Illustration,
     Line,
     Section,
     Table,
@@ -28,15 +26,10 @@ from mbdkit_report import (
     bar_cells,
     bar_columns,
     columns_of,
-    short_name,
-    svg_of,
 )
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.seams import report_charts, report_sections
 
-#: Largest number of bars for each unit. Of more elements, those with the largest peaks are shown; residuals are left
-#: out first.
-BARS = 24
 _POINTS = 1_000
 _TIME = Axis("time", "s")
 
@@ -49,9 +42,10 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     elements = workload(run).elements
     return (
         Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
-        Section("workload", "Workload", (), _bars(elements), (_workload_table(elements),)),
+        Section("workload", "Workload", (), None, (_workload_table(elements),)),
         *_muscles(run),
         _disagreement(run),
+        *uncertainty_sections(run),
     )
 
 
@@ -64,26 +58,30 @@ def inverse_charts(run: Run) -> list[Figure]:
     """
     if run.kind != "inverse":
         return []
-    time, observed = np.asarray(run.time), list(run.motion.values())
+    observed = list(run.motion.values())
     found = []
     for unit, word in (("rad", "angles"), ("m", "lengths")):
         chosen = [index for index, one in enumerate(observed) if one.units == unit]
         if any(np.nanmax(np.abs(observed[index].residual), initial=0.0) > EXACT for index in chosen):
-            curves = bands(time, run.array("motion/residual")[:, chosen], points=_POINTS)
-            lines = tuple(Line(observed[k].name, *curves.curve(index)) for index, k in enumerate(chosen))
+            lines = _lines(run, run.array("motion/residual")[:, chosen], [observed[k].name for k in chosen])
             caption = f"Measured minus fitted value of each of the observed {word}."
             axis = Axis("residual", unit)
-            found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, lines))
+            found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, tuple(lines)))
     found += _contact_chart(run)
     raw = run.array("motion/raw_misalignment")
     known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
     if known:
-        curves = bands(time, raw[:, known], points=_POINTS)
-        lines = tuple(Line(run.joint_names[k], *curves.curve(index)) for index, k in enumerate(known))
+        lines = _lines(run, raw[:, known], [run.joint_names[k] for k in known])
         caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
         axis = Axis("misalignment", "m")
-        found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, lines))
-    return found
+        found.append(Figure("raw-misalignment", "Misalignment of the data", caption, _TIME, axis, tuple(lines)))
+    return found + uncertainty_charts(run)
+
+
+def _lines(run: Run, values: np.ndarray, names: Iterable[str]) -> list[Line]:
+    """Return the lines of values (T, N) over time, by their names."""
+    curves = bands(np.asarray(run.time), values, points=_POINTS)
+    return [Line(name, *curves.curve(index)) for index, name in enumerate(names)]
 
 
 def _muscles(run: Run) -> tuple[Section, ...]:
@@ -138,9 +136,7 @@ def _contact_chart(run: Run) -> list[Figure]:
         return []
     lines: list[Line] = []
     for path, word in (("joints/reaction_force", ""), ("muscles/reaction_force_without", " without muscles")):
-        sizes = np.linalg.norm(run.array(path), axis=2)
-        curves = bands(np.asarray(run.time), sizes, points=_POINTS)
-        lines += [Line(f"{name}{word}", *curves.curve(k)) for k, name in enumerate(run.joint_names)]
+        lines += _lines(run, np.linalg.norm(run.array(path), axis=2), (f"{name}{word}" for name in run.joint_names))
     caption = "Force in each joint with the forces of the muscles, and if actuators drove the joints instead."
     return [
         Figure("contact", "Joint forces with and without muscles", caption, _TIME, Axis("force", "N"), tuple(lines))
@@ -148,7 +144,8 @@ def _contact_chart(run: Run) -> list[Figure]:
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
-    bars = bar_columns("the peak", "", [one.load.peak_error for one in elements])
+    loads = [load for one in elements for load in (one.load, one.torque) if load is not None]
+    bars = bar_columns("the peak", "", [load.peak_error for load in loads])
     columns = (
         *columns_of("joint or actuator; kind; unit; peak"),
         *bars,
@@ -156,60 +153,18 @@ def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
     )
     rows: list[tuple[Cell, ...]] = []
     for element in elements:
-        load, work = element.load, element.work
-        power: tuple[Cell, ...] = (None,) * 4
-        if work is not None:
-            power = (work.peak_power, work.least_power, work.positive, -work.negative)
-        rows.append(
-            (
-                element.name,
-                element.kind,
-                load.units,
-                *bar_cells(load.peak, load.peak_error, load.id, len(bars)),
-                load.rms,
-                load.impulse,
-                load.loading_rate,
-                *power,
-            )
-        )
+        work, nothing = element.work, (None,) * 4
+        power = nothing if work is None else (work.peak_power, work.least_power, work.positive, -work.negative)
+        for load, of_load in ((element.load, power), (element.torque, nothing)):
+            if load is not None:
+                peak = bar_cells(load.peak, load.peak_error, load.id, len(bars))
+                numbers = (load.rms, load.impulse, load.loading_rate)
+                rows.append((element.name, element.kind, load.units, *peak, *numbers, *of_load))
     note = (
         "Errors are bounds that hold with a probability of 95 %. Impulses are in N s or N m s, loading rates in N/s or "
         "N m/s. Residuals act from outside on a part that no joint connects to the ground."
     )
     return Table("workload", "Workload of joints and actuators", columns, tuple(rows), note)
-
-
-def _bars(elements: tuple[ElementWorkload, ...]) -> Illustration:
-    text = "Peak (pale) and root mean square (full) of the force or torque of each joint and actuator."
-    return Illustration.of(partial(_bars_svg, elements), text, text)
-
-
-def _bars_svg(elements: tuple[ElementWorkload, ...], width: float) -> Markup:
-    """Return a drawing with one horizontal bar for each element: first forces, then torques, each with their own
-    scale.
-    """
-    left, right, step = (150.0, 110.0, 22.0) if width > Illustration.NARROW else (130.0, 80.0, 22.0)
-    letters = 22 if width > Illustration.NARROW else 19
-    parts, y = [], 8.0
-    for unit in ("N", "N m"):
-        chosen = sorted(
-            (element for element in elements if element.load.units == unit),
-            key=lambda one: (one.kind == "residual", -one.load.peak),
-        )[:BARS]
-        most = max((one.load.peak for one in chosen), default=0.0) or 1.0
-        for one in chosen:
-            long, short = ((width - left - right) * size / most for size in (one.load.peak, one.load.rms))
-            text = '<text x="{:.0f}" y="{:.0f}"{}>{}</text>'
-            end, name = Markup(' text-anchor="end"'), short_name(one.name, letters)
-            parts.append(Markup(text).format(left - 8, y + 12, end, name))
-            bar = '<rect class="bar of-{} {}" x="{:.0f}" y="{:.1f}" width="{:.1f}" height="14"/>'
-            kind = one.kind
-            parts.append(Markup(bar).format(kind, "pale", left, y, long))
-            parts.append(Markup(bar).format(kind, "full", left, y, short))
-            parts.append(Markup(text).format(left + long + 6, y + 12, "", f"{one.load.peak:.4g} {unit}"))
-            y += step
-        y += 10.0 if chosen else 0.0
-    return svg_of(parts, width, y)
 
 
 def _disagreement(run: Run) -> Section:
@@ -223,11 +178,10 @@ def _disagreement(run: Run) -> Section:
         rms = float(np.sqrt(np.nanmean(one.residual**2))) if np.any(np.isfinite(one.residual)) else 0.0
         rows.append((name, one.units, rms, peak, when))
         worst[one.units] = max(worst.get(one.units, (0.0, "", 0.0)), (peak, name, when))
-    columns = ("observed quantity", "unit", "rms of the residual", "largest residual")
     residuals = Table(
         "residuals",
         "Residuals of the columns",
-        (*(Column(name) for name in columns), Column("time of the largest", "s")),
+        columns_of("observed quantity; unit; rms of the residual; largest residual; time of the largest [s]"),
         tuple(rows),
         "Measured minus fitted value; gaps are left out.",
     )
@@ -256,19 +210,5 @@ def _disagreement(run: Run) -> Section:
 @object_view
 def workload_view(found: Workload) -> View:
     """Return the view of a workload."""
-    rows: list[tuple[Cell, ...]] = [
-        (
-            element.name,
-            element.kind,
-            load.units,
-            *bar_cells(load.peak, load.peak_error, load.id),
-            load.peak_time,
-            load.impulse,
-        )
-        for element in found.elements
-        for load in (element.load, element.torque)
-        if load is not None
-    ]
-    columns = columns_of("element; kind; unit; peak; \u00b1 error; time of the peak [s]; impulse [unit s]")
-    table = Table("workload", "Loads", columns, tuple(rows))
-    return View("Workload", (f"From {found.start:g} s to {found.end:g} s.", found.note), tables=(table,))
+    sentences = f"From {found.start:g} s to {found.end:g} s.", found.note
+    return View("Workload", sentences, tables=(_workload_table(found.elements),))

@@ -20,8 +20,6 @@ from mbdkit_biomech.inverse_dynamics.signals.cycles import Normalized, contacts,
 #: Kinds of elements, in the order in which tables show them.
 KINDS = ("joint", "actuator", "reserve", "residual")
 
-LEAST_CHANGE = 1e-3  #: Changes by leaving out rows are stated above this share.
-
 
 @dataclass(frozen=True)
 class ElementLoad:
@@ -134,28 +132,18 @@ class _Series:
     error: np.ndarray | None = None
     torque_error: np.ndarray | None = None
 
-    def only(self, rows: np.ndarray) -> _Series:
-        """Return the value and the power in some of the rows."""
-        return _Series(
-            self.name, self.kind, self.units, self.value[rows], power=None if self.power is None else self.power[rows]
-        )
-
     def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
         """Return the workload between two times; the values at these times are interpolated."""
         inside = time[(time > start) & (time < end)]
         t = np.concatenate([[start], inside, [end]])
 
-        def at(values: np.ndarray) -> np.ndarray:
-            return np.asarray(np.interp(t, time, values))
+        def at(values: np.ndarray | None) -> Any:
+            return None if values is None else np.interp(t, time, values)
 
+        load = _load(t, at(self.value), self.units, at(self.error))
+        torque = None if self.torque is None else _load(t, at(self.torque), "N m", at(self.torque_error))
         return ElementWorkload(
-            self.name,
-            self.kind,
-            _load(t, at(self.value), self.units, None if self.error is None else at(self.error)),
-            None
-            if self.torque is None
-            else _load(t, at(self.torque), "N m", None if self.torque_error is None else at(self.torque_error)),
-            None if self.power is None else _work(t, at(self.power)),
+            self.name, self.kind, load, torque, None if self.power is None else _work(t, at(self.power))
         )
 
 
@@ -269,39 +257,12 @@ def workload(
     over = {one.name: normalized(time, one.value, starts) for one in every} if len(starts) > 1 else {}
     elements = between(start, end)
     exact = exact_loads(run)
-    note = " ".join([_without_errors(run, every, elements), *([f"In the errors, {exact}."] if exact else [])])
-    return Workload(start, end, _with_errors(run, elements), phases, over, note)
-
-
-def _without_errors(run: Run, every: Sequence[_Series], elements: Sequence[ElementWorkload]) -> str:
-    """Return sentences on the numbers that have no errors, and on how much they depend on the recorded rows."""
-    time = run.time
-    text = (
+    note = (
         f"{'Errors are not estimated' if run.accuracy is None else 'Only peaks have errors'}; RMS, impulse, loading "
         f"rate, power and work are those of straight lines between the recorded rows."
+        f"{f' In the errors, {exact}.' if exact else ''}"
     )
-    few = np.unique(np.append(np.arange(0, len(time), 2), len(time) - 1))  # every other row, and the last one
-    if len(few) < 3:
-        return text
-    changes = [
-        (_change(whole, one.only(few).within(time[few], float(time[0]), float(time[-1]))), one.name)
-        for one, whole in zip(every, elements, strict=True)
-    ]
-    share, name = max(changes, default=(0.0, ""))
-    if share > LEAST_CHANGE:
-        text += f" Without every other row, they change by up to {100.0 * share:.2g} %, those of {name} most."
-    return text
-
-
-def _change(one: ElementWorkload, other: ElementWorkload) -> float:
-    pairs = [(one.load.rms, other.load.rms), (one.load.impulse, other.load.impulse)]
-    shares = [abs(a - b) / a for a, b in pairs if a > 0.0]
-    if one.work is not None and other.work is not None:
-        for names in (("peak_power", "least_power"), ("positive", "negative")):
-            own, others = (np.array([getattr(x, name) for name in names]) for x in (one.work, other.work))
-            size = float(np.max(np.abs(own)))
-            shares += [float(np.max(np.abs(own - others))) / size] if size > 0.0 else []
-    return max(shares, default=0.0)
+    return Workload(start, end, _with_errors(run, elements), phases, over, note)
 
 
 def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[ElementWorkload, ...]:
@@ -320,14 +281,9 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
         is_actuator = one.name in run.actuators and one.kind != "joint"
         return "actuators.value" if is_actuator else "joints.force" if one.load.units == "N" else "joints.torque"
 
-    return tuple(
-        replace(
-            one,
-            load=known(one.name, one.load, what(one)),
-            torque=None if one.torque is None else known(one.name, one.torque, "joints.torque"),
-        )
-        for one in elements
-    )
+    loads = [known(one.name, one.load, what(one)) for one in elements]
+    torques = [one.torque and known(one.name, one.torque, "joints.torque") for one in elements]
+    return tuple(replace(one, load=x, torque=y) for one, x, y in zip(elements, loads, torques, strict=True))
 
 
 def _parts(

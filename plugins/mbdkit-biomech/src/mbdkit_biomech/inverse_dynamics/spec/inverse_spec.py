@@ -1,13 +1,18 @@
-"""The spec of inverse dynamics: a model, its measured motion, loads and actuators."""
+"""The spec of inverse dynamics: a model, its measured motion, loads and actuators; its loading, changes of its values,
+and its JSON schema.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path as KeyPath
 from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
@@ -18,10 +23,15 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ModelKey
+from mbdkit.registry.manager import registry
 from mbdkit.registry.target import Target
 from mbdkit.spec.choices import Choice
+from mbdkit.spec.loading import loaded
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import Document, put
+from mbdkit.spec.schema import model_schema
 from mbdkit.spec.sections import Section
+from mbdkit.spec.spec_kinds import spec_loader, spec_schema
 from mbdkit.spec.study_measures import DefinedMeasure, RunMeasures, defined
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Actuator,
@@ -35,8 +45,7 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import (
     Span,
 )
 from mbdkit_biomech.inverse_dynamics.spec.named_actuators import actuators_of, reserves_of
-from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject
-from mbdkit_biomech.uncertainty.uncertainty_section import Uncertainty
+from mbdkit_biomech.persons.person_sections import OF_PERSONS, Subject, Uncertainty
 
 S = TypeVar("S", bound=Section)
 
@@ -233,3 +242,51 @@ def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
     words = description(InverseSpec, "model")
     field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
     return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
+
+
+#: A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics.
+InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
+
+
+def load_inverse_spec(
+    source: InverseSource | Document, assignments: Iterable[str] = (), **sections: object
+) -> InverseSpec:
+    """Load and validate a spec of inverse dynamics, build its mechanism, and return the spec.
+
+    Parameters
+    ----------
+    source, assignments, sections
+        See `load_spec`; the source may also be an `InverseSpec`.
+
+    Raises
+    ------
+    SpecError
+        If the spec is not valid, with the file, line and key path if known.
+    """
+    return loaded("inverse", InverseSpec, source, assignments, sections)
+
+
+spec_loader(load_inverse_spec)
+
+
+def varied_inverse(spec: InverseSpec, values: Sequence[tuple[KeyPath, object]]) -> InverseSpec:
+    """Return a spec of inverse dynamics with values at key paths; raise SpecError if it is not valid."""
+    data = json.loads(spec.canonical_json())
+    for path, value in values:
+        put(data, path, value)
+    varied = InverseSpec(**data)
+    varied._document = spec._document
+    return varied
+
+
+@spec_schema
+def inverse_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the spec of inverse dynamics.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models and force laws to include; by default, all that are installed.
+    """
+    chosen = installed if installed is not None else registry()
+    return model_schema(inverse_spec_type(chosen), chosen)

@@ -16,10 +16,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.mechanism.mechanism_quantities import (
-    Point,
-    Quantity,
-)
+from mbdkit.mechanism.mechanism_quantities import Point, Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.spec.inverse_sections import Actuator, Recruitment
 
