@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.plain_data import Path, canonical
-from mbdkit.base.text import table
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import variable_path
-from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator, Job, Settings
-from mbdkit_design.gains import goal_words
 from mbdkit_report import key_unit, key_words
 
 OFF = 0.05  #: Relative deviation of variables and masses.
@@ -22,7 +19,7 @@ MOVED = 0.002  #: Deviation of a coordinate of an attachment [m].
 _ELEMENTS = ("forces", "springs")
 _INERTIA = {"mass": "inertia", "masses": "inertias"}  #: Key of the inertia beside the key of a mass.
 _POINTS = ("points", "point", "at", "from", "to")
-#: Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
+#: Largest number of masses that are varied: those of the heaviest bodies.
 MOST = 12
 
 
@@ -144,16 +141,3 @@ def _replaced(holder: Any, path: Path, value: float) -> Any:
     if not path:
         return value
     return [_replaced(one, path[1:], value) if index == path[0] else one for index, one in enumerate(holder)]
-
-
-def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
-    """Return the deviations with the largest first goal as a table for a terminal, in descending order of this goal."""
-    ranked = sorted(deviations, key=lambda deviation: -np.max(np.nan_to_num(deviation.goals[:, 0], nan=np.inf)))
-    sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
-    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]
-    for one in ranked[:MOST]:
-        goals = (f"{value:.4g}" if np.isfinite(value) else "fails" for value in one.goals.T.ravel())
-        limits = (", ".join(one.exceeds),) if spec.subject_to else ()
-        rows.append((one.words, one.size, *goals, *limits))
-    rest = len(ranked) - MOST
-    return table(rows) + (f"\nand {rest} numbers with a smaller effect, which the report has" if rest > 0 else "")

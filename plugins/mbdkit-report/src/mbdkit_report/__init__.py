@@ -44,7 +44,9 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         environment as environment, film_of as film_of, run_report as run_report, TONES as TONES,
     )
     from mbdkit_report.pages.templating import render as render
-    from mbdkit_report.pages.verdict_text import json_values as json_values, terminal_text as terminal_text
+    from mbdkit_report.pages.verdict_text import (
+        json_values as json_values, table_text as table_text, terminal_text as terminal_text,
+    )
     from mbdkit_report.plot.caption import Caption as Caption
     from mbdkit_report.plot.charts import draw_chart as draw_chart
     from mbdkit_report.plot.plot_kinds import plot_module as plot_module

@@ -23,11 +23,13 @@ def terminal_text(verdict: Verdict) -> str:
     shown = headlines(verdict)
     if not shown:
         return ""
-    parts = []
-    for table in shown:
-        parts += [table.title, aligned(_cells(table), "  "), table.note]
-    parts += [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
-    return "\n".join(filter(None, parts))
+    claims = [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
+    return "\n".join([*map(table_text, shown), *claims])
+
+
+def table_text(table: Table) -> str:
+    """Return a table with its title and note as text for the terminal."""
+    return "\n".join(filter(None, [table.title, aligned(_cells(table), "  "), table.note]))
 
 
 def json_values(verdict: Verdict) -> dict[str, object]:
