@@ -138,25 +138,11 @@ _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?mm(?: ?x ?(\d+(?:\.\d+)?) ?mm)?", re.IGNOR
 
 #: Settings of Matplotlib for figures in papers.
 STYLE: dict[Any, Any] = {
-    **dict.fromkeys(("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), _TEXT),
-    **dict.fromkeys(("legend.fontsize", "legend.title_fontsize"), _TEXT),
-    **dict.fromkeys(("legend.frameon", "axes.spines.top", "axes.spines.right"), False),
+    **mpl.rc_params_from_file(Path(__file__).with_name("paper.mplstyle"), use_default_template=False),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor"), PAPER),
-    "legend.handlelength": 1.8,
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.edgecolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": True,
-    "axes.formatter.limits": (-3, 4),
-    "axes.xmargin": 0.01,
     "grid.color": GRID,
-    "grid.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.0,
 }
 
 
