@@ -90,21 +90,14 @@ def _compared(design: Design, comparison: Comparison) -> Claim:
     same = moved <= SAME and abs(believed - best) <= SAME * size and comparison.is_feasible
     in_fact = "a run fails there" if comparison.fails else f"it is {actual:.6g}{unit}"
     text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
-    if same:
-        return Claim(
-            name,
-            statement,
-            "",
-            text,
-            Answer.YES,
-            f"{comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}".strip(),
+    sentence = f"{comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}".strip()
+    if not same:
+        beyond = "" if comparison.is_feasible or comparison.fails else ", and limits are violated there"
+        sentence = (
+            f"With {comparison.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
+            f"{in_fact}{beyond}. {sentence}"
         )
-    beyond = "" if comparison.is_feasible or comparison.fails else ", and limits are violated there"
-    sentence = (
-        f"With {comparison.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
-        f"{in_fact}{beyond}. {comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}"
-    )
-    return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
+    return Claim(name, statement, "", text, Answer.YES if same else Answer.NO, sentence.rstrip())
 
 
 def _tables(design: Design) -> Iterator[Table]:

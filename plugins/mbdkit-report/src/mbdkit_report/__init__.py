@@ -52,7 +52,8 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.plot.plot_kinds import plot_module as plot_module
     from mbdkit_report.plot.style import dress as dress, FORMATS as FORMATS, new_figure as new_figure, save as save
     from mbdkit_report.spec_words import (
-        key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, stated_units as stated_units,
+        key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, leaves as leaves,
+        stated_units as stated_units,
     )
     # fmt: on
 else:
