@@ -93,11 +93,11 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         except NOT_READ:
             raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
 
-    def write(self, design: Design) -> list[Path]:
-        """Write archives of the start and of the best point and then the result, and return these files."""
-        archives = [path for which in WHICH for path in self._archives(design, which)]
+    def write(self, design: Design) -> None:
+        """Write archives of the start and of the best point and then the result."""
+        for which in WHICH:
+            self._write_archives(design, which)
         self.write_result(design)
-        return [self.result, *archives]
 
     def write_result(self, design: Design) -> None:
         """Write the result alone."""
@@ -106,8 +106,8 @@ class DesignFolder(OwnedFolder[DesignSpec]):
             text = json.dumps({**data, HASH: _hash_of(design.spec, data)}, indent=2) + "\n"
             temporary.write_text(text, encoding="utf-8", newline="\n")
 
-    def _archives(self, design: Design, which: str) -> Iterator[Path]:
-        """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""
+    def _write_archives(self, design: Design, which: str) -> None:
+        """Write the archives of a point, with the estimated errors of their runs."""
         point: DesignPoint = getattr(design, which)
         settings = [(variable_path(name), value) for name, value in point.variables.items()]
         for name, scenario in design.spec.specs.items():
@@ -119,7 +119,6 @@ class DesignFolder(OwnedFolder[DesignSpec]):
                 path.unlink()
                 remove_checkpoint(path)
                 raise KeyboardInterrupt
-            yield path
 
 
 @contextmanager

@@ -50,15 +50,13 @@ _UNNAMED = {"@id": "#unnamed", "@type": "Organization", "name": "not stated", "u
 Entity = dict[str, Any]
 
 
-def write_crate(archives: Sequence[Path], folder: Path, *, with_machine: bool = False) -> None:
+def write_crate(archives: Sequence[Path], folder: Path) -> None:
     """Write a crate of archives: copies of them, their specs, reports with figures, evidence of methods, and citations.
 
     Parameters
     ----------
     folder
         The new folder.
-    with_machine
-        Whether copies name the machine and the command, as archives do.
 
     Raises
     ------
@@ -77,7 +75,7 @@ def write_crate(archives: Sequence[Path], folder: Path, *, with_machine: bool = 
         crate = _Crate(Path(work) / folder.name)
         crate.folder.mkdir()
         for path in archives:
-            crate.add_run(path, with_machine=with_machine)
+            crate.add_run(path)
         crate.write(archives)
         crate.folder.rename(folder)
 
@@ -108,11 +106,11 @@ class _Crate:
         entity |= {"contentSize": str(len(content)), "sha256": hashlib.sha256(content).hexdigest(), **further}
         return self.add(entity)
 
-    def add_run(self, path: Path, *, with_machine: bool) -> None:
+    def add_run(self, path: Path) -> None:
         """Add the files of an archive, and the action that made it."""
         stem = path.stem
         target = self.folder / f"{stem}.h5"
-        target.write_bytes(path.read_bytes() if with_machine else _without_machine(path))
+        target.write_bytes(_without_machine(path))
         write_report(target, self.folder / f"{stem}.html")
         with load(target) as run:
             texts = {name: str(run.file.attrs.get(name, "")) for name in ("title", "description", "creator", "license")}

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 
 from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.reports import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict
+from mbdkit.plugin.reports import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of
 from mbdkit.plugin.studies import study_verdict
 from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
 
@@ -36,15 +36,8 @@ def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `misfit`, complete or not."""
     samples = {(motion, device): Sample(study, f"{motion}-{device}") for motion in MOTIONS for device in DEVICES}
     rows = [(motion, device, *sample.row()) for (motion, device), sample in samples.items()]
-    columns = (
-        Column("motion"),
-        Column("device"),
-        Column("median added force", "N"),
-        Column("95 % quantile", "N"),
-        Column("median shear", "N"),
-        Column("median help transmitted", "%"),
-        *(Column(f"S_T {word}") for word in WORDS.values()),
-    )
+    heads = "motion; device; median added force [N]; 95 % quantile [N]; median shear [N]; median help transmitted [%]"
+    columns = columns_of("; ".join([heads, *(f"S_T {word}" for word in WORDS.values())]))
     note = (
         "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that reaches "
         "the knee, relative to that of the spring of the device at the angle of the knee. S_T: total Sobol indices of "
