@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from mbdkit.base.distributions import own_version
 from mbdkit_report.analysis.verdict import Answer, Verdict
@@ -85,49 +87,10 @@ class ReportPage:
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = _NO_FAILURES
 
-    @property
-    def contents(self) -> list[tuple[str, str]]:
-        """Anchor and title of each section, in order."""
-        parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
-        results = [
-            ("motion", "Motion", bool(self.films)),
-            *((anchor, title, not given) for anchor, title, given in parts),
-        ]
-        verdict = [("verdict", "Verdict", True)]
-        sections = [
-            ("glance", "At a glance", self.glance is not None),
-            *([*verdict, *results] if self.begins_with_verdict else [*results, *verdict]),
-            ("failed", "Runs that failed", bool(self.failures.rows)),
-            ("figures", "Figures", bool(self.figures(beside=False))),
-            ("tables", "Tables", bool(self.tables(beside=False))),
-            *parts,
-            ("methods", "Methods", True),
-            ("environment", "Environment", True),
-            ("reproduce", "Reproduce", True),
-        ]
-        return [(anchor, title) for anchor, title, there in sections if there]
-
-    def figures(self, *, beside: bool) -> tuple[Figure, ...]:
-        """Return the charts shown below the claims of the verdict if `beside` is true, otherwise the other charts."""
-        return tuple(figure for figure in self.verdict.figures if (figure.name in self.beside_verdict) == beside)
-
-    def tables(self, *, beside: bool) -> tuple[Table, ...]:
-        """Return the tables shown below the claims of the verdict if `beside` is true, otherwise the other tables."""
-        return tuple(table for table in self.verdict.tables if (table.name in self.beside_verdict) == beside)
-
-    @property
-    def figure_data(self) -> dict[str, object]:
-        """Data of the charts, as JSON values."""
-        return charts_data(self.verdict.figures)
-
-    @property
-    def summaries(self) -> dict[str, Table]:
-        """The text alternative of each chart, as a table, by name of the chart."""
-        return {figure.name: _summary(figure) for figure in self.verdict.figures}
-
     def html(self) -> str:
         """Return the HTML."""
-        return render("report.html", {"page": self, "version": own_version()}, FILTERS)
+        values = {"page": self, "version": own_version(), "figure_data": charts_data(self.verdict.figures)}
+        return render("report.html", values, FILTERS | {"summary": _summary, "headings": _headings})
 
 
 def cell_text(value: Cell) -> str:
@@ -154,6 +117,11 @@ def _exact(value: Cell) -> str:
 def _is_numeric(table: Table, column: int) -> bool:
     cells = [row[column] for row in table.rows if row[column] is not None]
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
+
+
+def _headings(body: str) -> list[tuple[Markup, ...]]:
+    """Return anchor and title of each section of the body of a page."""
+    return [tuple(map(Markup, heading)) for heading in re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', body)]
 
 
 #: Filters that the macros in `templates/parts.html` use.
