@@ -5,14 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, table
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.compared_settings import Comparison, compare
@@ -101,8 +100,7 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
-        plain: dict[str, Any] = json.loads(json_text(asdict(replace(self, spec=None))))  # type: ignore[arg-type]
-        del plain["spec"]
+        plain: dict[str, Any] = json.loads(TypeAdapter(Design).dump_json(self, exclude={"spec"}))
         return plain | {"searches": dict(zip(("at_best", "all"), self.searches, strict=True))}
 
     @classmethod

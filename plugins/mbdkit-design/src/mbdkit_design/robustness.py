@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mbdkit.base.plain_data import Path, canonical, copied
+from mbdkit.base.plain_data import Path, canonical
 from mbdkit.spec.model_spec import ModelSpec
-from mbdkit.spec.reading import put, variable_path
+from mbdkit.spec.reading import variable_path
 from mbdkit_design.evaluation import Evaluator, Job, Settings
 from mbdkit_report import key_unit, key_words, leaves
 
@@ -125,6 +126,8 @@ def _setting(model: object, path: Path, value: float) -> Settings:
     list.
     """
     depth = next((index for index, part in enumerate(path) if isinstance(part, int)), len(path))
-    held = {"value": copied(_at(model, path[:depth]))}
-    put(held, ("value", *path[depth:]), value)
-    return [(path[:depth], held["value"])]
+    if depth == len(path):
+        return [(path, value)]
+    numbers = deepcopy(_at(model, path[:depth]))
+    _at(numbers, path[depth - 1 : -1])[path[-1]] = value
+    return [(path[:depth], numbers)]

@@ -176,9 +176,6 @@ class Figure:
         Elements of the figure.
     equal
         Whether both axes have the same scale, as for paths in the plane.
-    headline
-        Largest value with its bar as a text, which is the title where the figure is a part of a picture, and its id;
-        both empty if there are none.
     """
 
     name: str
@@ -191,7 +188,6 @@ class Figure:
     marks: tuple[Mark, ...] = ()
     guides: tuple[Guide, ...] = ()
     equal: bool = False
-    headline: tuple[str, str] = ("", "")
     NEAR: ClassVar[float] = 0.008  #: Lines closer than this share of the chart hide each other.
 
     def __post_init__(self) -> None:

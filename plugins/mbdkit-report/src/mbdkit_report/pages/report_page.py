@@ -87,10 +87,33 @@ class ReportPage:
     films: tuple[dict[str, Any], ...] = ()
     failures: Table = _NO_FAILURES
 
+    @property
+    def contents(self) -> list[tuple[str, str]]:
+        """Anchor and title of each section, in order."""
+        return _headings(self.html())
+
+    def figures(self, *, beside: bool) -> tuple[Figure, ...]:
+        """Return the charts shown below the claims of the verdict if `beside` is true, otherwise the other charts."""
+        return tuple(figure for figure in self.verdict.figures if (figure.name in self.beside_verdict) == beside)
+
+    def tables(self, *, beside: bool) -> tuple[Table, ...]:
+        """Return the tables shown below the claims of the verdict if `beside` is true, otherwise the other tables."""
+        return tuple(table for table in self.verdict.tables if (table.name in self.beside_verdict) == beside)
+
+    @property
+    def figure_data(self) -> dict[str, object]:
+        """Data of the charts, as JSON values."""
+        return charts_data(self.verdict.figures)
+
+    @property
+    def summaries(self) -> dict[str, Table]:
+        """The text alternative of each chart, as a table, by name of the chart."""
+        return {figure.name: _summary(figure) for figure in self.verdict.figures}
+
     def html(self) -> str:
         """Return the HTML."""
-        values = {"page": self, "version": own_version(), "figure_data": charts_data(self.verdict.figures)}
-        return render("report.html", values, FILTERS | {"summary": _summary, "headings": _headings})
+        values = {"page": self, "version": own_version()}
+        return render("report.html", values, FILTERS | {"headings": _headings})
 
 
 def cell_text(value: Cell) -> str:
@@ -119,9 +142,10 @@ def _is_numeric(table: Table, column: int) -> bool:
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
 
 
-def _headings(body: str) -> list[tuple[Markup, ...]]:
-    """Return anchor and title of each section of the body of a page."""
-    return [tuple(map(Markup, heading)) for heading in re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', body)]
+def _headings(html: str) -> list[tuple[str, str]]:
+    """Return anchor and title of each section of a page."""
+    found = re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', html)
+    return [(anchor, Markup(title).unescape()) for anchor, title in found]
 
 
 #: Filters that the macros in `templates/parts.html` use.

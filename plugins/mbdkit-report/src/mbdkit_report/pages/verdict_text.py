@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from markupsafe import Markup
 
 from mbdkit.base.text import shown
@@ -51,7 +53,7 @@ def markdown_text(document: ReportPage) -> str:
     tables. Without headline tables all tables of the verdict are included.
     """
     tables = headlines(document.verdict) or document.verdict.tables
-    filters = {"markdown": lambda text: Markup(markdown(text)), "cells": _cells}
+    filters: dict[str, Callable[..., object]] = {"markdown": lambda text: Markup(markdown(text)), "cells": _cells}
     return render("markdown.txt", {"page": document, "tables": tables}, filters)
 
 

@@ -43,6 +43,13 @@ class Panel:
     over_time: bool = True
 
 
+@dataclass(frozen=True)
+class HeadedChart(Figure):
+    """A chart with its largest value and bar as a text, which is the title of its panel, and the id of the value."""
+
+    headline: tuple[str, str] = ("", "")
+
+
 def named(wanted: str | Iterable[str], known: Collection[str], what: str) -> list[str]:
     """Return the wanted names, each once.
 
@@ -95,10 +102,11 @@ def chart_image(chart: Figure, width: float = 7.2, height: float = 4.6) -> Pictu
 def chart_panel(chart: Figure, height: float = Panel.height) -> Panel:
     """Return the panel of a chart, whose title is the headline of the chart, or names its only line."""
     title = chart.title if len(chart.lines) > 1 else f"{chart.title}: {chart.lines[0].label}"
+    text, key = chart.headline if isinstance(chart, HeadedChart) else (title, "")
 
     def draw(axes: Axes) -> None:
-        draw_chart(axes, chart, chart.headline[0] or title)
-        axes.title.set_gid(chart.headline[1] or None)
+        draw_chart(axes, chart, text or title)
+        axes.title.set_gid(key or None)
         if chart.x == TIME:
             axes.margins(x=0.01)
 

@@ -13,9 +13,9 @@ from mbdkit.archive.headlines import answers
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
-from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
+from mbdkit_report.figures.page_model import TIME, Axis, Line, Mark
 from mbdkit_report.figures.palette import PALETTE
-from mbdkit_report.plot.charts import named
+from mbdkit_report.plot.charts import HeadedChart, named
 
 if TYPE_CHECKING:
     import h5py
@@ -207,7 +207,7 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
 
 def element_chart(
     name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, groups: Sequence[str] = ()
-) -> Figure:
+) -> HeadedChart:
     """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
 
     A long run is divided into bands of consecutive rows. The lines show the largest value of each band or, if any value
@@ -229,7 +229,7 @@ def element_chart(
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
     marks = (Mark(UNKNOWN, quantity.known_until),) if math.isfinite(quantity.known_until) else ()
     headline = quantity.heading if quantity.elements else ("", "")
-    return Figure(name, title, caption, TIME, axis, tuple(lines), marks=marks, headline=headline)
+    return HeadedChart(name, title, caption, TIME, axis, tuple(lines), marks=marks, headline=headline)
 
 
 def value_text(value: float, unit: str) -> str:

@@ -12,6 +12,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
+from mbdkit_report.plot.charts import HeadedChart
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -41,12 +42,12 @@ def charts(run: Run) -> list[Figure]:
     largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
     share = f", {largest / kinetic:.2g} of the largest kinetic energy" if kinetic > 0 else ""
     heads = (
-        f"energy (potential and total relative to the potential at the start, {base:.4g} J)",
-        f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}",
+        (f"energy (potential and total relative to the potential at the start, {base:.4g} J)", ""),
+        (f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}", ""),
     )
     return [
-        Figure("energy", "Energy", about, TIME, Axis("energy", "J"), lines, headline=(heads[0], "")),
-        Figure("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance, headline=(heads[1], "")),
+        HeadedChart("energy", "Energy", about, TIME, Axis("energy", "J"), lines, headline=heads[0]),
+        HeadedChart("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance, headline=heads[1]),
     ]
 
 
