@@ -24,7 +24,8 @@ from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.runs.run_seams import computed_run
-from mbdkit.spec.reading import read_file, variable_path
+from mbdkit.spec.loading import read_source
+from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
@@ -64,7 +65,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
 
     def remove_results(self) -> None:
         """Remove the archives of the start and of the best point."""
-        scenarios = read_file(self.spec).data.get("scenarios")
+        scenarios = read_source(self.spec).data.get("scenarios")
         names = [str(name) for name in scenarios] if isinstance(scenarios, dict) and scenarios else [""]
         for archive in (self.archive(which, name) for which in WHICH for name in names):
             if archive.parent == self.path and not archive.is_dir():
