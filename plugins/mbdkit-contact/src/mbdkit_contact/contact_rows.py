@@ -53,13 +53,23 @@ class Definition:
 
 
 class NamedSteps:
-    """Assigns symbols to intermediate quantities in the order of their computation, so that formulas stay small."""
+    """Assigns symbols to intermediate quantities in the order of their computation, so that formulas stay small, and
+    differentiates them with respect to time.
+    """
 
     def __init__(self) -> None:
         self.named: list[tuple[sp.Symbol, sp.Expr]] = []
+        (x1, y1, _, *rates1), (x2, y2, _, *rates2) = FIRST, SECOND
+        (c1, s1, c2, s2), w1, w2 = TURNED, rates1[2], rates2[2]
+        #: Rates of the symbols that change with time; all others, including the velocities, are taken as constant.
+        self.rates: dict[sp.Basic, sp.Expr] = {
+            x1: rates1[0], y1: rates1[1], c1: -s1 * w1, s1: c1 * w1,
+            x2: rates2[0], y2: rates2[1], c2: -s2 * w2, s2: c2 * w2,
+        }  # fmt: skip
 
     def __call__(self, expression: sp.Expr) -> sp.Expr:
         """Return a symbol that stands for an expression; numbers and symbols are returned unchanged."""
+        expression = expression.xreplace(_BY_TURN)
         if expression.is_Atom:
             return expression
         symbol = sp.Symbol(f"s{len(self.named)}", real=True)
@@ -76,6 +86,23 @@ class NamedSteps:
         square = self(dx**2 + dy**2)
         divisor = self(sp.sqrt(choose(square, square, 1)))
         return self(choose(square, divisor, 0)), self(dx / divisor), self(dy / divisor)
+
+    def rate(self, quantity: sp.Expr) -> sp.Expr:
+        """Return the rate of a quantity for constant velocities."""
+        known = dict(self.named)
+        if quantity in known and quantity not in self.rates:
+            self.rates[quantity] = self(self._derivative(known[quantity]))
+        return self.rates.get(quantity, sp.Integer(0)) if quantity.is_Atom else self._derivative(quantity)
+
+    def _derivative(self, expression: sp.Expr) -> sp.Expr:
+        if expression.func == choose:
+            condition, first, second = expression.args
+            return choose(condition, self.rate(first), self.rate(second))
+        choices = {part: sp.Dummy(real=True) for part in expression.atoms(choose)}
+        plain = expression.xreplace(choices)
+        back = {dummy: part for part, dummy in choices.items()}
+        parts = ((part, plain.diff(part)) for part in sorted(plain.free_symbols, key=str))
+        return sp.Add(*(slope.xreplace(back) * self.rate(back.get(part, part)) for part, slope in parts if slope != 0))
 
 
 def _geometry(kind: str, step: NamedSteps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
@@ -98,56 +125,6 @@ def _geometry(kind: str, step: NamedSteps) -> tuple[sp.Expr, sp.Expr, sp.Expr]:
     return distance - r - numbers[2], nx, ny
 
 
-def _sliding(
-    second: tuple[sp.Expr, sp.Expr],
-    first: tuple[sp.Expr, sp.Expr],
-    normal: tuple[sp.Expr, sp.Expr],
-    step: NamedSteps,
-) -> tuple[sp.Expr, sp.Expr]:
-    """Return the slip and the rate of the gap at a point. `second` and `first` are the vectors to the point from the
-    centres of mass of the second and of the first body.
-    """
-    (*_, vx1, vy1, w1), (*_, vx2, vy2, w2) = FIRST, SECOND
-    (px, py), (ox, oy), (nx, ny) = second, first, normal
-    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
-    return step(vx * ny - vy * nx), step(vx * nx + vy * ny)
-
-
-class _Moving(NamedSteps):
-    """Assigns symbols to intermediate quantities, and differentiates them with respect to time."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        (x1, y1, _, *rates1), (x2, y2, _, *rates2) = FIRST, SECOND
-        (c1, s1, c2, s2), w1, w2 = TURNED, rates1[2], rates2[2]
-        #: Rates of the symbols that change with time; all others, including the velocities, are taken as constant.
-        self.rates: dict[sp.Basic, sp.Expr] = {
-            x1: rates1[0], y1: rates1[1], c1: -s1 * w1, s1: c1 * w1,
-            x2: rates2[0], y2: rates2[1], c2: -s2 * w2, s2: c2 * w2,
-        }  # fmt: skip
-
-    def __call__(self, expression: sp.Expr) -> sp.Expr:
-        """Return a symbol that stands for an expression."""
-        return super().__call__(expression.xreplace(_BY_TURN))
-
-    def rate(self, quantity: sp.Expr) -> sp.Expr:
-        """Return the rate of a quantity for constant velocities."""
-        known = dict(self.named)
-        if quantity in known and quantity not in self.rates:
-            self.rates[quantity] = self(self._derivative(known[quantity]))
-        return self.rates.get(quantity, sp.Integer(0)) if quantity.is_Atom else self._derivative(quantity)
-
-    def _derivative(self, expression: sp.Expr) -> sp.Expr:
-        if expression.func == choose:
-            condition, first, second = expression.args
-            return choose(condition, self.rate(first), self.rate(second))
-        choices = {part: sp.Dummy(real=True) for part in expression.atoms(choose)}
-        plain = expression.xreplace(choices)
-        back = {dummy: part for part, dummy in choices.items()}
-        parts = ((part, plain.diff(part)) for part in sorted(plain.free_symbols, key=str))
-        return sp.Add(*(slope.xreplace(back) * self.rate(back.get(part, part)) for part, slope in parts if slope != 0))
-
-
 #: Quantities of a contact row: gap and slip, the rows n and t (6 components each) with ``gap' = n . v`` and
 #: ``slip = t . v``, and the right-hand sides of ``n . a = -n' . v`` and ``t . a = -t' . v``. Accelerations that satisfy
 #: these equations leave gap' and slip constant.
@@ -156,13 +133,15 @@ QUANTITIES = ("gap", "slip", "normal", "tangent", "normal_right", "tangent_right
 
 def row_definition(kind: str) -> Definition:
     """Return the formulas for the `QUANTITIES` of a kind of geometry."""
-    step = _Moving()
+    step = NamedSteps()
     gap, *normal = _geometry(kind, step)
     nx, ny = map(step, normal)
     (x1, y1), (x2, y2, th2) = FIRST[:2], SECOND[:3]
     px, py = (step(p - r * n) for p, n in zip(step.rotated(th2, cx, cy), (nx, ny), strict=True))
     ox, oy = step(x2 + px - x1), step(y2 + py - y1)
-    slip, rate = _sliding((px, py), (ox, oy), (nx, ny), step)
+    (*_, vx1, vy1, w1), (*_, vx2, vy2, w2) = FIRST, SECOND
+    vx, vy = step(vx2 - w2 * py - vx1 + w1 * oy), step(vy2 + w2 * px - vy1 - w1 * ox)
+    slip, rate = step(vx * ny - vy * nx), step(vx * nx + vy * ny)
     along = [-nx, -ny, oy * nx - ox * ny, nx, ny, px * ny - py * nx]
     across = [-ny, nx, oy * ny + ox * nx, ny, -nx, -py * ny - px * nx]
     quantities = [gap, slip, *along, *across, -step.rate(rate), -step.rate(slip)]

@@ -21,7 +21,18 @@ if TYPE_CHECKING:
 SOLVED = 1e-6
 #: Largest `contact.rest_energy` for which the bounces that are left out count as negligible.
 NEGLIGIBLE_BOUNCES = 1e-9
-_NAMES = ("cut", "changed", "undetermined", "ordered")  #: Fields that are sets of names.
+#: What is said of the contacts whose names a field has.
+REMARKS = {
+    "cut": "an infinite sequence of impacts was cut off at {names}: the contact stays closed after the last one "
+    "that was computed; `/impacts` has the time at which the impacts would have accumulated",
+    "changed": "the law of impact would have created energy at {names}; Stronge's law was used there or, for several "
+    "contacts at once, the law of the run or Poisson's law with a smaller restitution",
+    "undetermined": "the normal forces of contacts {names} are not unique, because other forces cause the same motion; "
+    "the run records one possible set",
+    "ordered": "impacts of contacts {names} coincide, and the run computes them together; if they happened one after "
+    "another, for example because of a tiny gap, the velocities after them would be different",
+}
+_NAMES = tuple(REMARKS)  #: Fields that are sets of names.
 
 
 @dataclass(frozen=True)
@@ -117,33 +128,8 @@ class ContactState:
         the chosen one, about normal forces that are not unique, about simultaneous impacts whose order would matter,
         and about inaccurate velocities of contacts.
         """
-        sentences = []
-        if self.cut:
-            names = listed(sorted(self.cut), "and")
-            sentences.append(
-                f"an infinite sequence of impacts was cut off at {names}: the contact stays closed after the last one "
-                "that was computed; `/impacts` has the time at which the impacts would have accumulated"
-            )
-        if self.changed:
-            names = listed(sorted(self.changed), "and")
-            sentences.append(
-                f"the law of impact would have created energy at {names}; Stronge's law was used there or, for several "
-                "contacts at once, the law of the run or Poisson's law with a smaller restitution"
-            )
-        if self.undetermined:
-            names = listed([f"'{name}'" for name in sorted(self.undetermined)], "and")
-            several = len(self.undetermined) > 1
-            which = f"forces of contacts {names} are" if several else f"force of contact {names} is"
-            sentences.append(
-                f"the normal {which} not unique, because other forces cause the same motion; the run records one "
-                "possible set"
-            )
-        if self.ordered:
-            names = listed([f"'{name}'" for name in sorted(self.ordered)], "and")
-            sentences.append(
-                f"impacts of contacts {names} coincide, and the run computes them together; if they happened one after "
-                "another, for example because of a tiny gap, the velocities after them would be different"
-            )
+        names = {name: listed([f"'{one}'" for one in sorted(getattr(self, name))], "and") for name in _NAMES}
+        sentences = [REMARKS[name].format(names=text) for name, text in names.items() if text]
         if self.residual > SOLVED:
             sentences.append(
                 f"the laws of contact and friction are satisfied to {self.residual:.1g} of the largest velocity only, "

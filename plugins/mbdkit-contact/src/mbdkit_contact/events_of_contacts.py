@@ -65,18 +65,14 @@ _PASSED = tuple(name for name in Known._fields if name not in ("number", "rows",
 
 
 def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
-    def integers(*shape: int) -> np.ndarray:
-        return np.zeros(shape, dtype=np.int64)
-
-    rows = max(2 * KEPT_STRIKES, 4 * count)
-    return Known(
-        modes=np.zeros(count), features=np.full(count, -1.0), basis=integers(1 + 2 * count),
-        shares=np.zeros(MOST_SHARES), determined=integers(2), event=integers(2), streak=integers(1),
-        normal=np.zeros(count), tangent=np.zeros(count), force=np.zeros(size),
-        energy=np.zeros(1), times=np.full(2, np.inf), flags=integers(4, count), number=integers(2),
-        rows=np.zeros((rows, 6)), strikes=np.zeros((KEPT_STRIKES, size + 2 * pairs)), until=np.zeros(2),
-        shown=np.zeros((2, held)), shift_q=np.zeros(size), shift_v=np.zeros(size),
-    )  # fmt: skip
+    shapes = {
+        "modes normal tangent": (count,), "shares": (MOST_SHARES,), "force shift_q shift_v": (size,), "energy": (1,),
+        "rows": (max(2 * KEPT_STRIKES, 4 * count), 6), "strikes": (KEPT_STRIKES, size + 2 * pairs), "until": (2,),
+        "shown": (2, held),
+    }  # fmt: skip
+    counts = {"basis": (1 + 2 * count,), "determined event number": (2,), "streak": (1,), "flags": (4, count)}
+    arrays = zeros(shapes) | zeros(counts, np.int64)
+    return Known(**arrays, features=np.full(count, -1.0), times=np.full(2, np.inf))
 
 
 class ContactEvents:
@@ -95,9 +91,6 @@ class ContactEvents:
         top, size = self.workspace.mechanism.topology, equations.n + 3
         count, pairs, held = len(self.contacts.names), len(top.pairs), self.contacts.held
 
-        def integers(*shape: int) -> np.ndarray:
-            return np.zeros(shape, dtype=np.int64)
-
         fall = equations.length * float(np.hypot(*top.gravity))
         slowest = SLOWEST * (math.sqrt(fall) if fall > 0.0 else equations.length)
         self._shapes = self.contacts.shapes
@@ -110,10 +103,10 @@ class ContactEvents:
             "still": top._replace(gravity=np.zeros(2)),
             "search": EventSearch(
                 np.zeros((3, count, 2)), np.zeros((3, count, 4)), np.zeros((3, count)), np.zeros((3, count)),
-                np.zeros(count), integers(4), np.zeros(7), np.zeros(1), integers(2), np.zeros(1),
+                np.zeros(count), np.zeros(4, np.int64), np.zeros(7), np.zeros(1), np.zeros(2, np.int64), np.zeros(1),
             ),
             "touch": Touch(
-                integers(count), self.contacts.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
+                np.zeros(count, np.int64), self.contacts.arms, np.zeros((4, size)), np.zeros((size // 3, 7)),
                 np.zeros((size // 3, 7)), np.zeros((4, 2)), np.zeros((4, size)),
             ),
             **self._of_room(max(1, min(count, FIRST_ROOM)), size, pairs),

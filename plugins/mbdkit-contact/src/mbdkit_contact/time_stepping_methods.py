@@ -6,6 +6,7 @@ Their algorithms are in `mbdkit_contact.kernels.time_stepping`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
@@ -15,18 +16,7 @@ from mbdkit.methods.method_options import Options
 from mbdkit.registry.items import Claims, integrator_claims
 from mbdkit.registry.target import Target
 
-JEAN = """@article{jean1999,
-  author = {Jean, Michel},
-  title = {The non-smooth contact dynamics method},
-  journal = {Computer Methods in Applied Mechanics and Engineering}, volume = {177}, number = {3--4},
-  pages = {235--257}, year = {1999}, doi = {10.1016/S0045-7825(98)00383-1}}"""
-
-
-CHEN = """@article{chen2013,
-  author = {Chen, Qiong-zhong and Acary, Vincent and Virlez, Geoffrey and Br{\\"u}ls, Olivier},
-  title = {A nonsmooth generalized-$\\alpha$ scheme for flexible multibody systems with unilateral constraints},
-  journal = {International Journal for Numerical Methods in Engineering}, volume = {96}, number = {8},
-  pages = {487--511}, year = {2013}, doi = {10.1002/nme.4563}}"""
+JEAN, CHEN = Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n")
 
 
 _TRAITS = Traits(

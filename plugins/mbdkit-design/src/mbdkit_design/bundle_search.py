@@ -15,7 +15,8 @@ import numpy as np
 from scipy.optimize import OptimizeResult, linprog
 
 from mbdkit.engine.linear_systems import product
-from mbdkit_design.problem import FAILED, FEASIBLE, Problem
+from mbdkit_design.design_spec import FEASIBLE
+from mbdkit_design.problem import FAILED, Problem
 
 #: Cost that is added for a violation of a limit by its whole size; 1 is the cost at the start of the design.
 PENALTY = 100.0

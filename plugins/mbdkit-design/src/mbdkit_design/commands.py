@@ -8,6 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from mbdkit.base.progress_bars import tally_bar
@@ -25,6 +26,8 @@ if TYPE_CHECKING:
     from mbdkit_design.robustness import Deviation
 
 
+#: Largest number of rows of the table of robustness that are printed: those with the largest first goals.
+DEVIATIONS_SHOWN = 12
 LOADS_SHOWN = 3  #: Largest number of loads, in addition to the goals, whose change is printed.
 
 
@@ -116,9 +119,10 @@ def design(
 def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path | None) -> None:
     """Print the result of a design: costs in other quantities, warnings, robustness and files."""
     from mbdkit.base.errors import MbdkitError
+    from mbdkit_design.design_verdict import robustness_table
     from mbdkit_design.gains import costs
-    from mbdkit_design.robustness import robustness_text
     from mbdkit_design.store import runs_of
+    from mbdkit_report import table_text
 
     summary = result.summary()
     show(summary)
@@ -129,7 +133,10 @@ def _show(result: Design, folder: Path, deviations: list[Deviation], page: Path 
         for warning in _of_scenarios(told):
             show(f"warning: {warning}")
     if deviations:
-        show(robustness_text(result.spec, deviations))
+        ranked = sorted(deviations, key=lambda one: -np.max(np.nan_to_num(one.goals[:, 0], nan=np.inf)))
+        show(table_text(robustness_table(result.spec, result.best, ranked[:DEVIATIONS_SHOWN])))
+        if (rest := len(ranked) - DEVIATIONS_SHOWN) > 0:
+            show(f"and {rest} numbers with a smaller effect, which the report has")
     show(f"folder: {folder}{'' if page is None else f', report: {page}'}")
 
 

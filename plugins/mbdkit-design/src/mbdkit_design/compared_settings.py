@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.base.errors import RunError
-from mbdkit.base.text import counted, table
-from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
+from mbdkit.base.text import counted
+from mbdkit_design.design_spec import LocalOptimizer
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.gains import goal_units, variable_unit
+from mbdkit_design.gains import goal_units
 from mbdkit_design.known_points import DesignPoint, point_of
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import searches
 from mbdkit_design.stages import Stages
-from mbdkit_report import heading, with_unit
+from mbdkit_report import with_unit
 
 
 @dataclass(frozen=True)
@@ -102,27 +101,3 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
     reason = "" if result.feasible else f"With {name}, the search found no point that satisfies all limits."
     own = point_of(other, evaluator.first), point_of(other, best)
     return Comparison(name, point_of(other, end), point_of(evaluator, end), is_feasible, reason, *own)
-
-
-def comparison_table(spec: DesignSpec, best: DesignPoint, compared: Sequence[Comparison]) -> str:
-    """Return a table of the best points found with several settings, as text for a terminal."""
-    (goal,) = best.goals
-    variables = (heading(name, variable_unit(spec, name)) for name in spec.single)
-    goals = (heading(words, goal_units(spec)[goal]) for words in (f"{goal.upper()} IT HAS THERE", "IN FACT"))
-    rows = [("BEST POINT WITH", *variables, *goals, "")]
-    rows.append(
-        (
-            "this design",
-            *(f"{value:.6g}" for value in map(best.variables.get, spec.single)),
-            f"{best.goals[goal]:.6g}",
-            "",
-            "",
-        )
-    )
-    for comparison in compared:
-        if comparison.believed is not None and comparison.actual is not None:
-            values = (f"{value:.6g}" for value in map(comparison.believed.variables.get, spec.single))
-            actual = "unknown" if comparison.fails else f"{comparison.actual.goals[goal]:.6g}"
-            note = "a run fails" if comparison.fails else "" if comparison.is_feasible else "violates limits"
-            rows.append((comparison.name, *values, f"{comparison.believed.goals[goal]:.6g}", actual, note))
-    return table(rows)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from pydantic import TypeAdapter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, table
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_design.compared_settings import Comparison, compare, comparison_table
+from mbdkit_design.compared_settings import Comparison, compare
 from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec
+from mbdkit_design.design_verdict import comparison_table, front_table
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.front import front_table, pareto_front
+from mbdkit_design.front import pareto_front
 from mbdkit_design.gains import (
     Gain,
     gains,
@@ -34,9 +36,10 @@ from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, advice, searches
 from mbdkit_design.stages import Stages
 from mbdkit_design.trust import Trust, certified
-from mbdkit_report import with_unit
+from mbdkit_report import table_text, with_unit
 from mbdkit_studies import start_warnings_of_study
 
+ROWS = 20  #: Largest number of points of a front in the summary.
 LEAST_ERROR = 1e-3  #: Errors of measures at their limits are reported if they exceed this share of the limit.
 
 
@@ -97,7 +100,7 @@ class Design:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain data for JSON; unknown numbers are None."""
-        plain = {field.name: _plain(getattr(self, field.name)) for field in fields(self) if field.name != "spec"}
+        plain: dict[str, Any] = json.loads(TypeAdapter(Design).dump_json(self, exclude={"spec"}))
         return plain | {"searches": dict(zip(("at_best", "all"), self.searches, strict=True))}
 
     @classmethod
@@ -137,7 +140,9 @@ class Design:
         if self.derivatives:
             lines.append(self.derivatives)
         if len(self.front) > 1:
-            lines.append(front_table(self.spec, self.front, self.best))
+            points = front_table(self)
+            more = f"{len(self.front) - ROWS} more points are in design.json." if len(self.front) > ROWS else ""
+            lines.append(table_text(replace(points, rows=points.rows[:ROWS], note=more)))
         if self.compared:
             remarks = (
                 text
@@ -145,7 +150,7 @@ class Design:
                 for text in (comparison.confirmation(*goals.values()), comparison.reason)
                 if text
             )
-            lines += [comparison_table(self.spec, self.best, self.compared), *remarks]
+            lines += [table_text(comparison_table(self)), *remarks]
         return "\n".join([*lines, *self.warnings])
 
     def both_points(self, form: str = "{:.4g}") -> Iterator[tuple[str, str, str]]:
@@ -323,17 +328,3 @@ def _knee(evaluator: Evaluator, front: list[Search]) -> Search:
     range_ = np.ptp(goals, axis=0)
     away = np.linalg.norm((goals - goals.min(axis=0)) / np.where(range_ > 0, range_, 1.0), axis=1)
     return front[int(np.argmin(away))]
-
-
-def _plain(data: object) -> object:
-    """Return plain data with None in place of nan."""
-    if is_dataclass(data):
-        data = {field.name: getattr(data, field.name) for field in fields(data)}
-    match data:
-        case dict():
-            return {key: _plain(value) for key, value in data.items()}
-        case list() | tuple():
-            return [_plain(value) for value in data]
-        case float() if not np.isfinite(data):
-            return None
-    return data

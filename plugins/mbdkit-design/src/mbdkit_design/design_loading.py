@@ -19,7 +19,7 @@ from mbdkit.spec.loading import example_names, read_source
 from mbdkit.spec.reading import Document, parse_key, put, variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.schema import schema_with_bases
-from mbdkit.spec.spec_kinds import kind_of, spec_loader, spec_schema
+from mbdkit.spec.spec_kinds import kind_of, refused, spec_loader, spec_schema
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design_spec import ChosenTable, DesignSpec, Scenario, TableVariable
 from mbdkit_design.gains import table_units
@@ -52,11 +52,8 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
     document, folder = _document(source)
     document.data |= sections
     document.keywords = frozenset(sections)
-    if "mbdkit_design" not in document.data:
-        for key, command in (("mbdkit_study", "study"), ("mbdkit", "run")):
-            if key in document.data:
-                message = f"this is the spec of a {command}; a design spec begins with `mbdkit_design: 1`"
-                raise document.place(SpecError(message, key=key))
+    if error := refused(document.data, "design"):
+        raise document.place(error)
     with SpecError.place_by(document.place):
         for assignment in assignments:
             document.assign(assignment)

@@ -86,7 +86,7 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
             }
             changes = sensitivities(evaluator, best)
             elsewhere = costs(pairs)
-            tables = costs_table(elsewhere), robustness_table(design, robustness(evaluator, best))
+            tables = costs_table(elsewhere), robustness_table(design.spec, design.best, robustness(evaluator, best))
         yield _page(design, path, pairs, around, changes, elsewhere, tables)
 
 

@@ -39,6 +39,9 @@ from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_studies import Overrides
 
 GOAL = "goal"  #: Name of the only goal if `minimize` is an expression.
+#: Largest violation of a limit that counts as zero, relative to the largest magnitude of the limits of the measure and
+#: its value at the start.
+FEASIBLE = 1e-6
 
 
 class _WithUnit(Section):
@@ -210,6 +213,12 @@ class Limit(_WithUnit):
     def ends(self) -> tuple[float, float]:
         """Smallest and largest value; infinite without a limit."""
         return -math.inf if self.min is None else self.min, math.inf if self.max is None else self.max
+
+    def holds(self, values: np.ndarray) -> bool:
+        """Return whether values of the measure satisfy the limits, except for rounding errors; nan does not."""
+        slack = FEASIBLE * max(abs(end) for end in self.ends if math.isfinite(end))
+        low, high = self.ends
+        return bool(np.all((values >= low - slack) & (values <= high + slack)))
 
     @property
     def measure(self) -> dict[str, str]:

@@ -17,6 +17,8 @@ from mbdkit_report import Answer, Cell, Claim, Column, Table, Verdict, key_words
 if TYPE_CHECKING:
     from mbdkit_design.compared_settings import Comparison
     from mbdkit_design.design import Design
+    from mbdkit_design.design_spec import DesignSpec
+    from mbdkit_design.known_points import DesignPoint
 
 #: Largest difference at which two optima count as equal. Differences of variables are relative to the distance between
 #: their bounds; differences of goals are relative to the goal at the start or at the best point, whichever is larger.
@@ -88,21 +90,14 @@ def _compared(design: Design, comparison: Comparison) -> Claim:
     same = moved <= SAME and abs(believed - best) <= SAME * size and comparison.is_feasible
     in_fact = "a run fails there" if comparison.fails else f"it is {actual:.6g}{unit}"
     text = f"goal there {believed:.6g}{unit}, in fact {in_fact}; best {best:.6g}{unit}"
-    if same:
-        return Claim(
-            name,
-            statement,
-            "",
-            text,
-            Answer.YES,
-            f"{comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}".strip(),
+    sentence = f"{comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}".strip()
+    if not same:
+        beyond = "" if comparison.is_feasible or comparison.fails else ", and limits are violated there"
+        sentence = (
+            f"With {comparison.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
+            f"{in_fact}{beyond}. {sentence}"
         )
-    beyond = "" if comparison.is_feasible or comparison.fails else ", and limits are violated there"
-    sentence = (
-        f"With {comparison.name}, the optimum seems to have a {goal_words(goal)} of {believed:.6g}{unit}; in fact "
-        f"{in_fact}{beyond}. {comparison.confirmation(goal_units(design.spec)[goal])} {comparison.reason}"
-    )
-    return Claim(name, statement, "", text, Answer.NO, sentence.rstrip())
+    return Claim(name, statement, "", text, Answer.YES if same else Answer.NO, sentence.rstrip())
 
 
 def _tables(design: Design) -> Iterator[Table]:
@@ -125,9 +120,9 @@ def _tables(design: Design) -> Iterator[Table]:
         yield Table(f"table-{number}", f"Values of {key_words(name)}", heads, tuple(of_table), table.remark(best))
     yield _goal_table(design)
     if design.compared:
-        yield _comparison_table(design)
+        yield comparison_table(design)
     if len(design.front) > 1:
-        yield _front_table(design)
+        yield front_table(design)
 
 
 def _goal_table(design: Design) -> Table:
@@ -168,27 +163,25 @@ def costs_table(costs: Sequence[Cost]) -> Table:
     )
 
 
-def robustness_table(design: Design, deviations: Sequence[Deviation]) -> Table:
+def robustness_table(spec: DesignSpec, point: DesignPoint, deviations: Sequence[Deviation]) -> Table:
     """Return the table of the goals at the best point if one number of the model differs from its given value."""
-    units = goal_units(design.spec)
+    units = goal_units(spec)
     columns = [Column("number"), Column("off by")]
-    for name in design.best.goals:
+    for name in point.goals:
         columns += [Column(f"{goal_words(name)} if {word}", units[name]) for word in ("smaller", "larger")]
-    limits = bool(design.spec.subject_to)
+    limits = bool(spec.subject_to)
     rows: list[tuple[Cell, ...]] = [
         (deviation.words, deviation.size, *(float(value) for value in deviation.goals.T.ravel()),
          *((", ".join(deviation.exceeds),) if limits else ()))
         for deviation in deviations
     ]  # fmt: skip
-    best = ", ".join(
-        f"{goal_words(name)} {with_unit(value, units[name], 4)}" for name, value in design.best.goals.items()
-    )
+    best = ", ".join(f"{goal_words(name)} {with_unit(value, units[name], 4)}" for name, value in point.goals.items())
     note = f"At the best point: {best}. Bounds of the variables do not apply here."
     columns += [Column("limits exceeded")] if limits else []
     return Table("robustness", "If a number is not met exactly", tuple(columns), tuple(rows), note)
 
 
-def _comparison_table(design: Design) -> Table:
+def comparison_table(design: Design) -> Table:
     """Return the table of the best points of this design and of the searches with other settings of the runs."""
     (goal,) = design.best.goals
     best, names = design.best, [*design.spec.single]
@@ -225,13 +218,20 @@ def _comparison_table(design: Design) -> Table:
     return Table("compared", "Results with other settings", columns, tuple(rows), note)
 
 
-def _front_table(design: Design) -> Table:
+def front_table(design: Design) -> Table:
+    """Return the table of the points of a Pareto front."""
     units = goal_units(design.spec)
     columns = (
+        Column("point"),
         *(Column(name, units[name]) for name in design.best.goals),
         *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.spec.single),
     )
     rows = tuple(
-        (*point.goals.values(), *(point.variables[name] for name in design.spec.single)) for point in design.front
+        (
+            f"{number}{' (best)' * (point == design.best)}",
+            *point.goals.values(),
+            *map(point.variables.get, design.spec.single),
+        )
+        for number, point in enumerate(design.front, 1)
     )
     return Table("front-points", "Points of the Pareto front", columns, rows)

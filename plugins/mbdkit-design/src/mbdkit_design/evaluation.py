@@ -306,14 +306,8 @@ class Evaluator:
 
         If the value of a limited measure is nan, its limit counts as violated.
         """
-        found = []
-        for name, limit in self.spec.subject_to.items():
-            column = values[..., self.names.index(name)]
-            slack = 1e-6 * max(abs(x) for x in (limit.min, limit.max) if x is not None)
-            low, high = limit.ends
-            if not np.all((column >= low - slack) & (column <= high + slack)):
-                found.append(name)
-        return tuple(found)
+        limits = self.spec.subject_to.items()
+        return tuple(name for name, limit in limits if not limit.holds(values[..., self.names.index(name)]))
 
     def run(self, jobs: Sequence[Job]) -> list[Outcome]:
         """Return the outcomes of jobs, and count them."""

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
 
-from mbdkit.base.text import counted, table
-from mbdkit_design.design_spec import DesignSpec
+from mbdkit.base.text import counted
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.gains import goal_units, variable_unit
-from mbdkit_design.known_points import DesignPoint, Notify
+from mbdkit_design.known_points import Notify
 from mbdkit_design.problem import Problem
 from mbdkit_design.search import Search, searches
-from mbdkit_report import heading
 
-ROWS = 20  #: Largest number of points in the table of a front.
 SLACK = 1e-6  #: Differences of goals below this, as a share of their range on the front, count as zero.
 
 
@@ -65,19 +60,3 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
         bool(np.any(np.all(goals <= goal + slack, axis=1) & np.any(goals < goal - slack, axis=1))) for goal in goals
     ]
     return [point for point, is_worse in zip(points, worse, strict=True) if not is_worse]
-
-
-def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoint) -> str:
-    """Return a table of the points of a front as text for a terminal."""
-    units = goal_units(spec) | {name: variable_unit(spec, name) for name in spec.single}
-    rows = [("POINT OF THE FRONT", *(heading(name, units[name]) for name in (*best.goals, *spec.single)))]
-    for number, point in enumerate(front[:ROWS], start=1):
-        name = f"{number} (best)" if point == best else f"{number}"
-        rows.append(
-            (
-                name,
-                *(f"{value:.6g}" for value in (*point.goals.values(), *(point.variables[key] for key in spec.single))),
-            )
-        )
-    more = f"\n{len(front) - ROWS} more points are in design.json." if len(front) > ROWS else ""
-    return table(rows) + more

@@ -15,8 +15,7 @@ from mbdkit.measures.take import SpecMeasure
 from mbdkit.runs.angles_in_degrees import looks_like_degrees
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import variable_path
-from mbdkit_design.design_spec import GOAL, DesignSpec
-from mbdkit_design.problem import FEASIBLE
+from mbdkit_design.design_spec import FEASIBLE, GOAL, DesignSpec
 from mbdkit_report import key_unit, with_unit
 
 if TYPE_CHECKING:

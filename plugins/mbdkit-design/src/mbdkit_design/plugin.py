@@ -26,6 +26,7 @@ def mbdkit_items() -> Iterable[Item]:
             marker="mbdkit_design",
             command="mbdkit design",
             given_instead="this is a design spec, which `mbdkit design` solves",
+            run_instead="this is the spec of a run; a design spec begins with `mbdkit_design: 1`",
             heading="Designs",
             load=Target("mbdkit_design.design_loading:load_design_spec"),
             validate=Target("mbdkit_design.commands:validate_design"),

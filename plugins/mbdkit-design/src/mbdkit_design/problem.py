@@ -11,15 +11,13 @@ import numpy as np
 from mbdkit.base.errors import RunError
 from mbdkit.engine.linear_systems import product
 from mbdkit_design.derivatives import derivatives
+from mbdkit_design.design_spec import FEASIBLE
 
 if TYPE_CHECKING:
     from mbdkit_design.evaluation import Evaluator
 
 #: Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there.
 FAILED = 1e3
-#: Largest violation of a limit that counts as zero, relative to the largest magnitude of the limits of the measure and
-#: its value at the start.
-FEASIBLE = 1e-6
 
 #: Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
 #: (n,).

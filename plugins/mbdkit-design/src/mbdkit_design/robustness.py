@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mbdkit.base.plain_data import Path, canonical
-from mbdkit.base.text import table
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import variable_path
-from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Evaluator, Job, Settings
-from mbdkit_design.gains import goal_words
-from mbdkit_report import key_unit, key_words
+from mbdkit_report import key_unit, key_words, leaves
 
 OFF = 0.05  #: Relative deviation of variables and masses.
 MOVED = 0.002  #: Deviation of a coordinate of an attachment [m].
 _ELEMENTS = ("forces", "springs")
 _INERTIA = {"mass": "inertia", "masses": "inertias"}  #: Key of the inertia beside the key of a mass.
 _POINTS = ("points", "point", "at", "from", "to")
-#: Largest number of masses that are varied (those of the heaviest bodies), and largest number of rows that are printed.
+#: Largest number of masses that are varied: those of the heaviest bodies.
 MOST = 12
 
 
@@ -95,7 +93,8 @@ def _numbers(spec: ModelSpec, taken: Sequence[Path]) -> Iterator[tuple[Path, Seq
     Numbers at or below the paths in `taken` are left out.
     """
     model = canonical(spec.model)
-    results = [path for path in _paths(model, ("model",)) if not any(path[: len(one)] == one for one in taken)]
+    numbers = [path for path, value in leaves(model, ("model",)) if type(value) in (int, float)]
+    results = [path for path in numbers if not any(path[: len(one)] == one for one in taken)]
     masses = [path for path in results if path[1] not in _ELEMENTS and key_unit(path, [spec]) == "kg"]
     for path in sorted(masses, key=lambda path: -abs(_at(model, path)))[:MOST]:
         paths = [path, *(result for result in results if result == _inertia_of(path))]
@@ -116,15 +115,6 @@ def _scaled(model: object, paths: Sequence[Path], factor: float) -> Settings:
     return [one for path in paths for one in _setting(model, path, factor * _at(model, path))]
 
 
-def _paths(holder: object, path: Path) -> Iterator[Path]:
-    """Yield the paths of the numbers in plain data."""
-    if isinstance(holder, dict | list):
-        for key, value in holder.items() if isinstance(holder, dict) else enumerate(holder):
-            yield from _paths(value, (*path, key))
-    elif isinstance(holder, int | float) and not isinstance(holder, bool):
-        yield path
-
-
 def _at(model: Any, path: Path) -> Any:
     for part in path[1:]:
         model = model[part]
@@ -136,24 +126,8 @@ def _setting(model: object, path: Path, value: float) -> Settings:
     list.
     """
     depth = next((index for index, part in enumerate(path) if isinstance(part, int)), len(path))
-    return [(path[:depth], _replaced(_at(model, path[:depth]), path[depth:], value))]
-
-
-def _replaced(holder: Any, path: Path, value: float) -> Any:
-    """Return nested lists with another number at a path."""
-    if not path:
-        return value
-    return [_replaced(one, path[1:], value) if index == path[0] else one for index, one in enumerate(holder)]
-
-
-def robustness_text(spec: DesignSpec, deviations: Sequence[Deviation]) -> str:
-    """Return the deviations with the largest first goal as a table for a terminal, in descending order of this goal."""
-    ranked = sorted(deviations, key=lambda deviation: -np.max(np.nan_to_num(deviation.goals[:, 0], nan=np.inf)))
-    sides = [f"{goal_words(name)} {sign}".upper() for name in spec.totals for sign in "-+"]
-    rows = [("NUMBER", "OFF BY", *sides, *(("EXCEEDS",) if spec.subject_to else ()))]
-    for one in ranked[:MOST]:
-        goals = (f"{value:.4g}" if np.isfinite(value) else "fails" for value in one.goals.T.ravel())
-        limits = (", ".join(one.exceeds),) if spec.subject_to else ()
-        rows.append((one.words, one.size, *goals, *limits))
-    rest = len(ranked) - MOST
-    return table(rows) + (f"\nand {rest} numbers with a smaller effect, which the report has" if rest > 0 else "")
+    if depth == len(path):
+        return [(path, value)]
+    numbers = deepcopy(_at(model, path[:depth]))
+    _at(numbers, path[depth - 1 : -1])[path[-1]] = value
+    return [(path[:depth], numbers)]

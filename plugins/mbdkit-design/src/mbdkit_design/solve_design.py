@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
+from mbdkit.base.terminal import silence
 from mbdkit.base.text import counted
 from mbdkit_design.computing import Computer
 from mbdkit_design.design import Design, solve, with_comparisons
@@ -101,7 +102,7 @@ def design(
         if progress is not None:
             progress(done, failed)
 
-    stages = Stages(spec, notify or _silent, count, optimum_only=optimum_only)
+    stages = Stages(spec, notify or silence, count, optimum_only=optimum_only)
     if folder is not None:
         return solved_in(folder, spec, engine, stages, overwrite=overwrite)
     with evaluating(spec, None, engine, stages) as evaluator:
@@ -175,7 +176,3 @@ def evaluating(spec: DesignSpec, folder: DesignFolder | None, engine: Engine, st
             if folder is not None:
                 notify(f"{counted(known.count, 'run')} are kept in {folder.points}; the same call continues from there")
             raise
-
-
-def _silent(text: str) -> None:
-    """Ignore a message."""

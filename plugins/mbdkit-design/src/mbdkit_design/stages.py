@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from mbdkit_design.known_points import Notify
 Progress = Callable[[int, int, str], None]
 
 
+@dataclass
 class Stages:
     """Reports in messages which stage of a design is being computed.
 
@@ -30,34 +32,35 @@ class Stages:
         Whether comparisons are omitted.
     further
         Number of further stages that the caller begins after these.
+
+    Attributes
+    ----------
+    words, evaluator
+        The present stage in words, and the evaluator whose best goal progress reports.
     """
 
-    def __init__(
-        self,
-        spec: DesignSpec,
-        notify: Notify,
-        progress: Progress | None = None,
-        *,
-        optimum_only: bool = False,
-        further: int = 0,
-    ):
-        self.notify, self.optimum_only = notify, optimum_only
-        self._goal, self._progress = spec.totals[0], progress
-        self._names = ["optimisation", "errors of the result"]
-        self._names += [] if optimum_only else [f"comparison with {name}" for name in spec.compare]
-        self._count = len(self._names) + further
-        self._words, self._evaluator = "", None  # type: str, Evaluator | None
+    spec: DesignSpec
+    notify: Notify
+    progress: Progress | None = None
+    _: KW_ONLY
+    optimum_only: bool = False
+    further: int = 0
+    words: str = field(default="", init=False)
+    evaluator: Evaluator | None = field(default=None, init=False)
 
     def begin(self, name: str, evaluator: Evaluator | None = None) -> None:
         """Begin a stage; progress reports the best goal of `evaluator`."""
-        number = self._names.index(name) + 1 if name in self._names else self._count
-        self._words, self._evaluator = f"stage {number} of {self._count}: {name}", evaluator
-        self.notify(self._words)
+        compared = [] if self.optimum_only else [f"comparison with {one}" for one in self.spec.compare]
+        names = ["optimisation", "errors of the result", *compared]
+        count = len(names) + self.further
+        number = names.index(name) + 1 if name in names else count
+        self.words, self.evaluator = f"stage {number} of {count}: {name}", evaluator
+        self.notify(self.words)
 
     def count(self, done: int, failed: int) -> None:
         """Report the number of runs so far, and the number of failed runs."""
-        if self._progress is None:
+        if self.progress is None:
             return
-        least = np.nan if self._evaluator is None else self._evaluator.least
-        best = "" if np.isnan(least) else f", best {self._goal} {least:.6g}"
-        self._progress(done, failed, self._words + best)
+        least = np.nan if self.evaluator is None else self.evaluator.least
+        best = "" if np.isnan(least) else f", best {self.spec.totals[0]} {least:.6g}"
+        self.progress(done, failed, self.words + best)

@@ -24,7 +24,8 @@ from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.runs.run_seams import computed_run
-from mbdkit.spec.reading import read_file, variable_path
+from mbdkit.spec.loading import read_source
+from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
 from mbdkit_design.design import Design
@@ -64,7 +65,7 @@ class DesignFolder(OwnedFolder[DesignSpec]):
 
     def remove_results(self) -> None:
         """Remove the archives of the start and of the best point."""
-        scenarios = read_file(self.spec).data.get("scenarios")
+        scenarios = read_source(self.spec).data.get("scenarios")
         names = [str(name) for name in scenarios] if isinstance(scenarios, dict) and scenarios else [""]
         for archive in (self.archive(which, name) for which in WHICH for name in names):
             if archive.parent == self.path and not archive.is_dir():
@@ -93,11 +94,11 @@ class DesignFolder(OwnedFolder[DesignSpec]):
         except NOT_READ:
             raise SpecError("this is not the result of the design.yaml beside it", file=self.result) from None
 
-    def write(self, design: Design) -> list[Path]:
-        """Write archives of the start and of the best point and then the result, and return these files."""
-        archives = [path for which in WHICH for path in self._archives(design, which)]
+    def write(self, design: Design) -> None:
+        """Write archives of the start and of the best point and then the result."""
+        for which in WHICH:
+            self._write_archives(design, which)
         self.write_result(design)
-        return [self.result, *archives]
 
     def write_result(self, design: Design) -> None:
         """Write the result alone."""
@@ -106,8 +107,8 @@ class DesignFolder(OwnedFolder[DesignSpec]):
             text = json.dumps({**data, HASH: _hash_of(design.spec, data)}, indent=2) + "\n"
             temporary.write_text(text, encoding="utf-8", newline="\n")
 
-    def _archives(self, design: Design, which: str) -> Iterator[Path]:
-        """Write the archives of a point, with the estimated errors of their runs, and yield their paths."""
+    def _write_archives(self, design: Design, which: str) -> None:
+        """Write the archives of a point, with the estimated errors of their runs."""
         point: DesignPoint = getattr(design, which)
         settings = [(variable_path(name), value) for name, value in point.variables.items()]
         for name, scenario in design.spec.specs.items():
@@ -119,7 +120,6 @@ class DesignFolder(OwnedFolder[DesignSpec]):
                 path.unlink()
                 remove_checkpoint(path)
                 raise KeyboardInterrupt
-            yield path
 
 
 @contextmanager

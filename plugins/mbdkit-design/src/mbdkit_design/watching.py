@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, listed
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_design.design_spec import Limit
-from mbdkit_design.problem import FEASIBLE
 from mbdkit_design.store import DesignFolder
 from mbdkit_studies import storage_in
 
@@ -84,7 +84,7 @@ def _of_design(folder: Path) -> Work:
     for line in lines:
         try:
             result = json.loads(line)["values"]
-            is_allowed = all(_is_within(result[name], limit) for name, limit in spec.subject_to.items())
+            is_allowed = all(limit.holds(np.array(result[name], float)) for name, limit in spec.subject_to.items())
             values.append(result[goal] if is_allowed else None)
         except (ValueError, KeyError, TypeError):  # the line is still being written
             continue
@@ -94,15 +94,6 @@ def _of_design(folder: Path) -> Work:
     owners = tuple(paths.owners())
     complete = paths.result.is_file() and not owners  # comparisons and robustness are computed after the result
     return Work(f"{counted(len(values), 'run')}{least}", len(values), math.nan, complete, owners)
-
-
-def _is_within(value: float | None, limit: Limit) -> bool:
-    """Return whether a value satisfies a limit, except for rounding errors."""
-    if value is None:
-        return False
-    low, high = limit.ends
-    slack = FEASIBLE * max(abs(end) for end in (value, low, high) if math.isfinite(end))
-    return low - slack <= value <= high + slack
 
 
 def _duration(seconds: float) -> str:

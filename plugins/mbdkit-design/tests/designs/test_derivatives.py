@@ -12,7 +12,7 @@ from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments
 
 import mbdkit
 from mbdkit_design.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
-from mbdkit_design.design_charts import _svg
+from mbdkit_design.design_charts import sensitivity_section
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.landscape import sensitivities
@@ -102,5 +102,5 @@ def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
             change = 0.01 * (high - low) * 0.7
             assert one.corners[name] == pytest.approx((change, change), rel=1e-3)
             assert np.isnan(one.changes[name])
-            svg = str(_svg([one], {name: "stiffness"}, {(one.scenario, one.measure): "N m"}, 700.0))
-            assert "if increased" in svg
+            section = sensitivity_section([one], {name: "stiffness"}, {(one.scenario, one.measure): "N m"})
+            assert "if increased" in str(section.tables[0].rows)

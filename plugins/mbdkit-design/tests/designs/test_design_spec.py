@@ -114,7 +114,7 @@ def test_each_kind_of_spec_names_the_command_of_another(tmp_path: Path) -> None:
     file = written(tmp_path, TEXT)
     with pytest.raises(SpecError, match=r"design\.yaml:1: mbdkit_design: this is a design spec, which `mbdkit design`"):
         load_spec(file)
-    with pytest.raises(SpecError, match=r"run\.yaml:1: mbdkit: this is the spec of a run"):
+    with pytest.raises(SpecError, match=r"run\.yaml:3: integrator: this is the spec of a run"):
         load_design_spec(run_spec(tmp_path))
     with pytest.raises(SpecError, match="mbdkit_design"):
         load_study_spec(file)

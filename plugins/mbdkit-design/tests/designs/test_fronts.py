@@ -33,8 +33,8 @@ def test_the_front_of_two_distances_is_the_segment_between_the_places() -> None:
     # expected: (1 - x)^2 falls evenly from 1 to 0
     np.testing.assert_allclose((1 - points[:, 0]) ** 2, np.linspace(1, 0, 4), atol=1e-4)
     lines = found.summary().splitlines()
-    place = next(k for k, line in enumerate(lines) if line.startswith("POINT OF THE FRONT"))
-    assert [line.split()[0] for line in lines[place + 1 : place + 5]] == list("1234")
+    place = next(k for k, line in enumerate(lines) if line == "Points of the Pareto front")
+    assert [line.split()[0] for line in lines[place + 2 : place + 6]] == list("1234")
     assert sum("(best)" in line for line in lines) == 1
 
 

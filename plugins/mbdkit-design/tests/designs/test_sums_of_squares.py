@@ -13,8 +13,10 @@ from tests.designs.swinging_shank import BRACE, T, design_of, mean, moments, sha
 import mbdkit
 from mbdkit import SpecError
 from mbdkit_design.design_loading import load_design_spec
+from mbdkit_design.design_verdict import robustness_table
 from mbdkit_design.evaluation import Evaluator
-from mbdkit_design.robustness import robustness, robustness_text
+from mbdkit_design.known_points import point_of
+from mbdkit_design.robustness import robustness
 
 STRAP = "model.forces.strap"
 BOTH = {f"{name}.stiffness": {"bounds": [0.0, 200.0], "start": 20.0 + k} for k, name in enumerate((BRACE, STRAP))}
@@ -163,8 +165,8 @@ def test_variables_masses_and_attachments_are_off_by_five_percent_and_two_millim
     assert found["stiffness of spring"].exceeds == ("load",)  # sqrt(10.5^2 + 10^2) = 14.5 N
     assert found["x of point 1 of spring"].exceeds == ("load",)  # sqrt(10.1^2 + 10^2) = 14.21 N
     assert found["y of point 1 of spring"].exceeds == ()
-    table = robustness_text(evaluator.spec, list(found.values()))
-    assert table.splitlines()[1].split() == ["stiffness", "of", "spring", "5", "%", "9.5", "10.5", "10", "10", "load"]
+    table = robustness_table(evaluator.spec, point_of(evaluator, np.array([0.0])), list(found.values()))
+    assert table.rows[0] == ("stiffness of spring", "5 %", *map(pytest.approx, (9.5, 10.5, 10, 10)), "load")
 
 
 @pytest.mark.parametrize("is_variable", [False, True], ids=["inertia of the body", "inertia is a variable"])

@@ -44,13 +44,16 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         environment as environment, film_of as film_of, run_report as run_report, TONES as TONES,
     )
     from mbdkit_report.pages.templating import render as render
-    from mbdkit_report.pages.verdict_text import json_values as json_values, terminal_text as terminal_text
+    from mbdkit_report.pages.verdict_text import (
+        json_values as json_values, table_text as table_text, terminal_text as terminal_text,
+    )
     from mbdkit_report.plot.caption import Caption as Caption
     from mbdkit_report.plot.charts import draw_chart as draw_chart
     from mbdkit_report.plot.plot_kinds import plot_module as plot_module
     from mbdkit_report.plot.style import dress as dress, FORMATS as FORMATS, new_figure as new_figure, save as save
     from mbdkit_report.spec_words import (
-        key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, stated_units as stated_units,
+        key_unit as key_unit, key_words as key_words, keys_ending_in as keys_ending_in, leaves as leaves,
+        stated_units as stated_units,
     )
     # fmt: on
 else:

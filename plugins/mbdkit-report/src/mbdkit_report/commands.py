@@ -23,12 +23,6 @@ _KINDS = completing(Target("mbdkit_report.plot.plot_kinds:plot_kinds"))
 _KINDS_HELP = "; ".join(f"{kind}: {summary}" for kind, summary in plot_kinds().items()) + "."
 
 
-def _check_kind(kind: str) -> str:
-    if kind not in plot_kinds():
-        raise typer.BadParameter(f"there is no kind of plot {kind!r}; the kinds are {', '.join(plot_kinds())}")
-    return kind
-
-
 _Names = list[str] | None
 
 
@@ -67,7 +61,7 @@ def plot(
     archives: Archives,
     *,
     kind: Annotated[
-        str, typer.Option("--kind", metavar="KIND", callback=_check_kind, autocompletion=_KINDS, help=_KINDS_HELP)
+        str, typer.Option("--kind", metavar="KIND", autocompletion=_KINDS, help=_KINDS_HELP)
     ] = "trajectory",
     selection: Selection,
     size: Annotated[
@@ -129,8 +123,9 @@ def _check_options(kind: str, options: Mapping[str, object]) -> None:
     from mbdkit.base.text import listed
     from mbdkit_report.plot.comparison import options_of
 
+    known = options_of(kind)
     for name in options:
-        if name not in options_of(kind):
+        if name not in known:
             kinds = [one for one in plot_kinds() if name in options_of(one)]
             raise SpecError(f"--{name.removesuffix('s')} is an option of --kind {listed(kinds, 'or')}, not of {kind}")
 

@@ -26,7 +26,6 @@ from mbdkit.base.files import check_output
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import shown
 from mbdkit.plugin.seams import file_problems
-from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.manager import registry
 from mbdkit.runs.method_evidence import FORMAT, FORMAT_VERSION, code_digest, evidence_file, read_records
 from mbdkit_report.pages.report import write_report
@@ -51,15 +50,13 @@ _UNNAMED = {"@id": "#unnamed", "@type": "Organization", "name": "not stated", "u
 Entity = dict[str, Any]
 
 
-def write_crate(archives: Sequence[Path], folder: Path, *, with_machine: bool = False) -> None:
+def write_crate(archives: Sequence[Path], folder: Path) -> None:
     """Write a crate of archives: copies of them, their specs, reports with figures, evidence of methods, and citations.
 
     Parameters
     ----------
     folder
         The new folder.
-    with_machine
-        Whether copies name the machine and the command, as archives do.
 
     Raises
     ------
@@ -78,7 +75,7 @@ def write_crate(archives: Sequence[Path], folder: Path, *, with_machine: bool = 
         crate = _Crate(Path(work) / folder.name)
         crate.folder.mkdir()
         for path in archives:
-            crate.add_run(path, with_machine=with_machine)
+            crate.add_run(path)
         crate.write(archives)
         crate.folder.rename(folder)
 
@@ -109,11 +106,11 @@ class _Crate:
         entity |= {"contentSize": str(len(content)), "sha256": hashlib.sha256(content).hexdigest(), **further}
         return self.add(entity)
 
-    def add_run(self, path: Path, *, with_machine: bool) -> None:
+    def add_run(self, path: Path) -> None:
         """Add the files of an archive, and the action that made it."""
         stem = path.stem
         target = self.folder / f"{stem}.h5"
-        target.write_bytes(path.read_bytes() if with_machine else _without_machine(path))
+        target.write_bytes(_without_machine(path))
         write_report(target, self.folder / f"{stem}.html")
         with load(target) as run:
             texts = {name: str(run.file.attrs.get(name, "")) for name in ("title", "description", "creator", "license")}
@@ -145,13 +142,9 @@ class _Crate:
 
     def write(self, archives: Sequence[Path]) -> None:
         """Add citations, and write the metadata of the crate."""
-        codemeta = {
-            "@context": "https://doi.org/10.5063/schema/codemeta-2.0", "@type": "SoftwareSourceCode",
-            "name": "mbdkit", "license": "https://spdx.org/licenses/MIT", "codeRepository": _MBDKIT,
-            "programmingLanguage": "Python", "author": [{"@type": "Organization", "name": "The mbdkit authors"}],
-        }  # fmt: skip
         own = f"@software{{mbdkit, author = {{{{The mbdkit authors}}}}, title = {{mbdkit}}, url = {{{_MBDKIT}}}}}"
-        self.add_file("codemeta.json", json_text(codemeta).encode(), "description of mbdkit (CodeMeta)")
+        codemeta = Path(__file__).with_name("codemeta.json").read_bytes()
+        self.add_file("codemeta.json", codemeta, "description of mbdkit (CodeMeta)")
         self.add_file("citation.bib", "\n\n".join([own, *self.references, ""]).encode(), "references (BibTeX)")
         files = [{"@id": name} for name, entity in self.entities.items() if entity["@type"] == "File"]
         nobody, texts = self.add(_UNNAMED), self.root
@@ -208,22 +201,16 @@ def _software(run: Run) -> Iterator[Entity]:
         yield entity | {"softwareVersion": version}
 
 
-def _integrator(run: Run) -> Registered | None:
-    """Return the integrator of a run if it is installed with the code that the run used."""
-    name = str(run.provenance.get("integrator", ""))
-    items = [item for item in registry().of_kind("integrator") if item.id == name]
-    return next((item for item in items if code_digest(item.origin) == run.provenance.get("integrator_digest")), None)
-
-
 def _evidence(run: Run) -> Iterator[tuple[str, bytes]]:
-    """Yield name and evidence of the integrator, if there is evidence of the code that the run used."""
-    item, records = _integrator(run), list[Any]()
-    with suppress(ValueError):  # damaged evidence is none
-        records += [] if item is None else read_records(evidence_file(item.origin))
-    records = [one for one in records if item is not None and one["name"] == item.name]
-    if item is not None and records:
-        data = {"format": FORMAT, "format_version": FORMAT_VERSION, "records": records}
-        yield item.id, json_text(data).encode()
+    """Yield name and evidence of the integrator if it is installed with the code that the run used."""
+    for item in registry().of_kind("integrator"):
+        digest = run.provenance.get("integrator_digest")
+        if item.id == run.provenance.get("integrator") and code_digest(item.origin) == digest:
+            with suppress(ValueError):  # damaged evidence is none
+                records = [one for one in read_records(evidence_file(item.origin)) if one["name"] == item.name]
+                if records:
+                    data = {"format": FORMAT, "format_version": FORMAT_VERSION, "records": records}
+                    yield item.id, json_text(data).encode()
 
 
 def _references(run: Run) -> Sequence[str]:

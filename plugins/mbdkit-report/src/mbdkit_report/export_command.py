@@ -18,9 +18,6 @@ from mbdkit.cli.common_options import Archives, Debug, Overwrite, Quiet, output_
 def archive_crate(
     archives: Archives,
     output: Annotated[Path, output_to("FOLDER", "The crate, a new folder.")],
-    with_machine: Annotated[
-        bool, typer.Option("--with-machine", help="Keep what archives tell about machine and command.")
-    ] = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -33,7 +30,7 @@ def archive_crate(
     """
     from mbdkit_report.crate import write_crate
 
-    write_crate(archives, output, with_machine=with_machine)
+    write_crate(archives, output)
     if not quiet:
         show(output)
 

@@ -141,3 +141,12 @@ def keys_ending_in(name: str, holder: object, path: Path = ("model",)) -> Iterat
         if part == name:
             yield path_text((*path, part))
         yield from keys_ending_in(name, value, (*path, part))
+
+
+def leaves(data: object, path: Path = ()) -> Iterator[tuple[Path, object]]:
+    """Yield the values in plain data, which is at `path`, that are neither mappings nor lists, with their paths."""
+    items = data.items() if isinstance(data, Mapping) else enumerate(data) if isinstance(data, list) else None
+    if items is None:
+        yield path, data
+    for key, value in items or ():
+        yield from leaves(value, (*path, key))

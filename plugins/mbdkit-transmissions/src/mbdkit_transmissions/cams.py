@@ -19,6 +19,7 @@ from pydantic import model_validator
 
 from mbdkit.plugin import FunctionJoint, Point, Pose, PoseFunction, Positive, SpecError, StrictModel
 from mbdkit.plugin.mechanisms import Profile
+from mbdkit_transmissions.gears import Direction, Lines, circle
 from mbdkit_transmissions.profiles import OfAngle, OfX, check_closed
 
 #: Bisections of half a turn that lead to the point of contact, and iterations of Newton's method after them.
@@ -26,8 +27,6 @@ from mbdkit_transmissions.profiles import OfAngle, OfX, check_closed
 #: For 100 drawn profiles with up to nine lobes, they find it at all of 2,000 poses if the radius of the roller is 99 %
 #: of the least radius of curvature of a hollow, and at 99.98 % of them if it is 99.9 %.
 BISECTIONS, ITERATIONS = 12, 4
-
-Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ class Follower(StrictModel):
 
     roller: Positive | None = None
     """Radius of a roller around the second body's point [m]."""
-    flat: Point | None = None
+    flat: Direction | None = None
     """Direction, in b's frame, of the normal of a flat face through the second body's point; it points away from the
     cam."""
 
@@ -127,8 +126,6 @@ class Follower(StrictModel):
     def _is_one(self) -> Follower:
         if (self.roller is None) == (self.flat is None):
             raise SpecError("give either `roller`, a radius, or `flat`, the normal of a face")
-        if self.flat == (0.0, 0.0):
-            raise SpecError("the normal [0, 0] has no direction", key="flat")
         return self
 
 
@@ -196,11 +193,7 @@ class Cam(FunctionJoint):
         if follower == "point":
             return [profile]
         if follower.roller is not None:
-            turns = np.linspace(0.0, 2 * np.pi, 25)
-            return [
-                profile,
-                [(1, (x + follower.roller * math.cos(s), y + follower.roller * math.sin(s))) for s in turns],
-            ]
+            return [profile, circle(1, (x, y), follower.roller)]
         assert follower.flat is not None
         length = math.hypot(*follower.flat)
         dx, dy = -follower.flat[1] / length, follower.flat[0] / length

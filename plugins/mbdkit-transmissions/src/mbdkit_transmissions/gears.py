@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Positive, SideForce, SpecError
 from mbdkit.plugin.mechanisms import pair
@@ -23,6 +23,17 @@ PITCH = 1e-3
 
 Radii = Annotated[tuple[Positive, Positive], BeforeValidator(pair("two radii, [of a, of b]"))]
 Teeth = Annotated[tuple[int, int], BeforeValidator(pair("two numbers of teeth, [of a, of b]"))]
+
+
+def has_direction(vector: tuple[float, float]) -> tuple[float, float]:
+    """Return a vector; raise SpecError if it is zero."""
+    if vector == (0.0, 0.0):
+        raise SpecError("the vector [0, 0] has no direction")
+    return vector
+
+
+Direction = Annotated[Point, AfterValidator(has_direction)]  #: A vector of which only the direction is used.
+Lines = Sequence[Sequence[tuple[int, tuple[float, float]]]]  #: Lines through points of the first or second body.
 
 
 def rolling_circles(pose: Pose, p: Mapping[str, Any]) -> Any:
@@ -61,7 +72,8 @@ def _check_distance(start: Pose, wanted: float, key: str, text: str) -> None:
         )
 
 
-def _circle(body: int, center: tuple[float, float], radius: float) -> list[tuple[int, tuple[float, float]]]:
+def circle(body: int, center: tuple[float, float], radius: float) -> list[tuple[int, tuple[float, float]]]:
+    """Return the outline of a circle of a body."""
     x, y = center
     angles = [2 * math.pi * i / 48 for i in range(49)]
     return [(body, (x + radius * math.cos(angle), y + radius * math.sin(angle))) for angle in angles]
@@ -134,11 +146,11 @@ class Gear(FunctionJoint):
         ratio = math.tan(self.pressure_angle) * (1.0 if self.internal else -1.0)
         return SideForce(0, ratio, "the radial force of the teeth", "pressure_angle")
 
-    def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
+    def lines(self, start: Pose) -> Lines:
         """Return the pitch circles, each with a radius that shows how it turns."""
         lines = []
         for body, (center, radius) in enumerate(zip(self.points, self.pitch_radii, strict=True)):
-            lines.append([(body, center), *_circle(body, center, radius)])
+            lines.append([(body, center), *circle(body, center, radius)])
         return lines
 
 
@@ -172,20 +184,15 @@ class Belt(FunctionJoint):
             )
         return [_rolling(start, first if self.crossed else -first, second)]
 
-    def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
+    def lines(self, start: Pose) -> Lines:
         """Return the pulleys, each with a radius that shows how it turns."""
         pairs = zip(self.points, self.radii, strict=True)
-        return [[(body, center), *_circle(body, center, radius)] for body, (center, radius) in enumerate(pairs)]
+        return [[(body, center), *circle(body, center, radius)] for body, (center, radius) in enumerate(pairs)]
 
 
 def _direction(axis: tuple[float, float]) -> tuple[float, float]:
     length = math.hypot(*axis)
     return axis[0] / length, axis[1] / length
-
-
-def _has_direction(axis: tuple[float, float]) -> None:
-    if axis == (0.0, 0.0):
-        raise SpecError("the axis [0, 0] has no direction", key="axis")
 
 
 def rack_travel(pose: Pose, p: Mapping[str, Any]) -> Any:
@@ -201,15 +208,10 @@ class Rack(FunctionJoint):
     type: Literal["rack"] = "rack"
     radius: Positive
     """Pitch radius of the gear on a [m]; `points` are its centre, and a point on the pitch line of the rack."""
-    axis: Point = (1.0, 0.0)
+    axis: Direction = (1.0, 0.0)
     """Direction of the pitch line in b's frame; only the direction of this vector is used."""
     rows: ClassVar[tuple[str, ...]] = ("mesh",)
     units: ClassVar[tuple[str, ...]] = ("m",)
-
-    @model_validator(mode="after")
-    def _axis_has_a_direction(self) -> Rack:
-        _has_direction(self.axis)
-        return self
 
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
@@ -229,11 +231,11 @@ class Rack(FunctionJoint):
         }  # fmt: skip
         return [PoseFunction(rack_travel, tuple(numbers.items()))]
 
-    def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
+    def lines(self, start: Pose) -> Lines:
         """Return the pitch circle and a part of the pitch line."""
         (ex, ey), (x, y), half = _direction(self.axis), self.points[1], 4 * self.radius
         line = [(1, (x - half * ex, y - half * ey)), (1, (x + half * ex, y + half * ey))]
-        return [[(0, self.points[0]), *_circle(0, self.points[0], self.radius)], line]
+        return [[(0, self.points[0]), *circle(0, self.points[0], self.radius)], line]
 
 
 def height_over_line(pose: Pose, p: Mapping[str, Any]) -> Any:
@@ -259,7 +261,7 @@ class Rolling(FunctionJoint):
     type: Literal["rolling"] = "rolling"
     radius: Positive
     """Radius of the wheel [m]; `points` are a point of the line, or the centre of the circle, and that of the wheel."""
-    axis: Point | None = None
+    axis: Direction | None = None
     """Direction of the line in a's frame; by default, [1, 0], unless `on_radius` is given."""
     on_radius: Number | None = None
     """Radius of the circle on which the wheel rolls [m]; negative if it rolls inside."""
@@ -273,8 +275,6 @@ class Rolling(FunctionJoint):
     def _is_possible(self) -> Rolling:
         if self.on_radius is not None and self.axis is not None:
             raise SpecError("give either `axis`, for a line, or `on_radius`, for a circle", key="axis")
-        if self.axis is not None:
-            _has_direction(self.axis)
         if self.on_radius is not None and -self.radius <= self.on_radius <= 0.0:
             raise SpecError("a circle in which a wheel rolls is larger than the wheel", key="on_radius")
         return self
@@ -309,10 +309,10 @@ class Rolling(FunctionJoint):
             PoseFunction(slip_on_line, tuple(slip.items())),
         ]
 
-    def lines(self, start: Pose) -> Sequence[Sequence[tuple[int, tuple[float, float]]]]:
+    def lines(self, start: Pose) -> Lines:
         """Return the wheel, and the circle or a part of the line."""
-        wheel = [(1, self.points[1]), *_circle(1, self.points[1], self.radius)]
+        wheel = [(1, self.points[1]), *circle(1, self.points[1], self.radius)]
         if self.on_radius is not None:
-            return [wheel, _circle(0, self.points[0], abs(self.on_radius))]
+            return [wheel, circle(0, self.points[0], abs(self.on_radius))]
         (ex, ey), (x, y), half = _direction(self.axis or (1.0, 0.0)), self.points[0], 6 * self.radius
         return [wheel, [(0, (x - half * ex, y - half * ey)), (0, (x + half * ex, y + half * ey))]]

@@ -12,6 +12,7 @@ from mbdkit.plugin import GROUND, Finding, Table
 from mbdkit.plugin.seams import rows_criterion
 from mbdkit_transmissions.cams import Slot
 from mbdkit_transmissions.gears import PITCH, Belt, Gear, Rack
+from mbdkit_transmissions.joint_watcher import JointWatcher
 
 if TYPE_CHECKING:
     from mbdkit.plugin import FunctionJoint, RunSpec, States
@@ -59,8 +60,10 @@ def length_in(joint: FunctionJoint, poses: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(ex * (s * x - c * y) + ey * (c * x + s * y)))
 
 
-class Meshing:
+class Meshing(JointWatcher):
     """The first time at which each joint has left its range, and the value that is farthest outside."""
+
+    ARRAYS = ("first", "worst", "excess")
 
     def __init__(self, joints: Mapping[str, FunctionJoint], bodies: list[str]):
         self._joints, self._bodies = joints, bodies
@@ -83,10 +86,7 @@ class Meshing:
         c, s = np.cos(angles[0]), np.sin(angles[0])
         return np.column_stack([c * dx + s * dy, c * dy - s * dx, angles[1] - angles[0]])
 
-    def add(self, states: States) -> None:
-        """Take note of states."""
-        if not len(states.time):
-            return
+    def _note(self, states: States) -> None:
         for k, (name, known) in enumerate(self._ranges.items()):
             values = length_in(self._joints[name], self._poses(self._joints[name], states))
             excess = np.maximum(known.low - values, values - known.high)
@@ -104,15 +104,6 @@ class Meshing:
                     f"joint '{name}' {known.says.format(self._worst[k])}; this begins at t = {self._first[k]:.6g} s"
                 )
                 yield Finding("meshing", "doubtful", sentence)
-
-    def stored(self) -> dict[str, object]:
-        """Return the state as plain values, for a checkpoint."""
-        return {"first": self._first, "worst": self._worst, "excess": self._excess}
-
-    def restore(self, state: dict[str, object]) -> None:
-        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
-        for name, values in state.items():
-            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

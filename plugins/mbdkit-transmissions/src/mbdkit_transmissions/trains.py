@@ -11,6 +11,7 @@ from mbdkit import EquationsOfMotion, StepError
 from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
 from mbdkit.plugin.seams import ElementsByName, element_check, rows_criterion
 from mbdkit_transmissions.gears import Belt, Gear
+from mbdkit_transmissions.joint_watcher import JointWatcher
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec, States
@@ -73,8 +74,10 @@ def _way(turned: Ratios, a: str, b: str) -> tuple[float, list[str]] | None:
     return ways.get(b)
 
 
-class StillJoints:
+class StillJoints(JointWatcher):
     """Joints of this part whose bodies have not moved relative to each other, and what holds them."""
+
+    ARRAYS = ("first", "moved")
 
     def __init__(self, spec: RunSpec, size: float):
         self._spec, self._size = spec, size
@@ -91,10 +94,7 @@ class StillJoints:
         (dx, dy, turn), c, s = b - a, np.cos(a[2]), np.sin(a[2])
         return np.column_stack([(c * dx + s * dy) / self._size, (c * dy - s * dx) / self._size, turn])
 
-    def add(self, states: States) -> None:
-        """Take note of states."""
-        if not len(states.time):
-            return
+    def _note(self, states: States) -> None:
         for k in np.flatnonzero(self._moved < STILL):
             poses = self._poses(self._names[k], states.q)
             self._first[k] = np.where(np.isnan(self._first[k]), poses[0], self._first[k])
@@ -128,15 +128,6 @@ class StillJoints:
                 f"{_named(list(held))} hold their bodies still, so that {_named(locked)} can transmit no motion; "
                 "correct a ratio or an equation, or remove a joint; if it is intended, write `accept: [locked-joints]`"
             )
-
-    def stored(self) -> dict[str, object]:
-        """Return the state as plain values, for a checkpoint."""
-        return {"first": self._first, "moved": self._moved}
-
-    def restore(self, state: dict[str, object]) -> None:
-        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
-        for name, values in state.items():
-            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

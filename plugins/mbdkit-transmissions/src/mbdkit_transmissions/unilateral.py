@@ -10,6 +10,7 @@ import numpy as np
 from mbdkit.plugin import GROUND, Finding
 from mbdkit.plugin.seams import rows_criterion
 from mbdkit_transmissions.gears import Rolling
+from mbdkit_transmissions.joint_watcher import JointWatcher
 
 if TYPE_CHECKING:
     from mbdkit.plugin import RunSpec, States
@@ -34,17 +35,16 @@ class _Touching(NamedTuple):
     rolls: bool = False
 
 
-class Reactions:
+class Reactions(JointWatcher):
     """Largest pulling forces of such joints, reactions around them, and the friction that rolling wheels need."""
+
+    ARRAYS = ("size", "pull", "pull_time", "need", "need_time")
 
     def __init__(self, joints: list[_Touching]):
         self._joints = joints
         self._size, self._pull, self._pull_time, self._need, self._need_time = np.zeros((5, len(joints)))
 
-    def add(self, states: States) -> None:
-        """Take note of states."""
-        if not len(states.time):
-            return
+    def _note(self, states: States) -> None:
         for k, joint in enumerate(self._joints):
             normal = -joint.sign * states.multiplier[:, joint.row]
             self._size[k] = max(self._size[k], float(np.max(np.abs(states.multiplier[:, joint.around]))))
@@ -75,16 +75,6 @@ class Reactions:
                     f"joint '{joint.name}' needs a coefficient of friction of {self._need[k]:.4g} to roll at t = "
                     f"{self._need_time[k]:.6g} s, but has {joint.friction:g}, so that it would slip",
                 )
-
-    def stored(self) -> dict[str, object]:
-        """Return the state as plain values, for a checkpoint."""
-        names = ("size", "pull", "pull_time", "need", "need_time")
-        return {name: getattr(self, f"_{name}") for name in names}
-
-    def restore(self, state: dict[str, object]) -> None:
-        """Continue from a checkpoint; raise ValueError if its values are not valid for this run."""
-        for name, values in state.items():
-            getattr(self, f"_{name}")[:] = values
 
 
 @rows_criterion

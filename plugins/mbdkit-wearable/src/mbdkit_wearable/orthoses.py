@@ -18,35 +18,14 @@ Human Movement, 4th edition, Wiley 2009.
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import ClassVar
 
 from mbdkit.plugin import Mechanism, NotNegative, Number, Positive, StrictModel
 from mbdkit.plugin.mechanisms import Motion
 from mbdkit.plugin.seams import model_builder
 
-WINTER = """@book{winter2009,
-  author    = {D. A. Winter},
-  title     = {Biomechanics and Motor Control of Human Movement},
-  edition   = {4},
-  publisher = {Wiley},
-  year      = {2009},
-  doi       = {10.1002/9780470549148}
-}"""
-STIENEN = """@article{stienen2009,
-  author  = {A. H. A. Stienen and E. E. G. Hekman and F. C. T. van der Helm and H. van der Kooij},
-  title   = {Self-aligning exoskeleton axes through decoupling of joint rotations and translations},
-  journal = {IEEE Transactions on Robotics},
-  volume  = {25},
-  pages   = {628--633},
-  year    = {2009},
-  doi     = {10.1109/TRO.2009.2019147}
-}"""
-GROUP3 = """@misc{group3exoskeleton,
-  author       = {{emelieseguin}},
-  title        = {Group3\\_Matlab: lower-limb exoskeleton design, FourBarLinkageMathDefined\\_FromGait.m},
-  howpublished = {\\url{https://github.com/emelieseguin/Group3_Matlab}},
-  note         = {Commit 0664a50104cb4168398461bcf314e19321871145; link lengths and pitches for a height of 1.78 m}
-}"""
+WINTER, STIENEN, GROUP3 = Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n")
 REFERENCES, FOUR_BAR, SELF_ALIGNING = (WINTER,), (WINTER, GROUP3), (WINTER, STIENEN)
 
 ARM, THIGH = 0.09, 0.245  #: Distance of a cuff from the knee, and length of the thigh, relative to body height.

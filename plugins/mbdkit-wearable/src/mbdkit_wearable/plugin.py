@@ -84,9 +84,15 @@ def mbdkit_models() -> list[ModelPlugin]:
 @hookimpl
 def mbdkit_studies() -> list[StudyPlugin]:
     """Return the study of misfit."""
-    from mbdkit_wearable.misfit import STUDIES
+    summary = "Force that a misplaced orthosis adds to the knee, shear of its cuffs and help lost, for three devices."
+    return [StudyPlugin("misfit", summary, _misfit, Target("mbdkit_wearable.misfit.verdict:verdict"))]
 
-    return list(STUDIES)
+
+def _misfit(quick: bool) -> dict[str, object]:
+    """Return the spec of the study, whose motions are those of packaged examples."""
+    from mbdkit_wearable.misfit.study import study
+
+    return study(quick)
 
 
 @hookimpl

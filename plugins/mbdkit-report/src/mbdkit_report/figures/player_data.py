@@ -134,36 +134,20 @@ def gaps(run: Run, drawing: Drawing, poses: Array) -> JointGaps:
     if mechanism is None or tuple(mechanism.bodies) != drawing.bodies:
         return JointGaps((), (), np.zeros((len(poses), 0, 2)))
     index = {"ground": -1} | {name: number for number, name in enumerate(mechanism.bodies)}
-    names, ends, vectors = [], [], []
-    for name, joint in mechanism.joints.items():
-        if joint.is_driver or joint.points is None:
-            continue
-        a, b = (index[body] for body in joint.bodies)
-        results = [_find(drawing, body, local) for body, local in zip((a, b), joint.points, strict=True)]
-        gap = _world(poses, b, joint.points[1]) - _world(poses, a, joint.points[0])
-        names.append(name)
-        ends.append((results[0], results[1]))
-        angles = [poses[:, body, 2] if body >= 0 else np.zeros(len(poses)) for body in (a, b)]
-        vectors.append(joint.gap(gap, np.stack(angles, axis=-1)))
+    joints = {name: joint for name, joint in mechanism.joints.items() if not joint.is_driver and joint.points}
+    owner = np.array([index[body] for joint in joints.values() for body in joint.bodies], dtype=np.intp)
+    local = np.array([joint.points for joint in joints.values()], dtype=float).reshape(-1, 2)
+    exact = Drawing(drawing.bodies, owner, local, ())  # the points of `drawing` are rounded
+    world = exact.world(poses).reshape(len(poses), -1, 2, 2)
+    angles = np.where(owner < 0, 0.0, poses[..., 2][:, owner]).reshape(len(poses), -1, 2)
+    vectors = [joint.gap(world[:, j, 1] - world[:, j, 0], angles[:, j]) for j, joint in enumerate(joints.values())]
+    places = [_find(drawing, *point) for point in zip(owner.tolist(), local, strict=True)]
     stacked = np.stack(vectors, axis=1) if vectors else np.zeros((len(poses), 0, 2))
-    return JointGaps(tuple(names), tuple(ends), stacked)
+    return JointGaps(tuple(joints), tuple(zip(places[::2], places[1::2], strict=True)), stacked)
 
 
-def _find(drawing: Drawing, body: int, local: tuple[float, float]) -> int:
+def _find(drawing: Drawing, body: int, local: Array) -> int:
     here = np.flatnonzero(drawing.owner == body)
-    nearest = here[np.argmin(np.hypot(*(drawing.local[here] - np.asarray(local)).T))]
-    assert np.hypot(*(drawing.local[nearest] - np.asarray(local))) < _SAME
+    nearest = here[np.argmin(np.hypot(*(drawing.local[here] - local).T))]
+    assert np.hypot(*(drawing.local[nearest] - local)) < _SAME
     return int(nearest)
-
-
-def _world(poses: Array, body: int, local: tuple[float, float]) -> Array:
-    """Return the global positions of a point of a body [m], shape (F, 2); the table of the drawing has only rounded
-    points.
-    """
-    x, y = local
-    if body < 0:
-        return np.tile([x, y], (len(poses), 1))
-    with np.errstate(invalid="ignore"):  # the states of a failed run may contain infinities
-        cosine, sine = np.cos(poses[:, body, 2]), np.sin(poses[:, body, 2])
-    world: Array = poses[:, body, :2] + np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
-    return world

@@ -5,20 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from markupsafe import Markup
-
 from mbdkit.archive.result_seams import run_attribute
 from mbdkit.archive.run import Run
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.pages.animate import animate, page
+from mbdkit_report.pages.templating import render
 
 _NUMBERS = 150_000  #: Approximate number of pose values in the output of a cell; they take about one megabyte.
-#: Style with which the page in the frame follows the light or dark theme of the notebook.
-_IN_DARK_THEMES = (
-    ".mbdkit-player { color-scheme: light; } "
-    ':is([data-jp-theme-light="false"], .vscode-dark) .mbdkit-player { color-scheme: dark; }'
-)
-_HEIGHT = 640  #: Height of the frame [px].
 
 
 class Animation:
@@ -44,12 +37,7 @@ class Animation:
         return animate(self._run, path)
 
     def _repr_html_(self) -> str:
-        frame = (
-            "<style>{}</style>"
-            '<iframe class="mbdkit-player" srcdoc="{}" sandbox="allow-scripts" title="Animation of the run" '
-            'loading="lazy" style="width: 100%; max-width: 60rem; height: {}px; border: 0; resize: vertical"></iframe>'
-        )
-        return str(Markup(frame).format(Markup(_IN_DARK_THEMES), self._page, _HEIGHT))
+        return render("frame.html", {"page": self._page})
 
     def __repr__(self) -> str:
         return f"<Animation of run {self._run.run_id}>"

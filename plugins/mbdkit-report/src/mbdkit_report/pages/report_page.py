@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from mbdkit.base.distributions import own_version
 from mbdkit_report.analysis.verdict import Answer, Verdict
@@ -88,24 +90,7 @@ class ReportPage:
     @property
     def contents(self) -> list[tuple[str, str]]:
         """Anchor and title of each section, in order."""
-        parts = [(section.anchor, section.title, section.is_input) for section in self.sections]
-        results = [
-            ("motion", "Motion", bool(self.films)),
-            *((anchor, title, not given) for anchor, title, given in parts),
-        ]
-        verdict = [("verdict", "Verdict", True)]
-        sections = [
-            ("glance", "At a glance", self.glance is not None),
-            *([*verdict, *results] if self.begins_with_verdict else [*results, *verdict]),
-            ("failed", "Runs that failed", bool(self.failures.rows)),
-            ("figures", "Figures", bool(self.figures(beside=False))),
-            ("tables", "Tables", bool(self.tables(beside=False))),
-            *parts,
-            ("methods", "Methods", True),
-            ("environment", "Environment", True),
-            ("reproduce", "Reproduce", True),
-        ]
-        return [(anchor, title) for anchor, title, there in sections if there]
+        return _headings(self.html())
 
     def figures(self, *, beside: bool) -> tuple[Figure, ...]:
         """Return the charts shown below the claims of the verdict if `beside` is true, otherwise the other charts."""
@@ -127,7 +112,8 @@ class ReportPage:
 
     def html(self) -> str:
         """Return the HTML."""
-        return render("report.html", {"page": self, "version": own_version()}, FILTERS)
+        values = {"page": self, "version": own_version()}
+        return render("report.html", values, FILTERS | {"headings": _headings})
 
 
 def cell_text(value: Cell) -> str:
@@ -154,6 +140,12 @@ def _exact(value: Cell) -> str:
 def _is_numeric(table: Table, column: int) -> bool:
     cells = [row[column] for row in table.rows if row[column] is not None]
     return bool(cells) and all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells)
+
+
+def _headings(html: str) -> list[tuple[str, str]]:
+    """Return anchor and title of each section of a page."""
+    found = re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', html)
+    return [(anchor, Markup(title).unescape()) for anchor, title in found]
 
 
 #: Filters that the macros in `templates/parts.html` use.

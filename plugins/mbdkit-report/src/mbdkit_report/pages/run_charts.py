@@ -6,19 +6,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.run import Run
-from mbdkit.mechanism.bodies import GROUND
 from mbdkit.quantities.array import Recorded
 from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
-from mbdkit_report.figures.palette import INK, PALETTE, body_colors, trace_colors
+from mbdkit_report.figures.palette import PALETTE, trace_colors
 from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 
@@ -44,7 +41,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     recorded = [chart for array in every for chart in recorded_charts(run, array)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
     still = [chart for chart in recorded if chart.y.unit not in _OF_MOTION]
-    charts += [*added_charts(run), *component_charts(run), *still]
+    charts += [*added_charts(run), *still]
     charts += [*of_kinds.pop("trajectory"), *moving, *(chart for of_kind in of_kinds.values() for chart in of_kind)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
@@ -86,37 +83,7 @@ def _marks(run: Run) -> tuple[Mark, ...]:
 
 #: Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.
 LINES = len(PALETTE)
-#: Largest number of joints whose force components are shown: the joints with the largest forces.
-COMPONENTS = 4
 _POINTS = 1_000
-_SIDES = (("first", "joints/reaction_force_first"), ("second", "joints/reaction_force_second"))
-
-
-def component_charts(run: Run) -> list[Figure]:
-    """Return charts of the force components of the `COMPONENTS` joints with the largest forces, in the frames of both
-    bodies of each joint; empty if these components were not recorded.
-    """
-    if not all(run.records(path) for _, path in _SIDES):
-        return []
-    time, data = np.asarray(run.time), run.dataset("joints/reaction_force")
-    peaks = np.nan_to_num(bands(time, data, lambda f: np.hypot(f[..., 0], f[..., 1])).peaks)
-    most = np.argsort(-peaks, kind="stable")[:COMPONENTS].tolist()
-    colors = dict(zip(run.bodies, body_colors(draw_run(run)), strict=True)) | {GROUND: INK}
-    joints = list(run.joints.values())
-    return [_components(run, joints[k], colors) for k in sorted(most) if peaks[k] > ROUND_OFF * peaks[most[0]]]
-
-
-def _components(run: Run, joint: Any, colors: dict[str, str]) -> Figure:
-    lines = []
-    for body, (_, path) in zip(joint.bodies, _SIDES, strict=True):
-        curves = bands(np.asarray(run.time), run.column(path, joint.index, slice(0, 2)), points=_POINTS)
-        frame = "global {}" if body == GROUND else f"{{}} of {body}"
-        color = colors.get(body, "")
-        lines += [Line(frame.format(axis), *curves.curve(k), color=color, group=body) for k, axis in enumerate("xy")]
-    first, second = joint.bodies
-    caption = f"Components of the force of {first} on {second} along the axes that are fixed to each body."
-    title = f"Force in {joint.name}, in the frames of its bodies"
-    return Figure(f"components-{joint.index + 1}", title, caption, TIME, Axis("force component", "N"), tuple(lines))
 
 
 def recorded_charts(run: Run, array: Recorded) -> list[Figure]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
+
+from markupsafe import Markup
 
 from mbdkit.base.text import shown
 from mbdkit.base.text import table as aligned
 from mbdkit_report.analysis.verdict import Verdict
 from mbdkit_report.figures.page_model import Table
 from mbdkit_report.pages.report_page import ReportPage, cell_text
+from mbdkit_report.pages.templating import render
 
 _MARKED = str.maketrans({char: f"\\{char}" for char in "\\`*_[]|#~$"} | {"<": "&lt;", ">": "&gt;", "&": "&amp;"})
 
@@ -23,11 +26,13 @@ def terminal_text(verdict: Verdict) -> str:
     shown = headlines(verdict)
     if not shown:
         return ""
-    parts = []
-    for table in shown:
-        parts += [table.title, aligned(_cells(table), "  "), table.note]
-    parts += [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
-    return "\n".join(filter(None, parts))
+    claims = [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
+    return "\n".join([*map(table_text, shown), *claims])
+
+
+def table_text(table: Table) -> str:
+    """Return a table with its title and note as text for the terminal."""
+    return "\n".join(filter(None, [table.title, aligned(_cells(table), "  "), table.note]))
 
 
 def json_values(verdict: Verdict) -> dict[str, object]:
@@ -47,33 +52,14 @@ def markdown_text(document: ReportPage) -> str:
     """Return a report as Markdown: its heading and sections, the verdict with its claims and notes, and the headline
     tables. Without headline tables all tables of the verdict are included.
     """
-    verdict = document.verdict
-    parts = [f"# {markdown(document.title)}", markdown(document.settings), markdown(document.alarm)]
-    for section in document.sections:
-        parts += [f"## {markdown(section.title)}", *map(markdown, section.sentences)]
-        parts += [_table(table, "###") for table in section.tables]
-    parts += ["## Verdict"] * bool(document.sections) + [markdown(verdict.sentence)]
-    if verdict.claims:
-        rows = [["claim", "expected or published", "found", ""]]
-        rows += [[claim.statement, claim.published, claim.computed, str(claim.answer)] for claim in verdict.claims]
-        parts += ["## Claims", _piped(rows)]
-    parts += [_table(table, "##") for table in headlines(verdict) or verdict.tables]
-    parts += [markdown(note) for note in verdict.notes]
-    return "\n\n".join(filter(None, parts)) + "\n"
-
-
-def _table(table: Table, level: str) -> str:
-    return "\n\n".join(filter(None, [f"{level} {markdown(table.title)}", markdown(table.note), _piped(_cells(table))]))
+    tables = headlines(document.verdict) or document.verdict.tables
+    filters: dict[str, Callable[..., object]] = {"markdown": lambda text: Markup(markdown(text)), "cells": _cells}
+    return render("markdown.txt", {"page": document, "tables": tables}, filters)
 
 
 def _cells(table: Table) -> list[list[str]]:
     heading = [f"{column.label} [{column.unit}]" if column.unit else column.label for column in table.columns]
     return [heading, *([cell_text(cell) for cell in row] for row in table.rows)]
-
-
-def _piped(rows: Sequence[Sequence[str]]) -> str:
-    heading, *others = ["| " + " | ".join(markdown(cell) for cell in row) + " |" for row in rows]
-    return "\n".join([heading, "| " + " | ".join(["---"] * len(rows[0])) + " |", *others])
 
 
 def markdown(text: str) -> str:

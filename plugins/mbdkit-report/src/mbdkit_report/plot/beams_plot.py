@@ -17,12 +17,10 @@ from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.scene import nearest_rows
-from mbdkit_report.plot.charts import Panel, chart_panel, draw_lines, named
+from mbdkit_report.plot.charts import named
 from mbdkit_report.plot.element_quantity import MOST
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from mbdkit.archive.run import Run
 
 _TITLES: dict[BeamForce, str] = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
@@ -48,17 +46,6 @@ def beam_peak(run: Run, beam: str, component: BeamForce) -> BeamPeak:
     row, element = (int(place) for place in np.unravel_index(int(np.argmax(size)), size.shape))
     value = float(values[row, element]) if size[row, element] >= 0 else float("nan")
     return BeamPeak(value, float(run.time[row]), float(run.beams[beam].arc_length[element]), row)
-
-
-def panels(run: Run) -> list[Panel]:
-    """Return panels of each internal force: along the beam with the largest value, and over time."""
-    if not run.beams:
-        return [Panel(_draw_nothing)]
-    return [
-        chart_panel(one, one.title if len(one.lines) > 1 else f"{one.title}: {one.lines[0].label}", over_time=over_time)
-        for draw, over_time in ((_along, False), (_over_time, True))
-        for one in (draw(run, which) for which in _TITLES)
-    ]
 
 
 def charts(run: Run) -> list[Figure]:
@@ -155,9 +142,3 @@ def _over_time(run: Run, component: BeamForce, names: Sequence[str] | None = Non
     axis, caption = _axis(component), "Largest magnitude along a beam, ends included."
     lines = tuple(Line(name, *result.curve(k), group=name) for k, name in enumerate(chosen))
     return Figure(f"beams-{component}-over-time", f"Largest {axis.label} over time", caption, TIME, axis, lines)
-
-
-def _draw_nothing(axes: Axes) -> None:
-    chart = Figure("", "", "", TIME, Axis("bending moment\n", "N m"), ())
-    draw_lines(axes, chart, "Bending moment: there are no beams")
-    axes.margins(x=0.01)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatterSciNotation
 
 from mbdkit.base.errors import UnknownNameError, file_error
-from mbdkit_report.figures.page_model import Figure
+from mbdkit_report.figures.page_model import TIME, Figure
 from mbdkit_report.figures.palette import FAINT, GRID, INK, PAPER, color_number, line_styles
 from mbdkit_report.plot.caption import Caption
 from mbdkit_report.plot.style import dress, legend, new_figure, powers_of_ten, save
@@ -42,6 +41,13 @@ class Panel:
     draw: Callable[[Axes], None]
     height: float = 1.85
     over_time: bool = True
+
+
+@dataclass(frozen=True)
+class HeadedChart(Figure):
+    """A chart with its largest value and bar as a text, which is the title of its panel, and the id of the value."""
+
+    headline: tuple[str, str] = ("", "")
 
 
 def named(wanted: str | Iterable[str], known: Collection[str], what: str) -> list[str]:
@@ -93,9 +99,18 @@ def chart_image(chart: Figure, width: float = 7.2, height: float = 4.6) -> Pictu
     return picture
 
 
-def chart_panel(chart: Figure, title: str = "", height: float = Panel.height, *, over_time: bool = True) -> Panel:
-    """Return the panel of a chart; see `draw_chart`."""
-    return Panel(partial(draw_chart, chart=chart, title=title), height, over_time)
+def chart_panel(chart: Figure, height: float = Panel.height) -> Panel:
+    """Return the panel of a chart, whose title is the headline of the chart, or names its only line."""
+    title = chart.title if len(chart.lines) > 1 else f"{chart.title}: {chart.lines[0].label}"
+    text, key = chart.headline if isinstance(chart, HeadedChart) else (title, "")
+
+    def draw(axes: Axes) -> None:
+        draw_chart(axes, chart, text or title)
+        axes.title.set_gid(key or None)
+        if chart.x == TIME:
+            axes.margins(x=0.01)
+
+    return Panel(draw, height, chart.x == TIME)
 
 
 def draw_chart(axes: Axes, chart: Figure, title: str = "") -> None:
@@ -106,19 +121,13 @@ def draw_chart(axes: Axes, chart: Figure, title: str = "") -> None:
     title
         Title of a panel; the title and caption of the chart are not drawn.
     """
-    handles = draw_lines(axes, chart, title)
+    dress(axes)
+    handles = _draw(axes, chart, _house_looks(chart), {"size": 9, "color": INK}, {"size": 7, "color": FAINT})
+    axes.set_title(title, size=8.5, color=INK, loc="left", parse_math=False)
     if chart.needs_key:
         legend(axes, handles, [line.label for line in chart.lines])
     if not chart.y.log:
         powers_of_ten(axes)
-
-
-def draw_lines(axes: Axes, chart: Figure, title: str) -> list[Line2D]:
-    """Draw a chart with the title of a panel, but without a legend, in the house style, and return its lines."""
-    dress(axes)
-    lines = _draw(axes, chart, _house_looks(chart), {"size": 9, "color": INK}, {"size": 7, "color": FAINT})
-    axes.set_title(title, size=8.5, color=INK, loc="left", parse_math=False)
-    return lines
 
 
 def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_dashes: bool = False) -> Axes:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -24,7 +24,7 @@ from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.plot.caption import method, plain_name
 from mbdkit_report.plot.charts import draw_on
 from mbdkit_report.plot.plot_kinds import plot_module
-from mbdkit_report.spec_words import key_unit, key_words
+from mbdkit_report.spec_words import key_unit, key_words, leaves
 
 #: Largest number of lines in a comparison if no elements are named; each run has at least one line even if this number
 #: is exceeded.
@@ -221,7 +221,7 @@ def _settings(run: Run) -> dict[str, _Setting]:
         "step": _NONE if step is None else _Setting(f"step {step:g} s"),
     }
     told = ("integrator", "formulation", "stabilization", "title", "output", "limits", "check")
-    for path, value in _leaves({key: value for key, value in spec.items() if key not in told}):
+    for path, value in leaves({key: value for key, value in spec.items() if key not in told}):
         if path != ("time", "step"):
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             text = f"{value:g}" if is_number else str(value)
@@ -240,11 +240,3 @@ def _with_units(settings: Sequence[_Setting], run: Run) -> list[str]:
         return texts
     units = [key_unit(setting.path, [spec]) if setting.path else "" for setting in settings]
     return [" ".join(filter(None, pair)) for pair in zip(texts, units, strict=True)]
-
-
-def _leaves(value: object, path: SpecPath = ()) -> list[tuple[SpecPath, object]]:
-    if isinstance(value, Mapping):
-        return [leaf for key, item in value.items() for leaf in _leaves(item, (*path, str(key)))]
-    if isinstance(value, list):
-        return [leaf for index, item in enumerate(value) for leaf in _leaves(item, (*path, index))]
-    return [(path, value)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,35 +12,10 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
-from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import (
-    GAPS,
-    MOST,
-    element_chart,
-    element_panel,
-    misalignment,
-    picked,
-    value_text,
-)
+from mbdkit_report.plot.element_quantity import GAPS, MOST, element_chart, misalignment, picked, value_text
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-
-def panels(run: Run) -> list[Panel]:
-    """Return panels of the misalignments of positions and velocities and, if there are any, of angles. Joints whose
-    values are all zero, such as joints that do not constrain an angle, are left out if there are others.
-    """
-    position, velocity, angle = (misalignment(run, gap) for gap in GAPS)
-    title = ""
-    if run.joint_names:
-        # The title states the largest value over all steps, which may not be among the recorded rows.
-        largest = {name: joint.misalignment_max for name, joint in run.joints.items()}
-        worst = max(largest, key=lambda name: np.nan_to_num(largest[name], nan=np.inf))
-        title = f"misalignment: largest over every step {value_text(largest[worst], 'm')} ({worst})"
-    shown = [(position, title), (velocity, ""), *([] if angle.zero else [(angle, "")])]
-    few = [(one.only(one.nonzero_columns) if one.nonzero_columns else one, title) for one, title in shown]
-    return [element_panel(one, "joints", log=True, title=title) for one, title in few]
 
 
 def charts(run: Run) -> list[Figure]:
@@ -62,8 +38,8 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     quantity = misalignment(run, gap)
     if not quantity.elements:
         raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")
-    worst, most_of_all = quantity.largest
-    remark = f"The largest misalignment is {length(most_of_all)}, of joint {quantity.elements[worst]}."
+    column, most_of_all = quantity.largest
+    remark = f"The largest misalignment is {length(most_of_all)}, of joint {quantity.elements[column]}."
     remark = "All joints stay closed exactly." if quantity.zero else remark
     text = {
         "position": f"Distance between the two points of each joint. {remark}",
@@ -73,4 +49,11 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     axis = Axis(quantity.name, quantity.unit, log=not quantity.zero)
     few = quantity.only(picked(quantity, joints, "joint", most))
     title = quantity.name.capitalize() + " of the joints"
-    return element_chart(quantity.name.replace(" ", "-"), title, text, axis, few)
+    chart = element_chart(quantity.name.replace(" ", "-"), title, text, axis, few)
+    if gap != "position":
+        return chart
+    # the largest value over all steps may not be among the recorded rows
+    largest = {name: joint.misalignment_max for name, joint in run.joints.items()}
+    worst = max(largest, key=lambda name: np.nan_to_num(largest[name], nan=np.inf))
+    headline = f"misalignment: largest over every step {value_text(largest[worst], 'm')} ({worst})"
+    return replace(chart, headline=(headline, ""))

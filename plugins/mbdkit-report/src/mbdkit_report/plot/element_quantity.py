@@ -1,4 +1,4 @@
-"""A quantity of every joint or force element over time, with estimated errors, drawn in a panel or as a chart."""
+"""A quantity of every joint or force element over time, with estimated errors, as a chart."""
 
 from __future__ import annotations
 
@@ -8,24 +8,19 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from mbdkit.archive.headlines import answers
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
-from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
-from mbdkit_report.figures.palette import FAINT, INK, PALETTE, PAPER
-from mbdkit_report.plot.charts import Panel, draw_lines, named
-from mbdkit_report.plot.style import legend, powers_of_ten
+from mbdkit_report.figures.page_model import TIME, Axis, Line, Mark
+from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report.plot.charts import HeadedChart, named
 
 if TYPE_CHECKING:
     import h5py
 
     from mbdkit.archive.run import Run
-
-#: Lowest value of a logarithmic axis; the round-off of a length of 1 m is about a hundred times larger.
-SMALLEST = 1e-18
 
 MOST = len(PALETTE)  #: Largest number of elements in a chart if no elements are named.
 
@@ -212,7 +207,7 @@ def picked(quantity: ElementQuantity, wanted: Names, what: str, most: int = MOST
 
 def element_chart(
     name: str, title: str, caption: str, axis: Axis, quantity: ElementQuantity, groups: Sequence[str] = ()
-) -> Figure:
+) -> HeadedChart:
     """Return a chart of a quantity of some elements over time, with a mark at the time until which errors are known.
 
     A long run is divided into bands of consecutive rows. The lines show the largest value of each band or, if any value
@@ -233,76 +228,10 @@ def element_chart(
     if errors is not None:
         caption += " Bands show estimated errors; those narrower than a line are hidden by it."
     marks = (Mark(UNKNOWN, quantity.known_until),) if math.isfinite(quantity.known_until) else ()
-    return Figure(name, title, caption, TIME, axis, tuple(lines), marks=marks)
-
-
-def element_panel(
-    quantity: ElementQuantity, what: str, height: float = Panel.height, *, log: bool = False, title: str = ""
-) -> Panel:
-    """Return the panel of a quantity of the elements over time.
-
-    If there are not more elements than colours, each is drawn. Otherwise, the maximum over all elements and the five
-    elements with the largest values are drawn.
-
-    Parameters
-    ----------
-    what
-        Kind of the elements in the plural, such as ``joints``.
-    title
-        Title of the panel; by default it states the largest value.
-    """
-
-    def draw(axes: Axes) -> None:
-        elements, data = quantity.elements, quantity.data
-        few, handles, labels, floor = quantity, [], [], _floor(data.high) if log else -np.inf
-        if len(elements) > MOST:
-            few = quantity.only(quantity.largest_columns(MOST - 1))
-            top = np.max(np.nan_to_num(np.maximum(np.abs(data.low), np.abs(data.high))), axis=1)
-            handles = axes.plot(data.time, np.maximum(top, floor), color=INK, linewidth=2.2, alpha=0.45)
-            labels = [f"largest of {len(elements)}"]
-        chart = element_chart("", "", "", Axis(quantity.name, quantity.unit, log), few)
-        if log:
-            chart = replace(chart, lines=tuple(replace(line, y=np.maximum(line.y, floor)) for line in chart.lines))
-        heading, key = title, ""
-        if not elements:
-            heading = f"{quantity.name}: there are no {what}"
-        elif not title:
-            heading, key = quantity.heading
-        handles += draw_lines(axes, chart, heading)
-        axes.title.set_gid(key or None)
-        axes.margins(x=0.01)
-        axes.set_ylabel(f"{quantity.name}\n[{quantity.unit}]")
-        legend(axes, handles, [*labels, *few.elements])
-        if log:
-            _show_floor(axes, floor, data.high, quantity.unit)
-        elif elements:
-            powers_of_ten(axes)
-            if np.nanmin(data.low, initial=0.0) >= 0.0:
-                axes.set_ylim(bottom=0.0)
-
-    return Panel(draw, height)
+    headline = quantity.heading if quantity.elements else ("", "")
+    return HeadedChart(name, title, caption, TIME, axis, tuple(lines), marks=marks, headline=headline)
 
 
 def value_text(value: float, unit: str) -> str:
     """Return a value with its unit, or ``not finite``."""
     return f"{value:.3g} {unit}" if np.isfinite(value) else "not finite"
-
-
-def _floor(values: Array) -> float:
-    """Return the largest power of ten below 99.5 % of the positive values, but at least `SMALLEST`."""
-    positive = values[values > 0]
-    if not positive.size:
-        return SMALLEST
-    return float(max(SMALLEST, 10.0 ** np.floor(np.log10(np.quantile(positive, 0.005)))))
-
-
-def _show_floor(axes: Axes, floor: float, values: Array, unit: str) -> None:
-    """Set the limits of a logarithmic axis. If values below `floor` are drawn at `floor`, add a note that says so."""
-    top = float(np.nanmax(values, initial=0.0))
-    axes.set_ylim(floor * 0.8, max(top * 2.0, floor * 10.0))
-    if np.any(values < floor):
-        axes.text(
-            0.995, 0.02, f"values below {floor:.0e} {unit} are drawn there", transform=axes.transAxes,
-            size=7.5, color=FAINT, ha="right", va="bottom",
-            bbox={"facecolor": PAPER, "edgecolor": "none", "alpha": 0.8, "pad": 1.0},
-        )  # fmt: skip

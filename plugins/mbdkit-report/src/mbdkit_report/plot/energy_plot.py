@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
@@ -14,7 +12,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
-from mbdkit_report.plot.charts import Panel, draw_chart
+from mbdkit_report.plot.charts import HeadedChart
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -31,40 +29,26 @@ COLORS = {
 TERMS = ("total", "kinetic", "potential", "dissipated", "work")
 
 
-def panels(run: Run) -> list[Panel]:
-    """Return the panels of the energies and of their balance."""
-    values = _read(run)
-    energies, balance = _charts(run, values)
-    _, base = _relative(values)
-    largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
-    share = f", {largest / kinetic:.2g} of the largest kinetic energy" if kinetic > 0 else ""
-    titles = {
-        "energy": f"energy (potential and total relative to the potential at the start, {base:.4g} J)",
-        "balance": f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}",
-    }
-    return [Panel(partial(_draw, chart=chart, title=titles[chart.name])) for chart in (energies, balance)]
-
-
-def _draw(axes: Axes, chart: Figure, title: str) -> None:
-    draw_chart(axes, chart, title)
-    axes.margins(x=0.01)
-
-
 def charts(run: Run) -> list[Figure]:
     """Return the charts of the energies and of their balance."""
-    return list(_charts(run, _read(run))) if run.records("energy/balance") else []
-
-
-def _charts(run: Run, values: dict[str, Array]) -> tuple[Figure, Figure]:
+    if not run.records("energy/balance"):
+        return []
+    values = _read(run)
     energies, base = _relative(values)
     about = f"Potential and total energy are relative to the potential energy at the start, {base:.4g} J."
     of_balance = "Total + dissipated - work, minus its value at the start. Without numerical error it is zero."
     lines = tuple(_line(run, name, curve, name) for name, curve in energies.items())
     balance = (_line(run, "balance", values["balance"], "balance"),)
-    return (
-        Figure("energy", "Energy", about, TIME, Axis("energy", "J"), lines),
-        Figure("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance),
+    largest, kinetic = (float(np.nanmax(np.abs(values[name]), initial=0.0)) for name in ("balance", "kinetic"))
+    share = f", {largest / kinetic:.2g} of the largest kinetic energy" if kinetic > 0 else ""
+    heads = (
+        (f"energy (potential and total relative to the potential at the start, {base:.4g} J)", ""),
+        (f"balance (total + dissipated - work - start): largest {largest:.3g} J{share}", ""),
     )
+    return [
+        HeadedChart("energy", "Energy", about, TIME, Axis("energy", "J"), lines, headline=heads[0]),
+        HeadedChart("balance", "Energy balance", of_balance, TIME, Axis("balance", "J"), balance, headline=heads[1]),
+    ]
 
 
 def _line(run: Run, name: str, values: Array, label: str) -> Line:

@@ -9,16 +9,10 @@ from typing import TYPE_CHECKING
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.page_model import Axis, Figure
-from mbdkit_report.plot.charts import Panel
-from mbdkit_report.plot.element_quantity import MOST, element_chart, element_panel, element_values, has_elements, picked
+from mbdkit_report.plot.element_quantity import MOST, element_chart, element_values, has_elements, picked
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-
-def panels(run: Run) -> list[Panel]:
-    """Return the panel of the forces."""
-    return [element_panel(element_values(run, "N", "force"), "force elements", 2.7)]
 
 
 def charts(run: Run) -> list[Figure]:

@@ -11,17 +11,16 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import Axis, Figure
-from mbdkit_report.plot.charts import Panel
+from mbdkit_report.plot.charts import Panel, chart_panel
 from mbdkit_report.plot.element_quantity import (
     MOST,
     ElementQuantity,
     element_chart,
-    element_panel,
     picked,
     reaction_force,
     with_errors,
 )
-from mbdkit_report.plot.torques_plot import carried_torque
+from mbdkit_report.plot.torques_plot import carried_torque, torque_chart
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -35,15 +34,10 @@ _AXIS |= {"axial": "axial joint force", "shear": "shear joint force"}
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return the panel of the forces and, if joints transmit torques, a panel of the torques of these joints.
-
-    Drivers that exert only a torque, such as motors, are left out of the panel of the forces.
-    """
-    force = reaction_force(run)
-    peaks = zip(force.elements, force.data.peaks, strict=True)
-    idle = {name for name, peak in peaks if name in run.drivers and not peak}
-    force = force.only([column for column, name in enumerate(force.elements) if name not in idle])
-    return [element_panel(one, "joints") for one in (force, carried_torque(run, force)) if one is not None]
+    """Return the panel of the forces and, if joints transmit torques, a panel of the torques of these joints."""
+    torque = carried_torque(run, reaction_force(run))
+    torques = [] if torque is None else [torque_chart(torque.only(picked(torque, None, "joint")))]
+    return [chart_panel(one) for one in (chart(run), *torques)]
 
 
 def charts(run: Run) -> list[Figure]:

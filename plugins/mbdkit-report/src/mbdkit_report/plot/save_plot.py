@@ -21,7 +21,7 @@ from mbdkit.base.files import check_suffix
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.palette import GRID, INK, PALETTE, PAPER
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.charts import Panel, chart_panel, draw_on, settle_layout
+from mbdkit_report.plot.charts import chart_panel, draw_on, settle_layout
 from mbdkit_report.plot.comparison import comparison
 from mbdkit_report.plot.plot_kinds import plot_module
 from mbdkit_report.plot.style import FORMATS, new_figure, save
@@ -48,14 +48,11 @@ def figure(run: Run, kind: str = "trajectory", **options: Any) -> Figure:
     """
     module = plot_module(kind)
     require_rows(run)
-    if options:
-        chart, _ = comparison([run], kind, **options)
-        title = chart.lines[0].label if len(chart.lines) == 1 else ""  # a single line has no legend
-        panels: Sequence[Panel] = [chart_panel(chart, title, 2.7)]
-    elif hasattr(module, "panels"):
+    if not options and hasattr(module, "panels"):
         panels = module.panels(run)
-    else:
-        panels = [chart_panel(chart) for chart in module.charts(run)]
+    else:  # without anything to draw, `chart` says why
+        charts = module.charts(run) if not options else ()
+        panels = [chart_panel(chart) for chart in charts or [comparison([run], kind, **options)[0]]]
     picture = new_figure(caption(run), _WIDTH, _HEADING_AND_LABELS + sum(panel.height for panel in panels))
     shared: Axes | None = None
     for row, panel in enumerate(panels, start=1):
@@ -141,25 +138,11 @@ _SIZE = re.compile(r"(\d+(?:\.\d+)?) ?mm(?: ?x ?(\d+(?:\.\d+)?) ?mm)?", re.IGNOR
 
 #: Settings of Matplotlib for figures in papers.
 STYLE: dict[Any, Any] = {
-    **dict.fromkeys(("font.size", "axes.labelsize", "xtick.labelsize", "ytick.labelsize"), _TEXT),
-    **dict.fromkeys(("legend.fontsize", "legend.title_fontsize"), _TEXT),
-    **dict.fromkeys(("legend.frameon", "axes.spines.top", "axes.spines.right"), False),
+    **mpl.rc_params_from_file(Path(__file__).with_name("paper.mplstyle"), use_default_template=False),
     **dict.fromkeys(("figure.facecolor", "axes.facecolor"), PAPER),
-    "legend.handlelength": 1.8,
     "axes.prop_cycle": cycler(color=PALETTE),
     "axes.edgecolor": INK,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.formatter.use_mathtext": True,
-    "axes.formatter.limits": (-3, 4),
-    "axes.xmargin": 0.01,
     "grid.color": GRID,
-    "grid.linewidth": 0.5,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.0,
 }
 
 

@@ -130,19 +130,20 @@ def save(figure: Figure, target: Path) -> None:
     Text remains text: PDF files contain the outlines of the fonts (Type 42, not Type 3), and SVG files their names. The
     same figure gives the same bytes, because PDF and SVG files have no date.
     """
-    kind = target.suffix[1:].lower()
-    content = io.BytesIO()  # Matplotlib's PDF writer would replace the error of a full disk by another error
-    _escape(figure)
-    with replacing(target) as temporary, mpl.rc_context(_FILES):
-        quietly(lambda: figure.savefig(content, format=kind, dpi=figure.dpi, metadata=_METADATA.get(kind)))
-        temporary.write_bytes(content.getvalue())
+    with replacing(target) as temporary:
+        temporary.write_bytes(_image(figure, target.suffix[1:].lower()))
 
 
 def png(figure: Figure) -> bytes:
     """Return `figure` as the bytes of a PNG file."""
-    content = io.BytesIO()
+    return _image(figure, "png")
+
+
+def _image(figure: Figure, kind: str) -> bytes:
+    content = io.BytesIO()  # Matplotlib's PDF writer would replace the error of a full disk by another error
     _escape(figure)
-    quietly(lambda: figure.savefig(content, format="png", dpi=figure.dpi, bbox_inches=None))
+    with mpl.rc_context(_FILES):
+        quietly(lambda: figure.savefig(content, format=kind, dpi=figure.dpi, metadata=_METADATA[kind]))
     return content.getvalue()
 
 

@@ -11,12 +11,10 @@ from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.curves import Bands
 from mbdkit_report.figures.page_model import Axis, Figure
-from mbdkit_report.plot.charts import Panel
 from mbdkit_report.plot.element_quantity import (
     MOST,
     ElementQuantity,
     element_chart,
-    element_panel,
     element_values,
     has_elements,
     picked,
@@ -26,11 +24,6 @@ from mbdkit_report.plot.element_quantity import (
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-
-
-def panels(run: Run) -> list[Panel]:
-    """Return the panel of the torques of joints, drivers, force elements and actuators."""
-    return [element_panel(_carried_by_any(run), "torques", 2.7)]
 
 
 def charts(run: Run) -> list[Figure]:
@@ -60,11 +53,16 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
             torque = element_values(run, "N m", "torque")
             parts.append(torque.only(picked(torque, elements, "force element with a torque")))
         few = _joined(parts)
+    return torque_chart(few)
+
+
+def torque_chart(torques: ElementQuantity) -> Figure:
+    """Return the chart of some torques."""
     caption = (
         "Torque that the first body of each joint, driver or force element exerts on the second, about its point; "
         "positive counter-clockwise."
     )
-    return element_chart("torques", "Torques", caption, Axis("torque", "N m"), few)
+    return element_chart("torques", "Torques", caption, Axis("torque", "N m"), torques)
 
 
 def carried_torque(run: Run, force: ElementQuantity) -> ElementQuantity | None:

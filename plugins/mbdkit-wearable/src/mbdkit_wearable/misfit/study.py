@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,13 +29,6 @@ DEVICES: Mapping[str, str] = {
     "hinge": "hinge-orthosis", "four-bar": "four-bar-orthosis", "self-aligning": "self-aligning-orthosis",
 }  # fmt: skip
 
-SPRING = 10.0  #: Stiffness of the spring at the joint of each device, which extends the knee [N m/rad].
-
-#: Stiffness of a cuff [N/m, N m/rad]; that against rotation is that of two straps 0.2 m apart of this stiffness.
-STIFFNESS: Mapping[str, float] = {"normal": 20e3, "tangential": 10e3, "rotation": 200.0}
-
-DAMPING: Mapping[str, float] = {"normal": 60.0, "tangential": 40.0, "rotation": 0.2}
-
 #: Misfit of the device forward and upward [m] and its rotation [rad], and factor of the stiffness of the cuffs.
 VARIABLES: Mapping[str, object] = {
     "parameters.forward": {"uniform": [-0.03, 0.03]},
@@ -45,9 +39,7 @@ VARIABLES: Mapping[str, object] = {
 
 MEMBERS, FEW = 64, 4  #: Number of members of each sample, and that of the short form.
 
-HARMONICS, STEP = 8, 0.005  #: Number of harmonics of the series, and the largest step of runs [s].
-
-HEIGHT = 1.8  #: Height of the persons of the examples [m].
+HARMONICS = 8  #: Number of harmonics of the series.
 
 #: Time before a stride in which vibrations of the start decay [s]; measures do not contain them. A squat needs none: it
 #: begins in the straight posture, in which the tissue is at rest.
@@ -128,57 +120,21 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
     arms = turned(angle, thigh_point), turned(bend, shank_point)
     shank = x + arms[0][0] - arms[1][0], y + arms[0][1] - arms[1][1]
     rate = vx - spin * arms[0][1] + turning * arms[1][1], vy + spin * arms[0][0] - turning * arms[1][0]
-    tissue = {
-        "axis": [1, 0],
-        "stiffness": {key: f"{value!r}*tissue" for key, value in STIFFNESS.items()},
-        "damping": dict(DAMPING),
-    }
-    arm, flexed = 0.09 * HEIGHT, "joints.flexion.angle"
-    settled = "max(0, t/max(abs(t), 1e-9))"  # 0 before the motion, then 1
-    help_of_spring = f"{SPRING!r}*mean({settled}*{flexed}**2)"
-    drivers = {
-        axis: {"type": "driver", "bodies": ["ground", "thigh"], "coordinate": axis, "motion": text}
-        for axis, (text, *_) in zip(("x", "y", "angle"), series, strict=True)
-    }
-    body = {"mass": 1e-3, "inertia": 1e-5}
-    return {
-        "mbdkit": 1,
-        "parameters": {"forward": 0.0, "upward": 0.0, "turn": 0.0, "tissue": 1.0},
-        "model": {
-            "name": "mechanism",
-            "bodies": {
-                "thigh": body | {"position": [x, y], "angle": angle, "velocity": [vx, vy], "angular_velocity": spin},
-                "shank": body | {"position": list(shank), "angle": bend, "velocity": list(rate),
-                                 "angular_velocity": turning},
-            },
-            "joints": {
-                **{f"thigh_{axis}": driver for axis, driver in drivers.items()},
-                "knee": {"type": "revolute", "bodies": ["thigh", "shank"],
-                         "points": [list(thigh_point), list(shank_point)]},
-                "flexion": {"type": "driver", "bodies": ["thigh", "shank"], "coordinate": "angle", "motion": flexion},
-            },
-            "devices": {
-                "brace": {
-                    "mechanism": {"name": DEVICES[device], "height": HEIGHT, "stiffness": SPRING, "damping": 0.1},
-                    "attach": {
-                        "upper": {"limb": "thigh", "at": [thigh_point[0], thigh_point[1] + arm], "cuff": tissue},
-                        "lower": {"limb": "shank", "at": [shank_point[0], shank_point[1] - arm], "cuff": tissue},
-                    },
-                    "offset": ["forward", "upward", "turn"],
-                }
-            },
-        },
-        "measures": {
-            "added": {"value": f"max({settled}*abs(joints.knee.force))", "unit": "N"},
-            "shear_thigh": {"value": f'max({settled}*abs(cuffs["brace.upper"].shear_force))', "unit": "N"},
-            "shear_shank": {"value": f'max({settled}*abs(cuffs["brace.lower"].shear_force))', "unit": "N"},
-            "transmitted": {"value": f"mean({settled}*joints.flexion.torque*{flexed})/({help_of_spring})"},
-        },
-        "formulation": "ggl",
-        "integrator": {"name": "radau-iia", "stages": 3},
-        "time": {"start": -motion.settling, "end": motion.duration, "step": STEP},
-        "accept": ["cuff-loads"],
-    }  # fmt: skip
+    spec = read_source(Path(__file__).with_name("leg.yaml")).data
+    model: dict[str, Any] = spec["model"]
+    thigh, lower_leg = model["bodies"].values()
+    thigh |= {"position": [x, y], "angle": angle, "velocity": [vx, vy], "angular_velocity": spin}
+    lower_leg |= {"position": list(shank), "angle": bend, "velocity": list(rate), "angular_velocity": turning}
+    for axis, (text, *_) in zip(("x", "y", "angle"), series, strict=True):
+        model["joints"][f"thigh_{axis}"]["motion"] = text
+    model["joints"]["knee"]["points"] = [list(thigh_point), list(shank_point)]
+    model["joints"]["flexion"]["motion"] = flexion
+    brace = model["devices"]["brace"]
+    brace["mechanism"]["name"], arm = DEVICES[device], 0.09 * brace["mechanism"]["height"]
+    brace["attach"]["upper"]["at"] = [thigh_point[0], thigh_point[1] + arm]
+    brace["attach"]["lower"]["at"] = [shank_point[0], shank_point[1] - arm]
+    spec["time"] |= {"start": -motion.settling, "end": motion.duration}
+    return spec
 
 
 def study(quick: bool) -> dict[str, object]:

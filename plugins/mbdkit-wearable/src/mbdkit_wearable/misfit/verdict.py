@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import yaml
 
 from mbdkit.plugin import MbdkitError
-from mbdkit.plugin.reports import Answer, Axis, Claim, Column, Figure, Line, Table, Verdict
+from mbdkit.plugin.reports import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of
+from mbdkit.plugin.studies import study_verdict
 from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
 
 if TYPE_CHECKING:
@@ -20,32 +23,29 @@ WORDS = {
     "parameters.turn": "rotation",
     "parameters.tissue": "tissue",
 }
+#: Texts of the claims by name.
+TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_name("words.yaml").read_text("utf-8"))
 BINS = 8  #: Number of intervals of a variable in which figures show the median of a measure.
 
 #: Offsets [m] count as large above the first distance, and as small below the second one.
 LARGE, SMALL = 0.02, 0.01
 
 
+@study_verdict
 def verdict(study: Study) -> Verdict:
     """Return the verdict on the packaged study `misfit`, complete or not."""
     samples = {(motion, device): Sample(study, f"{motion}-{device}") for motion in MOTIONS for device in DEVICES}
     rows = [(motion, device, *sample.row()) for (motion, device), sample in samples.items()]
-    columns = (
-        Column("motion"),
-        Column("device"),
-        Column("median added force", "N"),
-        Column("95 % quantile", "N"),
-        Column("median shear", "N"),
-        Column("median help transmitted", "%"),
-        *(Column(f"S_T {word}") for word in WORDS.values()),
-    )
+    heads = "motion; device; median added force [N]; 95 % quantile [N]; median shear [N]; median help transmitted [%]"
+    columns = columns_of("; ".join([heads, *(f"S_T {word}" for word in WORDS.values())]))
     note = (
         "Added force: the largest force in the knee that the device causes. Help transmitted: the moment that reaches "
         "the knee, relative to that of the spring of the device at the angle of the knee. S_T: total Sobol indices of "
         "the added force; empty where unknown."
     )
     table = Table("misfit", "Misfit by motion and device", columns, tuple(rows), note, headline=True)
-    claims = (_growth(samples), _direction(samples), _self_alignment(samples), _tissue(samples))
+    compared = (_growth(samples), _direction(samples), _self_alignment(samples), _tissue(samples))
+    claims = tuple(map(_claim, TEXTS, compared))
     summary = " ".join(claim.sentence for claim in claims if claim.answer is not Answer.OPEN)
     return Verdict("misfit", "Misfit of orthoses of the knee", summary, claims, (table,), tuple(_figures(samples)), ())
 
@@ -101,77 +101,57 @@ class Sample:
 Samples = Mapping[tuple[str, str], Sample]
 
 
-def _claim(name: str, statement: str, published: str, pairs: Mapping[str, tuple[float, float]], more: str) -> Claim:
-    """Return a claim that the first of two numbers is smaller than the second in all cases."""
+def _claim(name: str, pairs: Mapping[str, tuple[float, float]]) -> Claim:
+    """Return a claim of `words.yaml`: that the first of two numbers is smaller than the second in all cases."""
+    words = {key: text.format(small=1e3 * SMALL, large=1e3 * LARGE) for key, text in TEXTS[name].items()}
     known = {case: pair for case, pair in pairs.items() if np.isfinite(pair).all()}
     holding = sum(low < high for low, high in known.values())
     answers = {0: Answer.NO, len(known): Answer.YES}
     answer = answers.get(holding, Answer.PARTLY) if known else Answer.OPEN
     computed = "; ".join(f"{low:.3g} and {high:.3g} ({case})" for case, (low, high) in known.items()) or "unknown"
-    return Claim(name, statement, published, computed, answer, f"{more}: {computed}.")
+    sentence = f"{words['computed']}: {computed}."
+    return Claim(name, words["statement"], words["published"], computed, answer, sentence)
 
 
-def _growth(samples: Samples) -> Claim:
-    pairs = {}
+Pairs = dict[str, tuple[float, float]]
+
+
+def _growth(samples: Samples) -> Pairs:
+    pairs: Pairs = {}
     for (motion, device), sample in samples.items():
         if device == "hinge":
             small, large = (sample.median("added", rows) for rows in (sample.offset < SMALL, sample.offset > LARGE))
             pairs[f"{motion}, {device}"] = (small, large)
-    return _claim(
-        "growth",
-        "The force that a hinge adds to the knee grows with its offset.",
-        "loads increase with misalignment (Bessler-Etten et al. 2022)",
-        pairs,
-        f"Median added force in N with offsets below {1e3 * SMALL:.0f} mm and above {1e3 * LARGE:.0f} mm",
-    )
+    return pairs
 
 
-def _direction(samples: Samples) -> Claim:
-    pairs = {}
+def _direction(samples: Samples) -> Pairs:
+    pairs: Pairs = {}
     for (motion, device), sample in samples.items():
         if device == "hinge":
             totals = sample.totals()
             others = max(totals[name] for name in VARIABLES if name not in ("parameters.upward", "parameters.tissue"))
             pairs[f"{motion}, {device}"] = (others, totals["parameters.upward"])
-    return _claim(
-        "direction",
-        "Of the offsets of a hinge, that along the limb matters more than that across it.",
-        "proximal and distal offsets raise the forces in the knee in the plane of motion (Bessler-Etten et al. 2022)",
-        pairs,
-        "Total Sobol indices of the added force, of the larger of forward offset and rotation, and of the offset along "
-        "the limb",
-    )
+    return pairs
 
 
-def _self_alignment(samples: Samples) -> Claim:
-    pairs = {}
+def _self_alignment(samples: Samples) -> Pairs:
+    pairs: Pairs = {}
     for motion in MOTIONS:
         hinge, own = samples[motion, "hinge"], samples[motion, "self-aligning"]
         for words, most in (("all offsets", np.inf), ("small offsets", SMALL)):
             values = [one.median("added", one.offset < most) for one in (own, hinge)]
             pairs[f"{motion}, {words}"] = (values[0], values[1])
-    return _claim(
-        "self-alignment",
-        "A self-aligning orthosis adds less force than a hinge.",
-        "forces of misfit vanish if the hinge can move (Stienen et al. 2009)",
-        pairs,
-        "Median added force in N of the self-aligning orthosis and of the hinge",
-    )
+    return pairs
 
 
-def _tissue(samples: Samples) -> Claim:
-    pairs = {}
+def _tissue(samples: Samples) -> Pairs:
+    pairs: Pairs = {}
     for (motion, device), sample in samples.items():
         tissue = sample.values["parameters.tissue"]
         soft, stiff = (sample.median("transmitted", rows) for rows in (tissue < 0.6, tissue > 1.6))
         pairs[f"{motion}, {device}"] = (soft, stiff)
-    return _claim(
-        "tissue",
-        "Soft tissue under the cuffs takes a part of the help.",
-        "about 75 % of the work of an ankle exosuit arrives (Yandell et al. 2017)",
-        pairs,
-        "Median share of the help that arrives, with soft and with stiff tissue",
-    )
+    return pairs
 
 
 def _figures(samples: Samples) -> list[Figure]:
