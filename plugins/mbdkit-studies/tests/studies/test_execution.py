@@ -83,7 +83,7 @@ def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "two", workers=2)
     assert study.computed == 5
     assert index_hash(tmp_path / "two") == index_hash(finished.folder)
-    hashes = [[point.row.data_sha256 for point in which.points] for which in (study, finished)]
+    hashes = [[point.data_sha256 for point in which.points] for which in (study, finished)]
     assert hashes[0] == hashes[1]
 
 
@@ -276,13 +276,13 @@ def test_repeated_timings_are_kept_with_their_quartiles_and_not_made_again(tmp_p
     }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     for point in done.points:
-        assert len(point.row.repeats) == 5
-        expected = np.quantile(point.row.repeats, [0.0, 0.25, 0.5, 0.75])
+        assert len(point.repeats) == 5
+        expected = np.quantile(point.repeats, [0.0, 0.25, 0.5, 0.75])
         found = [point.values[f"wall_{name}_s"] for name in ("min", "q1", "median", "q3")]
         assert found == pytest.approx(expected)
         assert found[0] > 0
     again = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.repeats for point in again.points] == [point.row.repeats for point in done.points]
+    assert [point.repeats for point in again.points] == [point.repeats for point in done.points]
 
 
 def test_progress_counts_runs_and_timings(small, tmp_path):

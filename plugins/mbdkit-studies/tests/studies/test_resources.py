@@ -111,11 +111,11 @@ def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path
 
     monkeypatch.setattr(pool.Pool, "work", without_memory)
     first = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.second_run for point in first.points] == [""] * 4
+    assert [point.second_run for point in first.points] == [""] * 4
     assert len(first.unfinished) == 4
     monkeypatch.undo()
     second = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.second_run for point in second.points] == ["complete"] * 4
+    assert [point.second_run for point in second.points] == ["complete"] * 4
 
 
 @pytest.mark.usefixtures("processes")

@@ -285,18 +285,17 @@ def _carried_out(
     try:
         is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            of_sample: dict[str, str] = {}
-
-            def notify_unless_told(text: str) -> None:
-                if without_numbers(text.removeprefix("warning: ")) not in of_sample:
-                    notify(text)
-
             store: RunStores = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
             folder.check(spec, overwrite=overwrite)
             for _, checked in store.plan.validated:
                 check_calls(checked)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
-            of_sample |= store.plan.warnings_of_sample()
+            of_sample = store.plan.warnings_of_sample()
+
+            def notify_unless_told(text: str) -> None:
+                if without_numbers(text.removeprefix("warning: ")) not in of_sample:
+                    notify(text)
+
             for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
                 notify(f"warning: {warning}")
@@ -316,28 +315,20 @@ def _execute(
     folder = store.folder
     folder.prepare(store.spec)
     with folder.locked(shard):
-        total = store.begin(shard, notify)
+        total, ended = store.begin(shard, notify), 0  # ended: runs planned for this round and the rounds before
         try:
-            _compute(store, engine, total, progress, notify)
+            for some in store.rounds():
+                ended += some.planned
+                done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
+                with (Engine() if some.one_by_one else engine).pool(notify) as pool:
+                    for task, outcome in pool.work(some.tasks):
+                        store.note(task, outcome)
+                        done += task.runs
+                        if progress is not None:
+                            progress(done, total, store.failed)
         finally:
             with interrupts_delayed(), alone(folder.spec):  # other calls may write the index
                 study_index.write(folder.index, store.spec, store.index())
-
-
-def _compute(
-    store: RunStores, engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
-) -> None:
-    """Compute the missing results."""
-    ended = 0  # number of runs that were planned for this round and the rounds before
-    for some in store.rounds():
-        ended += some.planned
-        done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
-        with (Engine() if some.one_by_one else engine).pool(notify) as pool:
-            for task, outcome in pool.work(some.tasks):
-                store.note(task, outcome)
-                done += task.runs
-                if progress is not None:
-                    progress(done, total, store.failed)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, object]) -> StudySpec:

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
-
 import gc
 import json
 import os
@@ -17,11 +12,13 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.archive.part_file import write_image
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
@@ -53,7 +50,7 @@ from mbdkit_studies.spec.measures import (
     other_values,
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, kept, write_block
+from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, block_image, kept
 from mbdkit_studies.store.study_blocks import stored
 from mbdkit_studies.texts import joined_lines
 
@@ -245,7 +242,7 @@ def _compute_block(
                 if unfinished.is_due:
                     add()
             add()
-        write_block(files.block(block), heading, _points(plan.points, places), runs)
+        write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
 

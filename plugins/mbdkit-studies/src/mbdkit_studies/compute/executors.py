@@ -91,12 +91,6 @@ class SubmititExecutor(Executor):
                 threading.Thread(target=self._watch, daemon=True).start()
         return futures
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
-        """Submit one job that calls ``function(*arguments)``."""
-        if options:
-            raise TypeError("jobs take no arguments by name")
-        return self.submit_all(function, arguments[:1], *arguments[1:])[0]
-
     def _watch(self) -> None:
         """Pass the results of jobs to their futures until no job is left."""
         while True:

@@ -35,10 +35,10 @@ class RunFiles(RunStore[str]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        planned = [point for point in self.plan.points if not point.lacking]
-        references = {point.reference_id: point.reference for point in planned if point.reference is not None}
+        self._planned = [point for point in self.plan.points if not point.lacking]
+        references = {point.reference_id: point.reference for point in self._planned if point.reference is not None}
         #: Specs of the distinct runs by run id, references first.
-        self._runs = references | {point.run_id: point.spec for point in planned}
+        self._runs = references | {point.run_id: point.spec for point in self._planned}
         self.count = len(self._runs)
         self._defined = spec.defined_measures()
         self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
@@ -68,16 +68,14 @@ class RunFiles(RunStore[str]):
         missing = set(self.missing(self._runs))
         run_ids = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
         self._missing = [run_id for run_id in run_ids if run_id in missing]
-        self._again = self._to_run_again() if shard is None else []
-        self._turns = self._missing_timings() if shard is None else []
+        #: Runs that still need a second run; reference runs never do.
+        self._again: list[str] = []
+        self._turns: list[tuple[int, str]] = []
+        if shard is None:
+            wanted = dict.fromkeys(point.run_id for point in self._planned if self.spec.second_run_measures)
+            self._again = [run_id for run_id in wanted if run_id not in self._second]
+            self._turns = self._missing_timings()
         return len(self._missing) + len(self._again) + len(self._turns)
-
-    def _to_run_again(self) -> list[str]:
-        """Return the runs that still need a second run; reference runs never do."""
-        if not self.spec.second_run_measures:
-            return []
-        wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
-        return [run_id for run_id in wanted if run_id not in self._second]
 
     def _missing_timings(self) -> list[tuple[int, str]]:
         """Return the numbers and runs of the timings to make.
@@ -87,8 +85,8 @@ class RunFiles(RunStore[str]):
         """
         wanted = dict.fromkeys(
             (turn, point.run_id)
-            for point in self.plan.points
-            if not point.lacking and point.grid.repeats > 1
+            for point in self._planned
+            if point.grid.repeats > 1
             for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
         )
         return sorted(wanted, key=lambda timing: timing[0])
@@ -187,23 +185,21 @@ class RunFiles(RunStore[str]):
             If an archive cannot be read.
         """
         with load(archive) as run:
+            group = RunGroup([run], reference)
+            values = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
+            values |= other_values(run, spec, self._defined)
+            values |= {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+            values |= {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
             return Row(
                 run.run_id,
                 run.status,
                 run.status_reason,
                 worst_joint=worst_joint(run),
                 data_sha256=run.data_sha256,
-                values=self._values(run, reference, spec),
+                values=values,
                 verdict=run.verdict,
                 verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
             )
-
-    def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
-        group = RunGroup([run], reference)
-        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
-        taken |= other_values(run, spec, self._defined)
-        numbers = {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
-        return taken | numbers | {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
 
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""
@@ -234,8 +230,8 @@ class RunFiles(RunStore[str]):
         super().forget(key)
         self._hashes.pop(key, None)
 
-    def indexed(self, key: str) -> Outcome | None:
-        """See `RunStore.indexed`."""
+    def _indexed(self, key: str) -> Outcome | None:
+        """Return the outcome stored in a file that has not changed since it was indexed; None for other files."""
         row = self._by_run.get(key)
         if row is None:
             return None
@@ -245,6 +241,8 @@ class RunFiles(RunStore[str]):
 
     def read(self, key: str) -> Outcome:
         """See `RunStore.read`."""
+        if (known := self._indexed(key)) is not None:
+            return known
         path = self.folder.archive(key)
         try:
             run = load(path)

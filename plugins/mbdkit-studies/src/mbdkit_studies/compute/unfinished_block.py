@@ -110,17 +110,14 @@ def _runs(piece: Block) -> list[BlockRuns]:
     columns, stored = piece.columns("measures"), piece.runs
     runs = []
     for row, number in enumerate(piece.numbers.tolist()):
-        texts = {
-            name: str(stored[name][row])
-            for name in ("status", "spec_sha256", "run_id", "plugins", "mechanism", "files")
-        }
-        reason = str(stored["status_reason"][row])
-        if not (stored["data_sha256"][row] and Outcome(texts["status"], reason).is_final):
+        names = ("status", "status_reason", "spec_sha256", "run_id", "plugins", "mechanism", "files")
+        texts = {name: str(stored[name][row]) for name in names}
+        if not (stored["data_sha256"][row] and Outcome(texts["status"], texts["status_reason"]).is_final):
             continue
         result, worst = piece.results(number), str(stored["worst_joint"][row])
         if piece.store == "hashes" and worst:  # only the largest misalignment and its joint are stored
             others = np.array(result.names.joints) != worst
             result = replace(result, misalignment_max=np.where(others, 0.0, result.misalignment_max))
         measures = {name: values[row : row + 1] for name, values in columns.items()}
-        runs.append(BlockRuns([number], reason=reason, results=FinishedRuns.of(result), measures=measures, **texts))
+        runs.append(BlockRuns([number], results=FinishedRuns.of(result), measures=measures, **texts))
     return runs

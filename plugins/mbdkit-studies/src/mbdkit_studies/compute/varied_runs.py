@@ -18,6 +18,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_texts import SpecTexts
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.made_items import MadeItems
 
 #: Share of the runs, and their largest number in a study, that are computed in the ordinary way as well.
 SHARE, MOST = 0.01, 200
@@ -94,22 +95,9 @@ class EnsembleRuns:
         """Return the hashes of the specs, and the identifiers, of the runs at some places."""
         return self.texts.hashes([column[places] for column in self._columns])
 
-    def specs(self, places: Sequence[int]) -> VariedSpecsAt:
+    def specs(self, places: Sequence[int]) -> Sequence[RunSpec]:
         """Return the specs of the runs at some places, each of which is made when it is needed."""
-        return VariedSpecsAt(self, places)
-
-
-class VariedSpecsAt(Sequence[RunSpec]):
-    """Specs of some runs of an ensemble, each of which is made when it is needed."""
-
-    def __init__(self, runs: EnsembleRuns, places: Sequence[int]):
-        self.runs, self.places = runs, places
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    def __getitem__(self, number: int) -> RunSpec:  # type: ignore[override]
-        return self.runs.spec(self.places[number])
+        return MadeItems(len(places), lambda number: self.spec(places[number]))
 
 
 def _reads_no_files(_: Variant, run: LaneMember) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -17,6 +18,7 @@ from h5py import h5p
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.part_file import LIBVER
+from mbdkit.base.errors import ArchiveError, FormatVersionError
 from mbdkit.quantities.array import TEXT, Array
 
 #: Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent.
@@ -46,6 +48,22 @@ def file_bytes(file: h5py.File) -> bytes:
     file.flush()
     image: bytes = file.id.get_file_image()
     return image
+
+
+def write_header(file: h5py.File, kind: str, version: str, title: str, description: str, **texts: str) -> None:
+    """Write the attributes of a file of a study: those that all kinds of files have, and further `texts`."""
+    texts |= {"format": kind, "format_version": version, "Conventions": f"{kind}-{version}"}
+    for name, text in {"title": title, "description": description, **texts}.items():
+        set_text(file, name, text)
+
+
+def check_header(file: h5py.File, path: Path, kind: str, version: str, what: str) -> None:
+    """Raise ArchiveError unless a file is of a kind, in words ``the index of a study``, and its version is read."""
+    if file.attrs.get("format") != kind:
+        raise ArchiveError(f"this is not {what}", file=path)
+    written = str(file.attrs["format_version"])
+    if written.partition(".")[0] != version.partition(".")[0]:
+        raise FormatVersionError(f"this is {what} with format version {written}, this mbdkit reads 1.x", file=path)
 
 
 def write_column(

@@ -14,7 +14,14 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
+from mbdkit_studies.folder.columns import (
+    check_header,
+    file_bytes,
+    hdf5_in_memory,
+    read_column,
+    write_column,
+    write_header,
+)
 from mbdkit_studies.spec.study_spec import StudySpec
 
 FILE = "members.h5"  #: Name of the table in the folder of a study; see `StudySpec.members`.
@@ -31,10 +38,8 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
         (N,) numbers or strings by dotted key.
     """
     with hdf5_in_memory() as file:
-        texts = {"title": "Values of a study", "description": "Table of the values that vary, one row for each run."}
-        texts |= {"format": _FORMAT, "format_version": _VERSION, "Conventions": f"{_FORMAT}-{_VERSION}"}
-        for name, text in texts.items():
-            set_text(file, name, text)
+        what = "Table of the values that vary, one row for each run."
+        write_header(file, _FORMAT, _VERSION, "Values of a study", what)
         file.create_group("members")
         count = len(next(iter(columns.values())))
         create(file, Array("members/run", ("run",), "1", "number of the run", INTEGER), np.arange(1, count + 1))
@@ -66,11 +71,7 @@ def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
         raise SpecError("there is no such file, which the study names as the table of its members", file=path)
     hint = "restore it, or create the study again"
     with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
-        if file.attrs.get("format") != _FORMAT:
-            raise SpecError("this is not a table of members", file=path)
-        written = str(file.attrs["format_version"])
-        if written.partition(".")[0] != _VERSION.partition(".")[0]:
-            raise SpecError(f"this table of members has format version {written}, this mbdkit reads 1.x", file=path)
+        check_header(file, path, _FORMAT, _VERSION, "a table of members")
         StoredHashes(file).verify()
         if file.attrs["data_sha256"] != sha256:
             raise SpecError("this is not the table of this study: its hash differs", file=path)

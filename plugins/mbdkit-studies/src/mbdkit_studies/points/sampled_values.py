@@ -88,7 +88,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
         return spec
     columns = values_of(spec)
     _, digest = member_table.image(columns)
-    there = None if overwrite else _study_in(folder)
+    there = None if overwrite else study_in(folder)
     if there is not None and there.members is not None and there.members.sha256 != digest:
         untabled = there.with_members(None).stored_as(None)
         if untabled.sha256() == spec.stored_as(None).sha256():
@@ -100,7 +100,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
     return tabled
 
 
-def _study_in(folder: StudyFolder) -> StudySpec | None:
+def study_in(folder: StudyFolder) -> StudySpec | None:
     """Return the study in a folder; None if it cannot be read, which is reported elsewhere."""
     if not folder.spec.is_file():
         return None

@@ -13,9 +13,9 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
-from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide
 from mbdkit_studies.statistics.measure_statistics import statistics_of_group
+from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.statistics.sobol_indices import ROUND_OFF
 from mbdkit_studies.store.study_point import axis_unit

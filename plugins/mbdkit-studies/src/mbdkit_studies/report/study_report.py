@@ -39,7 +39,6 @@ from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.pages.run_verdict import mechanism_size
 from mbdkit_report.seams import report_of_folder
-from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.report.study_headlines import headlines
@@ -49,6 +48,7 @@ from mbdkit_studies.results.cost_at_error import is_timed
 from mbdkit_studies.results.judge import find_verdict, judge
 from mbdkit_studies.results.point_selection import OPERATIONS, value
 from mbdkit_studies.results.study_notes import notes
+from mbdkit_studies.statistics.sample_groups import sample_groups
 from mbdkit_studies.store.study_point import axis_unit, point_words, valid_specs
 
 if TYPE_CHECKING:

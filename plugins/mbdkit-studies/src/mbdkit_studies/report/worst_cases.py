@@ -12,8 +12,8 @@ import numpy as np
 from mbdkit.base.text import listed, plus_minus
 from mbdkit_report import Cell, Table, columns_of, key_words
 from mbdkit_studies.points.corner_values import MOST_FOR_ALL_CORNERS
-from mbdkit_studies.points.sample_groups import measured
 from mbdkit_studies.results.proven_bounds import is_bounded_by_corners
+from mbdkit_studies.statistics.sample_groups import measured
 from mbdkit_studies.store.study_point import axis_unit, point_words
 from mbdkit_studies.texts import ERROR
 

@@ -10,9 +10,9 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.size import mechanism_size
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
-from mbdkit_studies.points.sample_groups import measured
 from mbdkit_studies.results.cost_at_error import cost_at_error
 from mbdkit_studies.results.point_selection import STEP, Points, value
+from mbdkit_studies.statistics.sample_groups import measured
 from mbdkit_studies.store.study_point import point_words, value_words
 
 if TYPE_CHECKING:
@@ -30,28 +30,19 @@ def general_verdict(study: Study) -> Verdict:
     reference, and observed orders if the step is varied. The verdict on a study with a sample or a table of members has
     only the number of complete runs and the largest misalignment.
     """
-    if study.spec.has_table:
-        return _verdict_of_sample(study)
-    complete = [point for point in study.points if point.status == "complete"]
     failed = len(study.failures)
-    sentences = [
-        f"{len(complete)} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else "."),
-        _extremes(complete),
-    ]
-    cost = cost_at_error(study)
-    tables = tuple(table for table in (cost, _orders(study)) if table is not None and table.rows)
-    return Verdict("general", study.spec.title or "Study", " ".join(filter(None, sentences)), tables=tables)
-
-
-def _verdict_of_sample(study: Study) -> Verdict:
-    """Return the general verdict on a study with many runs, without reading their specs."""
-    complete = list(study.statuses()).count("complete")
-    failed = len(study.failures)
-    sentence = f"{complete} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")
-    largest = measured(study, "misalignment_max", range(len(study.points)), with_bad=True)
-    if np.any(np.isfinite(largest)):
-        sentence += f" The joint misalignment is at most {np.nanmax(largest):.1e} m."
-    return Verdict("general", study.spec.title or "Study", sentence)
+    count = list(study.statuses()).count("complete")
+    sentences = [f"{count} of {len(study.points)} runs are complete" + (f", {failed} failed." if failed else ".")]
+    tables: list[Table | None] = []
+    if study.spec.has_table:  # many runs, whose specs are not read
+        largest = measured(study, "misalignment_max", range(len(study.points)), with_bad=True)
+        if np.any(np.isfinite(largest)):
+            sentences.append(f"The joint misalignment is at most {np.nanmax(largest):.1e} m.")
+    else:
+        sentences.append(_extremes([point for point in study.points if point.status == "complete"]))
+        tables = [cost_at_error(study), _orders(study)]
+    known = tuple(table for table in tables if table is not None and table.rows)
+    return Verdict("general", study.spec.title or "Study", " ".join(filter(None, sentences)), tables=known)
 
 
 def _extremes(points: list[StudyPoint]) -> str:

@@ -9,9 +9,10 @@ import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit_studies.points.planned_points import Label
-from mbdkit_studies.points.sample_groups import SampledStudy, SampleGroup, measured, one_group
 from mbdkit_studies.statistics import sample_statistics
+from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, one_group
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, Estimate
+from mbdkit_studies.store.study_runs import StudyRuns
 
 QUANTILES = (0.05, 0.5, 0.95)
 FEWEST = 3  #: Smallest number of values that have statistics.
@@ -57,7 +58,7 @@ class MeasureStatistics:
 
 
 def statistics(
-    study: SampledStudy, measure: str, *, where: Mapping[str, Label] | None, confidence: float
+    study: StudyRuns, measure: str, *, where: Mapping[str, Label] | None = None, confidence: float = CONFIDENCE
 ) -> MeasureStatistics:
     """Return the statistics of a measure; see `Study.statistics`."""
     if not study.spec.is_sampled:
@@ -73,7 +74,7 @@ def statistics(
 
 
 def statistics_of_group(
-    study: SampledStudy, group: SampleGroup, measure: str, confidence: float = CONFIDENCE
+    study: StudyRuns, group: SampleGroup, measure: str, confidence: float = CONFIDENCE
 ) -> MeasureStatistics | None:
     """Return the statistics of a measure over the runs of one sample; None if fewer than `FEWEST` runs have a value."""
     values = by_member(study, measured(study, measure, group.places))
@@ -95,7 +96,7 @@ def statistics_of_group(
     )
 
 
-def by_member(study: SampledStudy, values: np.ndarray) -> np.ndarray:
+def by_member(study: StudyRuns, values: np.ndarray) -> np.ndarray:
     """Return the values (N,) of the runs of a sample with one row for each member."""
     sample = study.spec.sample
     return values.reshape(-1, 1 if sample is None else sample.runs_of_member)

@@ -12,7 +12,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.text import listed
 from mbdkit_report import data_frame, key_words
-from mbdkit_studies.points.sample_groups import SampledStudy, measured, one_group
+from mbdkit_studies.statistics.sample_groups import measured, one_group
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.statistics.sobol_indices import RESAMPLES, SobolIndices, members_for, sobol_indices
 from mbdkit_studies.texts import ERROR
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas
 
     from mbdkit_studies.points.planned_points import Label
+    from mbdkit_studies.store.study_runs import StudyRuns
 
 NARROW = 0.05  #: Width of the intervals of indices for which a note says how many members are needed.
 
@@ -116,7 +117,7 @@ def _shown(index: float) -> str:
 
 
 def sensitivity(
-    study: SampledStudy,
+    study: StudyRuns,
     measure: str,
     *,
     where: Mapping[str, Label] | None = None,
@@ -151,7 +152,7 @@ def sensitivity(
     )
 
 
-def _within_errors(study: SampledStudy, measure: str, places: range, values: np.ndarray) -> str:
+def _within_errors(study: StudyRuns, measure: str, places: range, values: np.ndarray) -> str:
     """Return a sentence if the variation of values (n, d + 2) can be explained by their errors; otherwise an empty
     text.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -43,7 +42,7 @@ class Storage:
         'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
         "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
     )
-    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
+    _FILES = "[0-9a-f]" * 16 + ".h5"
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, planned: PlannedPoints):
         self.spec, self.folder, self.planned = spec, folder, planned
@@ -56,8 +55,7 @@ class Storage:
     @property
     def done(self) -> int:
         """Number of files that exist."""
-        paths = self.folder.runs.iterdir() if self.folder.runs.is_dir() else ()
-        return sum(bool(self._NAME.fullmatch(path.name)) for path in paths)
+        return len([*self.folder.runs.glob(self._FILES)])
 
     def path(self, point: StudyPoint) -> Path | None:
         """Return the file that contains the run of a point; None if there is none."""
@@ -86,7 +84,7 @@ class BlockStorage(Storage):
         "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
         "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
     )
-    _NAME = re.compile(r"block-[0-9]{6,}\.h5")
+    _FILES = "block-[0-9]*.h5"
 
     @property
     def count(self) -> int:
@@ -99,7 +97,7 @@ class BlockStorage(Storage):
 
     def open(self, point: StudyPoint) -> Run | None:
         """See `Storage.open`."""
-        if not point.row.data_sha256:
+        if not point.data_sha256:
             return None
         with Block(self.path(point), self._sha256) as block:
             return block.run(point.number)

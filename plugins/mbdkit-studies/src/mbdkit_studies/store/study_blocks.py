@@ -13,7 +13,7 @@ from mbdkit.runs.preparation import rows_expected
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoints, number_of_points
-from mbdkit_studies.spec.study_loading import load_study_spec
+from mbdkit_studies.points.sampled_values import study_in
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, StudySpec
 from mbdkit_studies.store.block_writer import HISTORIES, Store
 
@@ -43,11 +43,9 @@ def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False)
     if spec.store is not None:
         return spec
     if folder.spec.is_file() and not overwrite:
-        try:
-            there = load_study_spec(folder.spec)
-        except MbdkitError:
-            return spec  # the error is reported when the folder is checked
-        return spec.stored_as(there.store) if there.stored_as(None).sha256() == spec.sha256() else spec
+        there = study_in(folder)
+        is_same = there is not None and there.stored_as(None).sha256() == spec.sha256()
+        return spec.stored_as(there.store) if there is not None and is_same else spec
     return spec.stored_as("all") if is_for_blocks(spec) else spec
 
 

@@ -21,10 +21,18 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.distributions import own_version
-from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
+from mbdkit_studies.folder.columns import (
+    check_header,
+    file_bytes,
+    hdf5_in_memory,
+    read_column,
+    write_column,
+    write_hashes,
+    write_header,
+)
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND, Description
 from mbdkit_studies.spec.study_spec import StudySpec
@@ -55,8 +63,9 @@ TEXTS = {
 #: Units and descriptions of the numeric columns that the index of any study may have, in addition to measures that the
 #: study defines.
 NUMBERS: Mapping[str, Description] = {
-    **{name: Description(one.units, one.long_name) for name, one in {**MEASURES, **OF_CHECKED_RUNS}.items()},
-    **{name: Description(*told) for name, told in SECOND.items()},
+    **MEASURES,
+    **OF_CHECKED_RUNS,
+    **SECOND,
     **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in (*COUNTERS, *SOME_COUNTERS)},
     **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
     **{
@@ -91,7 +100,7 @@ class Row:
     worst_joint, data_sha256
         Joint with the largest misalignment, and hash of the recorded data, from the archive.
     values
-        Measures, counters and timings by column.
+        Measures, counters and timings by column; nan if not available.
     repeats
         Wall times of the repeated timings, each made after those of all other runs [s].
     file_sha256
@@ -222,14 +231,9 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
         If the index cannot be written, as on a full disk. The previous index then remains unchanged.
     """
     with hdf5_in_memory() as file:
-        set_text(file, "format", FORMAT)
-        set_text(file, "format_version", FORMAT_VERSION)
-        set_text(file, "mbdkit", own_version())
-        set_text(file, "study", spec.canonical_json())
-        set_text(file, "study_sha256", spec.sha256())
-        set_text(file, "title", (spec.title or "Study").replace("\0", " "))  # attributes end at a null character
-        set_text(file, "description", "Table of the runs of a study.")
-        set_text(file, "Conventions", f"{FORMAT}-{FORMAT_VERSION}")
+        title = (spec.title or "Study").replace("\0", " ")  # attributes end at a null character
+        texts = {"mbdkit": own_version(), "study": spec.canonical_json(), "study_sha256": spec.sha256()}
+        write_header(file, FORMAT, FORMAT_VERSION, title, "Table of the runs of a study.", **texts)
         _write_table(file, "runs", "run", index.runs, index)
         if index.references:
             _write_table(file, "references", "reference", index.references, index)
@@ -298,11 +302,7 @@ def read(path: Path) -> Index:
         raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
     hint = "run `mbdkit study` to write it again"
     with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
-        if file.attrs.get("format") != FORMAT:
-            raise ArchiveError("this is not the index of a study", file=path)
-        written = str(file.attrs["format_version"])
-        if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-            raise FormatVersionError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
+        check_header(file, path, FORMAT, FORMAT_VERSION, "the index of a study")
         StoredHashes(file).verify()
         tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
         if any(len(set(map(len, table.values()))) > 1 for table in tables):
