@@ -186,7 +186,7 @@ def validate_study(source: str | Document, name: str, assignments: list[str]) ->
     from mbdkit_studies.compute.study_plan import plan_study
     from mbdkit_studies.report.study_summary import plan_summary
     from mbdkit_studies.spec.study_loading import load_study_spec
-    from mbdkit_studies.store.study_blocks import is_for_blocks
+    from mbdkit_studies.store.storage import is_for_blocks
 
     study = load_study_spec(source, assignments)
     plan = plan_study(study.stored_as(study.store or "all") if is_for_blocks(study) else study)

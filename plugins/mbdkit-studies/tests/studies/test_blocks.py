@@ -34,7 +34,7 @@ from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.report.runs_table import export_runs
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.blocks import Block
-from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.store.storage import StudyBlocks
 from tests.runs.rotor_with_inputs import OFF_GRID, given, rotor
 
 
@@ -296,18 +296,18 @@ def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
 def test_a_run_that_kills_its_process_twice_fails_without_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    give = pool._Worker.give
+    answer_of = pool._Process.answer
     deaths: list[int] = []
 
-    def deadly(worker: Any, task: Any) -> None:
-        if task.key == 1 and 5 not in task.skip:
-            mark_of(task.path).write_text(f"{5:8d}")
-            deaths.append(task.key)
+    def deadly(worker: Any, message: Any, notify: Any) -> Any:
+        if message["block"] == 1 and "5" not in message["skip"]:
+            mark_of(Path(message["path"])).write_text(f"{5:8d}")
+            deaths.append(1)
             worker.process.kill()
             worker.process.wait()
-        give(worker, task)
+        return answer_of(worker, message, notify)
 
-    monkeypatch.setattr(pool._Worker, "give", deadly)
+    monkeypatch.setattr(pool._Process, "answer", deadly)
     study = pendulums(store="summary", out=tmp_path / "s", block=3)
     assert len(deaths) == 2
     assert [point.number for point in study.failures] == [5]

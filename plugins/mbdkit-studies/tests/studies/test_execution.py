@@ -17,7 +17,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.spec import load_spec
-from mbdkit_studies.compute import pool, worker
+from mbdkit_studies.compute import executor_pool, pool, worker
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.run_files import RunFiles
 from mbdkit_studies.folder.folder_lock import Shard
@@ -188,16 +188,16 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
 def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_later_ones(
     count, finished, small, tmp_path, monkeypatch
 ):
-    victim, give, deaths = finished.points[1].run_id, pool._Worker.give, []
+    victim, answer_of, deaths = finished.points[1].run_id, pool._Process.answer, []
 
-    def deadly(worker, task):
-        if task.key == victim and len(deaths) < count:
+    def deadly(worker, message, notify):
+        if Path(message["path"]).stem == victim and len(deaths) < count:
             deaths.append(worker)
             worker.process.kill()
             worker.process.wait()
-        give(worker, task)
+        return answer_of(worker, message, notify)
 
-    monkeypatch.setattr(pool._Worker, "give", deadly)
+    monkeypatch.setattr(pool._Process, "answer", deadly)
     study = mbdkit.study(small, out=tmp_path / "out", workers=count)
     reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
     assert study.unfinished == (reason,) * (count - 1)
@@ -213,7 +213,7 @@ def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_late
 
 @pytest.mark.usefixtures("processes")
 def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, small, tmp_path, monkeypatch):
-    work = pool.Pool.work
+    work = executor_pool.Pool.work
 
     def interrupted(self, tasks):
         for number, done in enumerate(work(self, tasks)):
@@ -221,7 +221,7 @@ def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, smal
                 raise KeyboardInterrupt
             yield done
 
-    monkeypatch.setattr(pool.Pool, "work", interrupted)
+    monkeypatch.setattr(executor_pool.Pool, "work", interrupted)
     with pytest.raises(KeyboardInterrupt):
         mbdkit.study(small, out=tmp_path / "out")
     monkeypatch.undo()

@@ -38,7 +38,7 @@ from mbdkit_studies.spec.study_loading import StudySource, load_study_spec
 from mbdkit_studies.spec.study_spec import Storing, StudySpec
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.block_writer import Store
-from mbdkit_studies.store.study_blocks import with_store
+from mbdkit_studies.store.storage import with_store
 from mbdkit_studies.study import Study
 from mbdkit_studies.texts import without_numbers
 

@@ -51,7 +51,7 @@ from mbdkit_studies.spec.measures import (
 )
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, block_image, kept
-from mbdkit_studies.store.study_blocks import stored
+from mbdkit_studies.store.storage import stored
 from mbdkit_studies.texts import joined_lines
 
 MISALIGNMENT = "misalignment_max"  #: The measure that blocks store in a column apart from the other measures.

@@ -24,7 +24,6 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
-from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN
 from mbdkit_studies.spec.made_items import MadeItems
 from mbdkit_studies.spec.reference_errors import (
     EVERY_ROW,
@@ -34,6 +33,7 @@ from mbdkit_studies.spec.reference_errors import (
     multiplier_error,
     offsets,
 )
+from mbdkit_studies.spec.study_spec import REFERENCE, SECOND_RUN
 from mbdkit_studies.texts import ERROR
 
 

@@ -10,12 +10,13 @@ from typing import TypeAlias
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.base.plain_data import Path, copied, path_text
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, nearest_examples, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text
-from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader
+from mbdkit.spec.schema import schema_with_bases
+from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader, spec_schema
 from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import sets_together
@@ -134,6 +135,18 @@ def _check_axes(axes: object, path: Path, assignment: str) -> None:
 def is_study_name(name: str) -> bool:
     """Return whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
     return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
+
+
+@spec_schema
+def study_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    return schema_with_bases(StudySpec, {"Base": "run"}, installed, holder="Family", units=None)
 
 
 def study_names() -> list[str]:

@@ -21,9 +21,8 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.runs.simulation import simulate
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
-from mbdkit_studies.spec.listed_measures import expressions_of
 from mbdkit_studies.spec.measures import MEASURES, Description, other_values
-from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.spec.study_spec import StudySpec, expressions_of
 from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import NUMBERS, TEXTS, Index
 from mbdkit_studies.store.study_point import Points, StudyPoint
