@@ -422,14 +422,13 @@ class _Mark:
         while True:
             try:
                 file_locks.lock(self.handle)
+                return
             except BlockingIOError:
                 if time.monotonic() > until:
                     message = "another process is computing this block; repeat the command when it has ended"
                     raise ResourceError(message, file=self.block) from None
                 time.sleep(0.05)
             except OSError:  # the file system does not support locks
-                return
-            else:
                 return
 
     def note(self, number: int) -> None:

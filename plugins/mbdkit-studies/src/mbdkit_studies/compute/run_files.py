@@ -138,7 +138,7 @@ class RunFiles(RunStore[str]):
                 if key not in known:
                     known[key] = self._row(*key)
                 row = known[key]
-            rows.append(replace(row, family=point.family, axes=point.axes))
+            rows.append(replace(row, family=point.grid.name, axes=point.axes))
         self._close()
         references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
         return Index.of_rows(rows, [self._row(run_id, "") for run_id in references], self.plan.defined)

@@ -9,9 +9,8 @@ import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.base.errors import MbdkitError
-from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
-from mbdkit.runs.varied_numbers import Variant, VariedNumbers
+from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
@@ -79,7 +78,7 @@ class EnsembleRuns:
 
     def varied_in(self, lanes: LaneRuns) -> VariedRuns:
         """Return what computes the runs."""
-        return VariedRuns(lanes, self.numbers, _reads_no_files)
+        return VariedRuns(lanes, self.numbers, lambda _, run: not run.settings.files_read)
 
     def finished(self, runs: VariedRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
         """Yield indices in the study and results of some of the runs at `places`; `runs`: see `varied_in`."""
@@ -98,10 +97,6 @@ class EnsembleRuns:
     def specs(self, places: Sequence[int]) -> Sequence[RunSpec]:
         """Return the specs of the runs at some places, each of which is made when it is needed."""
         return MadeItems(len(places), lambda number: self.spec(places[number]))
-
-
-def _reads_no_files(_: Variant, run: LaneMember) -> bool:
-    return not run.settings.files_read
 
 
 def drawn(places: Sequence[int], runs: int) -> frozenset[int]:

@@ -6,7 +6,6 @@ import ast
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +16,10 @@ from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wid
 from mbdkit_studies.statistics.measure_statistics import statistics_of_group
 from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
+from mbdkit_studies.statistics.sensitivity import Sensitivity
 from mbdkit_studies.statistics.sobol_indices import ROUND_OFF
 from mbdkit_studies.store.study_point import axis_unit
-
-if TYPE_CHECKING:
-    from mbdkit_studies.statistics.sensitivity import Sensitivity
-    from mbdkit_studies.study import Study
+from mbdkit_studies.study import Study
 
 _FEWEST = 8  #: A distribution is shown only if at least this number of values is known.
 _MOST_BINS = 60

@@ -7,18 +7,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_report import Axis, Column, Figure, Guide, Line, key_words, observed_order
 from mbdkit_studies.results.cost_at_error import TIMED, TIMED_ONCE, is_timed
 from mbdkit_studies.results.point_selection import IN_TOLERANCES, METHOD, OPERATIONS, STEP, value
-from mbdkit_studies.store.study_point import axis_unit, others_than, value_words
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.store.study_point import StudyPoint, axis_unit, others_than, value_words
+from mbdkit_studies.study import Study
 
 _DECADE = 8.0  #: Ratio of largest to smallest value from which an axis is logarithmic.
 _SPREAD = f"{TIMED} Bands reach to the upper quartile."

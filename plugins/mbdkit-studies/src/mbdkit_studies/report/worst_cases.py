@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,10 +23,8 @@ from mbdkit_report import Cell, Table, columns_of, key_words
 from mbdkit_studies.points.sampled_values import MOST_FOR_ALL_CORNERS
 from mbdkit_studies.statistics.sample_groups import measured
 from mbdkit_studies.store.study_point import axis_unit, point_words
+from mbdkit_studies.study import Study
 from mbdkit_studies.texts import ERROR
-
-if TYPE_CHECKING:
-    from mbdkit_studies.study import Study
 
 #: Convex functions of reactions of joints.
 _CONVEX = re.compile(r"(max|mean|rms|final)\(\s*(abs\(\s*)?joints\.(\w+|'[^']*')\.(force|torque)(\.[xy])?\s*\)?\s*\)")

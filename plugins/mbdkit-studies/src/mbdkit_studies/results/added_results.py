@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,10 +13,8 @@ from mbdkit_report import Cell, Figure, Table, Verdict, columns_of, observed_ord
 from mbdkit_studies.results.cost_at_error import ERROR, wall_time
 from mbdkit_studies.results.general_verdict import size_at_start
 from mbdkit_studies.results.point_selection import IN_TOLERANCES, STEP, Points, value
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.store.study_point import StudyPoint
+from mbdkit_studies.study import Study
 
 ADDED = "added"  #: Name of the table of added methods.
 

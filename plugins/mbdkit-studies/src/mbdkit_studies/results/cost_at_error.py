@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.trust.criteria import KNOWN_POSITION
 from mbdkit_report import Cell, Column, Table
 from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, value
-from mbdkit_studies.store.study_point import others_than, value_words
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.store.study_point import StudyPoint, others_than, value_words
+from mbdkit_studies.study import Study
 
 ERROR = "end_error"  #: Column of the error: the largest distance of a body from the reference at the end [m].
 

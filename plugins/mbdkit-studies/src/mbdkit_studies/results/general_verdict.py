@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
@@ -13,11 +11,8 @@ from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
 from mbdkit_studies.results.cost_at_error import cost_at_error
 from mbdkit_studies.results.point_selection import STEP, Points, value
 from mbdkit_studies.statistics.sample_groups import measured
-from mbdkit_studies.store.study_point import point_words, value_words
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.store.study_point import StudyPoint, point_words, value_words
+from mbdkit_studies.study import Study
 
 #: Errors below this many units of round-off of the mechanism's size are not used to determine an order.
 _ROUNDINGS = 4.0

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from mbdkit.base.errors import PluginError, SpecError, with_place
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.seam import Seam
 from mbdkit_report import Verdict
 from mbdkit_studies.results.added_results import with_added_methods
 from mbdkit_studies.results.general_verdict import general_verdict
-
-if TYPE_CHECKING:
-    from mbdkit.registry.catalogue import Registered
-    from mbdkit_studies.spec.study_spec import StudySpec
-    from mbdkit_studies.study import Study
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.study import Study
 
 
 @Seam

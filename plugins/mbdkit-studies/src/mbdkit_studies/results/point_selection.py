@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_studies.spec.method_claims import METHOD as METHOD
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
-
+from mbdkit_studies.store.study_point import StudyPoint
+from mbdkit_studies.study import Study
 
 MODEL, STEP = "model", "time.step"
 #: Suffix of the family in which an added method has tolerances in place of the steps of another family.

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import did_you_mean, listed
-
-if TYPE_CHECKING:
-    from mbdkit_studies.points.planned_points import Label
-    from mbdkit_studies.store.study_runs import StudyRuns
+from mbdkit_studies.points.planned_points import Label
+from mbdkit_studies.store.study_runs import StudyRuns
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class BlockStorage(Storage):
 
     def path(self, point: StudyPoint) -> Path:
         """See `Storage.path`."""
-        return self.folder.block(self._blocks.block_of(point.number - 1))
+        return self.folder.block((point.number - 1) // self._blocks.size)
 
     def open(self, point: StudyPoint) -> Run | None:
         """See `Storage.open`."""
@@ -232,10 +232,6 @@ class StudyBlocks:
     def places(self, block: int) -> range:
         """Return the indices of the runs of a block; runs and blocks are numbered from 0."""
         return range(block * self.size, min(self.runs, (block + 1) * self.size))
-
-    def block_of(self, place: int) -> int:
-        """Return the number of the block that contains the run with this index; both are counted from 0."""
-        return place // self.size
 
 
 def _most_runs(runs: int) -> int:
