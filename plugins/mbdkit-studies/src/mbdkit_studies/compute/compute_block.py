@@ -41,14 +41,7 @@ from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
 from mbdkit_studies.compute.varied_runs import DifferenceError, EnsembleRuns, drawn, is_determined
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints
-from mbdkit_studies.spec.measures import (
-    MEASURES,
-    OF_CHECKED_RUNS,
-    Description,
-    Measure,
-    RunsInMemory,
-    other_values,
-)
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Description, RunsInMemory, other_values
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, block_image, kept
 from mbdkit_studies.store.storage import stored
@@ -77,13 +70,12 @@ class BlockMeasures:
         return self.spec.defined_measures()
 
     @cached_property
-    def described(self) -> dict[str, tuple[str, str]]:
+    def described(self) -> dict[str, Description]:
         """Unit and description of each measure."""
         # the misalignment has its own column
         built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
         checked = OF_CHECKED_RUNS if self.is_checked else {}
-        measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
-        return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
+        return {**built_in, **self.plan.defined, **checked}
 
     @cached_property
     def varied(self) -> EnsembleRuns:

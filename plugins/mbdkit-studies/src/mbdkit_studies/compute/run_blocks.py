@@ -19,7 +19,6 @@ from mbdkit_studies.compute.tasks import DIFFERS, Outcome, Task, forget_run_at_w
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.blocks import Block, ForeignBlockError
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, NUMBERS, Index
@@ -163,8 +162,7 @@ class RunBlocks(RunStore[int]):
                 reasons = columns.get("verdict_reasons", np.full(len(numbers), "[]", object))  # lists in JSON
                 joined = {text: BETWEEN_REASONS.join(json.loads(text)) for text in dict.fromkeys(reasons)}
                 columns["verdict_reasons"] = np.array([joined[text] for text in reasons], object)
-                described = {name: Description(*column) for name, column in file.described().items()}
-                return Index({**columns, **file.columns("measures"), **file.columns("stats")}, described)
+                return Index({**columns, **file.columns("measures"), **file.columns("stats")}, file.described())
         except (ForeignBlockError, FormatVersionError):
             raise
         except (MbdkitError, OSError):

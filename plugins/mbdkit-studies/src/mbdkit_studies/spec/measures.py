@@ -24,15 +24,9 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
+from mbdkit_studies.spec import reference_errors
 from mbdkit_studies.spec.made_items import MadeItems
-from mbdkit_studies.spec.reference_errors import (
-    EVERY_ROW,
-    LAST_ROW,
-    carries_multipliers,
-    common_rows,
-    multiplier_error,
-    offsets,
-)
+from mbdkit_studies.spec.reference_errors import EVERY_ROW, LAST_ROW, METHOD_MULTIPLIER, common_rows, offsets
 from mbdkit_studies.spec.study_spec import REFERENCE, SECOND_RUN
 from mbdkit_studies.texts import ERROR
 
@@ -239,11 +233,11 @@ def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
 
 def _multiplier_error(run: Run, reference: Run) -> float:
     is_recorded = all(which.records("constraints/multiplier") for which in (run, reference))
-    return multiplier_error(run, reference) if is_recorded else math.nan
+    return reference_errors.multiplier_error(run, reference) if is_recorded else math.nan
 
 
 def _own_multipliers(group: RunGroup) -> np.ndarray:
-    own = float(carries_multipliers(group.first)) if group.records("constraints/multiplier") else math.nan
+    own = float(group.records(METHOD_MULTIPLIER)) if group.records("constraints/multiplier") else math.nan
     return group.everywhere(own)
 
 

@@ -24,7 +24,8 @@ from mbdkit.base.plain_data import canonical_text
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Recorded
 from mbdkit.quantities.registered_kinds import sizes_of
 from mbdkit.quantities.table import KINDS
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, write_column, write_hashes, write_header
+from mbdkit_studies.folder import tables
+from mbdkit_studies.spec.measures import Description
 
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.0"
@@ -54,22 +55,7 @@ def prefix(structure: int) -> str:
 
 
 #: Columns of the group ``runs``.
-_BY_RUN = {
-    "status": "complete, failed, interrupted, missing or left-out",
-    "status_reason": "why it is not complete, or the event that ended it",
-    "verdict": "good, unknown, doubtful or bad; empty without results",
-    "worst_joint": "joint with the largest misalignment",
-    "base": "spec before the values of the run are set, JSON",
-    "plugins": "model, integrator and force laws with their versions, JSON",
-    "mechanism": "mechanism that was run, JSON; empty if mbdkit itself has its model and force laws",
-    "files": "name, size and SHA-256 of every file that was read, JSON; empty without files",
-    "verdict_reasons": "reasons for the verdict, JSON",
-    "warnings": "warnings about spec and run, JSON",
-    "assembly": "how the start was made consistent",
-    "run_id": "identifier of the run",
-    "spec_sha256": "hash of its spec",
-    "data_sha256": "hash of all its arrays, kept or not",
-}
+_BY_RUN = tables.described_columns("block")
 _OF_SUMMARY = ("verdict_reasons", "warnings", "assembly")
 _HASHES = ("run_id", "spec_sha256", "data_sha256")
 
@@ -152,7 +138,7 @@ class BlockHeading:
     study_sha256: str
     store: Store
     provenance: Mapping[str, str | int | float]
-    measures: Mapping[str, tuple[str, str]]
+    measures: Mapping[str, Description]
     compress: bool = False
 
 
@@ -170,9 +156,9 @@ def _kept_arrays(recorded: tuple[Array, ...], store: Store) -> tuple[Array, ...]
 
 def block_image(heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]) -> bytes:
     """Return the bytes of a block."""
-    with hdf5_in_memory() as file:
+    with tables.hdf5_in_memory() as file:
         _Writer(file, heading, points, runs).write()
-        return file_bytes(file)
+        return tables.file_bytes(file)
 
 
 class _Writer:
@@ -194,7 +180,7 @@ class _Writer:
 
     def write(self) -> None:
         heading = self.heading
-        write_header(
+        tables.write_header(
             self.file, FORMAT, FORMAT_VERSION, "Runs of a study",
             f"{self.count} runs of the study with the hash {heading.study_sha256[:16]}.",
             created_utc=utc_now(), study_sha256=heading.study_sha256, store=heading.store,
@@ -216,14 +202,12 @@ class _Writer:
         if group not in self.file:
             self.scale("", group, "run", self.points.numbers, "number of the run in the study, from 1")
         array = Array(path, ("run",), units, what, dtype)
-        return write_column(self.file, array, values, compress=self.heading.compress)
+        return tables.write_column(self.file, array, values, compress=self.heading.compress)
 
     def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
         """Write `numbers` as the dimension scale `name` of a group, which is created if it does not exist."""
         self.file.require_group(f"{under}{group}/{name}".rpartition("/")[0])
-        create(
-            self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
-        )
+        tables.write_scale(self.file, f"{group}/{name}", numbers, what, under)
 
     def column(self, parts: Iterable[tuple[Any, np.ndarray]], empty: object = np.nan, dtype: Any = float) -> np.ndarray:
         """Return a column (N,), from values of some runs with their rows in the block; `empty` for the other runs."""
@@ -254,7 +238,7 @@ class _Writer:
             values = self.column(texts[name], "[]" if name in ("verdict_reasons", "warnings") else "", object)
             if name in _HASHES:
                 array = Array(f"runs/{name}", ("run",), "1", what)
-                write_hashes(self.file, array, values.tolist(), compress=self.heading.compress)
+                tables.write_hashes(self.file, array, values.tolist(), compress=self.heading.compress)
             else:
                 self.add(f"runs/{name}", values, TEXT, "1", what)
         largest = self.column(of_results(lambda one: one.misalignment_max.max(axis=1, initial=0.0)))
@@ -292,13 +276,13 @@ class _Writer:
 
     def measures(self) -> None:
         """Write the value of each measure for each run; nan where a run has none."""
-        for name, (units, what) in self.heading.measures.items():
+        for name, measure in self.heading.measures.items():
             parts = [
                 (part.measures[name], rows)
                 for part, rows in zip(self.runs, self.rows, strict=True)
                 if name in part.measures
             ]
-            self.add(f"measures/{name}", self.column(parts), FLOAT, units, what)
+            self.add(f"measures/{name}", self.column(parts), FLOAT, measure.units, measure.long_name)
 
     def names_of_structures(self) -> None:
         """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
@@ -346,17 +330,17 @@ class _Writer:
         for dim, group in GROUPS.items():
             if any(one.grows and one.dims[0] == dim for one in first.layout):
                 counted = Array(f"{group}/rows", ("run",), "1", f"number of {_word(dim)}s of the run", INTEGER)
-                write_column(self.file, counted, lengths[dim], under=under)
+                tables.write_column(self.file, counted, lengths[dim], under=under)
         of_joints = [(some.misalignment_max, places) for some, places in results]
         largest = _scattered((count, first.misalignment_max.shape[1]), of_joints)
         array = Array(
             "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
         )
-        write_column(self.file, array, largest, compress=self.heading.compress, under=under)
+        tables.write_column(self.file, array, largest, compress=self.heading.compress, under=under)
         if first.shared is not None:
             known = [(some.shared.length, places) for some, places in results if some.shared]
             array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
-            write_column(self.file, array, _scattered((count,), known), under=under)
+            tables.write_column(self.file, array, _scattered((count,), known), under=under)
 
     def array(
         self, under: str, one: Array, found: Sequence[tuple[FinishedRuns, np.ndarray]], shape: tuple[int, ...]
@@ -374,7 +358,7 @@ class _Writer:
         if one.dtype == TEXT:
             create(self.file, stored, values, under=under)
         else:
-            write_column(self.file, stored, values, compress=self.heading.compress, under=under)
+            tables.write_column(self.file, stored, values, compress=self.heading.compress, under=under)
 
 
 def _home(array: Array) -> str:

@@ -32,7 +32,8 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
-from mbdkit_studies.folder.columns import check_header, read_column
+from mbdkit_studies.folder import tables
+from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.store.block_writer import FORMAT, FORMAT_VERSION, GROUPS, STORES, prefix
 from mbdkit_studies.texts import ERROR
 
@@ -72,7 +73,7 @@ class Block:
         self.file = open_hdf5(path, "block of a study", objects=OBJECTS)
         try:
             with reading("its header", path, hint=_HINT):
-                check_header(self.file, path, FORMAT, FORMAT_VERSION, "a block of a study")
+                tables.check_header(self.file, path, FORMAT, FORMAT_VERSION, "a block of a study")
                 self.study_sha256 = str(self.file.attrs["study_sha256"])
                 self.created_utc = str(self.file.attrs["created_utc"])
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
@@ -106,7 +107,7 @@ class Block:
         with reading(group, self.path, hint=_HINT):
             members = self.file.get(group, {})
             return {
-                name: read_column(item)
+                name: tables.read_column(item)
                 for name, item in members.items()
                 if name != "run"
                 and (wanted is None or name in wanted)
@@ -115,12 +116,12 @@ class Block:
                 and item.dims[0][0].name.endswith("/run")
             }
 
-    def described(self) -> dict[str, tuple[str, str]]:
+    def described(self) -> dict[str, Description]:
         """Return unit and description of each measure."""
         with reading("measures", self.path, hint=_HINT):
             members = self.file.get("measures", {})
             return {
-                name: (str(item.attrs["units"]), str(item.attrs["long_name"]))
+                name: Description(str(item.attrs["units"]), str(item.attrs["long_name"]))
                 for name, item in members.items()
                 if name != "run"
             }
@@ -236,7 +237,7 @@ class Block:
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
                 {name: float(columns[name][row]) for name in names},
-                {name: described[name][0] for name in names},
+                {name: described[name].units for name in names},
                 errors={name: float(columns[name + ERROR][row]) for name in names if name + ERROR in columns},
             )
             return ArrayContents(
