@@ -388,8 +388,8 @@ def test_an_ensemble_goes_on_from_its_folder_alone(tmp_path: Path) -> None:
 def test_specs_in_a_block_do_not_need_the_study(grid: mbdkit.Study) -> None:
     with Block(grid.folder / "runs" / "block-000001.h5") as block:
         for number in block.numbers.tolist():
-            if block.runs["spec_sha256"][block.row(number)]:
-                assert block.spec(number).sha256() == grid.points[number - 1].spec.sha256()
+            if (run := block.run(number)) is not None:
+                assert run.run_spec.sha256() == grid.points[number - 1].spec.sha256()
 
 
 def test_rows_are_selected_by_conditions(grid: mbdkit.Study) -> None:

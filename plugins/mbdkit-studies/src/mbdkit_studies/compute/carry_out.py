@@ -362,17 +362,12 @@ def _columns_of(variables: Mapping[str, object]) -> dict[str, np.ndarray]:
     columns = {}
     for key, values in variables.items():
         column = np.asarray(values)
-        if column.dtype.kind in "US":
-            column = column.astype(str).astype(object)
-        elif column.dtype.kind in "iu":
-            column = column.astype(np.int64)
-        elif column.dtype.kind == "f":
-            column = column.astype(np.float64)
-        else:
+        kind = {"U": str, "S": str, "i": np.int64, "u": np.int64, "f": np.float64}.get(column.dtype.kind)
+        if kind is None:
             raise SpecError(f"needs an array of numbers or of texts, not {value_text(values)}", key=f"variables: {key}")
         if column.ndim != 1 or not len(column):
             raise SpecError(f"needs an array (N,), not one of the shape {column.shape}", key=f"variables: {key}")
-        columns[str(key)] = column
+        columns[str(key)] = column.astype(kind).astype(object) if kind is str else column.astype(kind)
     lengths = {key: len(column) for key, column in columns.items()}
     if len(set(lengths.values())) != 1:
         told = ", ".join(f"{key} has {length}" for key, length in lengths.items()) or "there are none"

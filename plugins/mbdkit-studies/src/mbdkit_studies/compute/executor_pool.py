@@ -215,8 +215,9 @@ class Pool:
     def __exit__(self, *_: object) -> None:
         for future in self._begun:
             future.cancel()  # running tasks of an executor are not cancelled; they end by themselves
-        if self.executor is not self.engine.executor:
-            self.executor.shutdown()
+        is_ours = self.executor is not self.engine.executor
+        if is_ours or (self._begun and isinstance(self.executor, SubmititExecutor)):  # cancels jobs
+            self.executor.shutdown(cancel_futures=True)
 
 
 class _Batch:

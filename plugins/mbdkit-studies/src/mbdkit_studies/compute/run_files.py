@@ -74,22 +74,16 @@ class RunFiles(RunStore[str]):
         if shard is None:
             wanted = dict.fromkeys(point.run_id for point in self._planned if self.spec.second_run_measures)
             self._again = [run_id for run_id in wanted if run_id not in self._second]
-            self._turns = self._missing_timings()
+            # All runs are timed once before one is timed again: other work on the machine that lasts for many runs then
+            # spreads the times of each run, and does not pass for a difference between runs.
+            timings = dict.fromkeys(
+                (turn, point.run_id)
+                for point in self._planned
+                if point.grid.repeats > 1
+                for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
+            )
+            self._turns = sorted(timings, key=lambda timing: timing[0])
         return len(self._missing) + len(self._again) + len(self._turns)
-
-    def _missing_timings(self) -> list[tuple[int, str]]:
-        """Return the numbers and runs of the timings to make.
-
-        All runs are timed once before one is timed again: other work on the machine that lasts for many runs then
-        spreads the times of each run, and does not pass for a difference between runs.
-        """
-        wanted = dict.fromkeys(
-            (turn, point.run_id)
-            for point in self._planned
-            if point.grid.repeats > 1
-            for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
-        )
-        return sorted(wanted, key=lambda timing: timing[0])
 
     def rounds(self) -> Iterator[Round]:
         """Yield the missing runs, then the second runs and the timings of complete runs."""
@@ -138,7 +132,7 @@ class RunFiles(RunStore[str]):
                 if key not in known:
                     known[key] = self._row(*key)
                 row = known[key]
-            rows.append(replace(row, family=point.grid.name, axes=point.axes))
+            rows.append(replace(row, family=point.family, axes=point.axes))
         self._close()
         references = dict.fromkeys(reference_id for _, reference_id in known if reference_id)
         return Index.of_rows(rows, [self._row(run_id, "") for run_id in references], self.plan.defined)

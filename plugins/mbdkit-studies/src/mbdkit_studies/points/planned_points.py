@@ -297,6 +297,11 @@ class PlannedPoint:
     settings: tuple[Setting, ...]
     lacking: str = ""
 
+    @property
+    def family(self) -> str:
+        """Name of the family of the point; empty in a study without families."""
+        return self.grid.name
+
     @cached_property
     def spec(self) -> RunSpec:
         """The run spec; it is validated, and its mechanism is built.

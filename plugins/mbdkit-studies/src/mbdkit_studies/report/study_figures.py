@@ -160,16 +160,9 @@ def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], fa
         x, bounds = np.array([float(point.axes[key]) for point in chosen]), quantity.bounds(chosen)
         band = None if bounds is None else _band((x, bounds[0]), (x, bounds[1]))
         lines.append(Line(label, x, quantity.of(chosen), "both", group, band))
-    return [
-        Figure(
-            _slug(family, quantity.title, "over", key),
-            f"{quantity.title} against {axis.label}",
-            f"{quantity.caption}{_of(family, title)}",
-            axis,
-            quantity.axis,
-            tuple(lines),
-        )
-    ]
+    of = f" Runs of: {title or family}." if family else ""
+    name, heading = _slug(family, quantity.title, "over", key), f"{quantity.title} against {axis.label}"
+    return [Figure(name, heading, f"{quantity.caption}{of}", axis, quantity.axis, tuple(lines))]
 
 
 def _against_cost(
@@ -190,16 +183,9 @@ def _against_cost(
             x, y, bounds = cost.of(chosen), measure.of(chosen), cost.bounds(chosen)
             band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
             lines.append(Line(label, x, y, "both", group, band))
-    return [
-        Figure(
-            _slug(family, measure.title, "over", cost.title),
-            f"{measure.title} against {cost.title.lower()}",
-            f"{measure.caption} {cost.caption}{_of(family, title)}",
-            cost.axis,
-            measure.axis,
-            tuple(lines),
-        )
-    ]
+    caption = f"{measure.caption} {cost.caption}" + (f" Runs of: {title or family}." if family else "")
+    name, heading = _slug(family, measure.title, "over", cost.title), f"{measure.title} against {cost.title.lower()}"
+    return [Figure(name, heading, caption, cost.axis, measure.axis, tuple(lines))]
 
 
 def _band(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
@@ -221,10 +207,6 @@ def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, lis
         (label, group, sorted(chosen, key=lambda point: float(point.axes[along])) if along else chosen)
         for (label, group), chosen in results.items()
     ]
-
-
-def _of(family: str, title: str) -> str:
-    return f" Runs of: {title or family}." if family else ""
 
 
 def _slug(*words: str) -> str:

@@ -12,7 +12,7 @@ from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report import Cell, Figure, Table, Verdict, columns_of, observed_order
 from mbdkit_studies.results.cost_at_error import ERROR, wall_time
 from mbdkit_studies.results.general_verdict import size_at_start
-from mbdkit_studies.results.point_selection import IN_TOLERANCES, STEP, Points, value
+from mbdkit_studies.results.point_selection import IN_TOLERANCES, STEP, Points, grouped, value
 from mbdkit_studies.store.study_point import StudyPoint
 from mbdkit_studies.study import Study
 
@@ -38,10 +38,11 @@ def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
     """
     rows: list[tuple[Cell, ...]] = []
     for method, points, places in _added(study):
-        groups: dict[str, list[StudyPoint]] = {}
-        for point in points:
-            words = [label for label in point.axes.values() if isinstance(label, str) and label != method]
-            groups.setdefault(", ".join(filter(None, [point.family, *words])), []).append(point)
+
+        def words(point: StudyPoint, method: str = method) -> list[str]:
+            return [label for label in point.axes.values() if isinstance(label, str) and label != method]
+
+        groups = grouped(points, words)
         rows += [_row(method, name, group, places) for name, group in groups.items()]
     if not rows:
         return verdict

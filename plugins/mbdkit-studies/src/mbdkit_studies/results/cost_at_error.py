@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit.trust.criteria import KNOWN_POSITION
 from mbdkit_report import Cell, Column, Table
-from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, value
+from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, grouped, value
 from mbdkit_studies.store.study_point import StudyPoint, others_than, value_words
 from mbdkit_studies.study import Study
 
@@ -115,14 +115,13 @@ def _groups(study: Study) -> dict[str, list[StudyPoint]]:
     The keys are the families and the values on the other axes, in words. Sequences in which all errors are equal are
     left out.
     """
-    results: dict[str, list[StudyPoint]] = {}
-    for point in study.points:
-        if math.isnan(value(point, ERROR)):
-            continue
+
+    def words(point: StudyPoint) -> list[str]:
         numbers = [key for key, label in point.axes.items() if key != METHOD and isinstance(label, int | float)]
-        others = [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
-        results.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
-    return {name: points for name, points in results.items() if len({value(point, ERROR) for point in points}) > 1}
+        return [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
+
+    groups = grouped([point for point in study.points if not math.isnan(value(point, ERROR))], words)
+    return {name: points for name, points in groups.items() if len({value(point, ERROR) for point in points}) > 1}
 
 
 def _targets(errors: list[float]) -> list[float]:

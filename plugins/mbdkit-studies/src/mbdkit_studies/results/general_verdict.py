@@ -9,7 +9,7 @@ from mbdkit.mechanism.size import mechanism_size
 from mbdkit.trust.criteria import ROUND_OFF
 from mbdkit_report import Cell, Column, Range, Table, Verdict, observed_order
 from mbdkit_studies.results.cost_at_error import cost_at_error
-from mbdkit_studies.results.point_selection import STEP, Points, value
+from mbdkit_studies.results.point_selection import STEP, Points, grouped, value
 from mbdkit_studies.statistics.sample_groups import measured
 from mbdkit_studies.store.study_point import StudyPoint, point_words, value_words
 from mbdkit_studies.study import Study
@@ -71,11 +71,10 @@ def size_at_start(point: StudyPoint) -> float:
 
 def _orders(study: Study) -> Table:
     """Return a table of the observed orders of each sequence of points that differ only in the step."""
-    lines: dict[str, list[StudyPoint]] = {}
-    for point in study.points:
-        if STEP in point.axes:
-            others = [value_words(key, point) for key in point.axes if not key.startswith(("time.", "output."))]
-            lines.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
+    lines = grouped(
+        [point for point in study.points if STEP in point.axes],
+        lambda point: [value_words(key, point) for key in point.axes if not key.startswith(("time.", "output."))],
+    )
     rows: list[tuple[Cell, ...]] = []
     for name, points in lines.items():
         orders = []

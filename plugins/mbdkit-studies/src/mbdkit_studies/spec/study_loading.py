@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.base.plain_data import Path, copied, path_text
@@ -96,13 +96,8 @@ def _override(document: Document, assignment: str) -> None:
         document.assign(assignment)
         return
     key = path_text(path)
-    holders: dict[Path, dict[str, object]] = {(): document.data}
     _check_sample(document.data.get("sample"), path, assignment)
-    families = document.data.get("families")
-    for name, family in families.items() if isinstance(families, Mapping) else ():
-        if isinstance(family, dict):  # validation reports other types
-            holders["families", name] = family
-    for place, holder in holders.items():
+    for place, holder in _holders(document.data).items():
         _check_axes(holder.get("axes"), path, assignment)
         given = holder.get("overrides")
         if (place and not given) or not isinstance(given, Mapping | None):
@@ -228,19 +223,23 @@ def _packaged_document(name: str, *, quick: bool = False) -> tuple[Document, Fil
     return document, path.parent
 
 
+def _holders(data: dict[str, Any]) -> dict[Path, dict[str, object]]:
+    """Return the mappings that may have `base`, `overrides` and `axes`, by key path: the study and its families."""
+    families = data.get("families")
+    if isinstance(families, dict):  # copied, because several may be one object in YAML
+        data["families"] = families = {
+            name: dict(one) if isinstance(one, dict) else one for name, one in families.items()
+        }
+    known = families.items() if isinstance(families, dict) else ()
+    return {(): data} | {("families", name): one for name, one in known if isinstance(one, dict)}
+
+
 def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Document]:
     """Replace each base that is a name or a Python object by its data; return the documents of the bases by key
     path.
     """
     documents: dict[Path, Document] = {}
-    holders: dict[Path, dict[str, object]] = {(): data}
-    families = data.get("families")
-    if isinstance(families, Mapping):
-        data["families"] = families = dict(families)
-        for name, family in families.items():
-            if isinstance(family, Mapping):
-                families[name] = holders["families", name] = dict(family)
-    for path, holder in holders.items():
+    for path, holder in _holders(data).items():
         base = holder.get("base")
         if base is None:
             continue

@@ -140,24 +140,6 @@ class Block:
         """Columns of the group ``runs``."""
         return self.columns("runs")
 
-    def spec(self, number: int) -> RunSpec:
-        """Return the spec of a run, rebuilt from its base and its values.
-
-        Raises
-        ------
-        SpecError
-            If the block is damaged or does not contain the run, or if the rebuilt spec does not have the hash of the
-            spec that was run.
-        """
-        spec = RunSpec(**self._spec_data(number))
-        self._check_hash(number, spec)
-        return spec
-
-    def _check_hash(self, number: int, spec: RunSpec) -> None:
-        if spec.sha256() != self.runs["spec_sha256"][self.row(number)]:
-            message = f"the spec of run {number} does not have the hash that was stored with it"
-            raise ArchiveError(message, file=self.path)
-
     def _spec_data(self, number: int) -> dict[str, Any]:
         """Return the spec of a run as plain data."""
         row = self.row(number)
@@ -192,7 +174,9 @@ class Block:
             stored = stored or built_mechanism(data)
             hashes = str(self.runs["spec_sha256"][row]), str(self.runs["run_id"][row])
             return PlainSpec(data, *hashes, stored, read), stored
-        self._check_hash(number, spec)
+        if spec.sha256() != self.runs["spec_sha256"][row]:
+            message = f"the spec of run {number} does not have the hash that was stored with it"
+            raise ArchiveError(message, file=self.path)
         return spec, stored
 
     def run(self, number: int) -> Run | None:

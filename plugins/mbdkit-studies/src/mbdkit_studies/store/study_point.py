@@ -85,7 +85,7 @@ class Points(MadeItems[StudyPoint]):
     def _point(self, number: int) -> StudyPoint:
         place = self._places[number]
         planned = self._planned[place]
-        row = replace(self._index.row(place), family=planned.grid.name, axes=planned.axes)
+        row = replace(self._index.row(place), family=planned.family, axes=planned.axes)
         return StudyPoint(**vars(row), number=planned.number, planned=planned, folder=self._folder)
 
     def at(self, places: Sequence[int]) -> Points:
