@@ -10,7 +10,7 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit_studies.command_options import Cluster as Cluster, Workers as Workers
+    from mbdkit_studies.commands import Cluster as Cluster, Workers as Workers
     from mbdkit_studies.compute.batch import Batches as Batches
     from mbdkit_studies.compute.executor_pool import Engine as Engine
     from mbdkit_studies.compute.tasks import Message as Message, PASSING as PASSING, Task as Task

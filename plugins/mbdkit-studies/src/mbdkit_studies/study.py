@@ -15,9 +15,8 @@ from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Label, PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics
 from mbdkit_studies.statistics.quantile_bands import QUANTILES, QuantileBands, quantiles
-from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
+from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, MeasureStatistics, statistics
 from mbdkit_studies.statistics.selection import select_rows
 from mbdkit_studies.statistics.sensitivity import Sensitivity, sensitivity
 from mbdkit_studies.statistics.sobol_indices import RESAMPLES

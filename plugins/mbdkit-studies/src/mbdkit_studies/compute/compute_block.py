@@ -208,32 +208,22 @@ def _compute_block(
         places, saved, lanes = plan.blocks.places(block), unfinished.saved(), LaneRuns(Starts(), plan.expressions)
         runs: list[BlockRuns] = []
         runs_of_numbers: VariedRuns | None = None
-        pending: list[BlockRuns] = []
-
-        def add() -> None:
-            unfinished.add(pending)
-            runs.extend(pending)
-            pending.clear()
-
         # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
         for first in range(0, len(places), CHUNK):
             left: Sequence[int] = places[first : first + CHUNK]
             if not (one_by_one or saved or measures.varied.reason):
                 mark.note(left[-1] + 1)
                 runs_of_numbers = runs_of_numbers or measures.varied.varied_in(lanes)
-                pending += _varied_runs(measures, left, runs_of_numbers, notify, twice)
-                computed = {number for part in pending for number in part.numbers}
+                some_runs = list(_varied_runs(measures, left, runs_of_numbers, notify, twice))
+                computed = {number for part in some_runs for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
-                add()
+                runs += unfinished.added(some_runs)
             members = [_member(plan.points[place], varied, skip, mark) for place in left]
             known = _taken_over(saved, members)
             runs += known.values()
             missing = [member for member in members if member.point.number not in known]
             for some, result in _results(missing, lanes, plan.expressions, mark, notify):
-                pending.append(_own_runs(measures, some, result))
-                if unfinished.is_due:
-                    add()
-            add()
+                runs += unfinished.added([_own_runs(measures, some, result)])
         write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)

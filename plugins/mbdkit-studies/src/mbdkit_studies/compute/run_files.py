@@ -21,7 +21,7 @@ from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, SECOND, RunGroup, other_values, worst_joint
+from mbdkit_studies.spec.measures import SECOND, numbers_of, worst_joint
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, Index, Row, quartiles
 
@@ -179,10 +179,8 @@ class RunFiles(RunStore[str]):
             If an archive cannot be read.
         """
         with load(archive) as run:
-            group = RunGroup([run], reference)
-            values = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
-            values |= other_values(run, spec, self._defined)
-            values |= {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
+            values = numbers_of(run, reference, spec, self.plan.built_in, self._defined)
+            values |= {name: float(run.stats.get(name, math.nan)) for name in TIMINGS}
             values |= {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
             return Row(
                 run.run_id,

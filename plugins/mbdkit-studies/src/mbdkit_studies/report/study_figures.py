@@ -161,7 +161,7 @@ def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], fa
         band = None if bounds is None else _band((x, bounds[0]), (x, bounds[1]))
         lines.append(Line(label, x, quantity.of(chosen), "both", group, band))
     of = f" Runs of: {title or family}." if family else ""
-    name, heading = _slug(family, quantity.title, "over", key), f"{quantity.title} against {axis.label}"
+    name, heading = slug(family, quantity.title, "over", key), f"{quantity.title} against {axis.label}"
     return [Figure(name, heading, f"{quantity.caption}{of}", axis, quantity.axis, tuple(lines))]
 
 
@@ -184,7 +184,7 @@ def _against_cost(
             band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
             lines.append(Line(label, x, y, "both", group, band))
     caption = f"{measure.caption} {cost.caption}" + (f" Runs of: {title or family}." if family else "")
-    name, heading = _slug(family, measure.title, "over", cost.title), f"{measure.title} against {cost.title.lower()}"
+    name, heading = slug(family, measure.title, "over", cost.title), f"{measure.title} against {cost.title.lower()}"
     return [Figure(name, heading, caption, cost.axis, measure.axis, tuple(lines))]
 
 
@@ -209,7 +209,8 @@ def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, lis
     ]
 
 
-def _slug(*words: str) -> str:
+def slug(*words: str) -> str:
+    """Return a name for a chart, for use in file names."""
     return re.sub(r"[^a-z0-9]+", "-", "-".join(filter(None, words)).lower()).strip("-")
 
 

@@ -42,8 +42,8 @@ from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.report.worst_cases import worst_case_tables
-from mbdkit_studies.results.added_results import ADDED, added_texts, with_emphasis
 from mbdkit_studies.results.cost_at_error import is_timed
+from mbdkit_studies.results.general_verdict import ADDED, added_texts, with_emphasis
 from mbdkit_studies.results.judge import find_verdict, judge
 from mbdkit_studies.results.point_selection import OPERATIONS, value
 from mbdkit_studies.results.study_notes import notes

@@ -11,8 +11,7 @@ from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.seam import Seam
 from mbdkit_report import Verdict
-from mbdkit_studies.results.added_results import with_added_methods
-from mbdkit_studies.results.general_verdict import general_verdict
+from mbdkit_studies.results.general_verdict import general_verdict, with_added_methods
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.study import Study
 

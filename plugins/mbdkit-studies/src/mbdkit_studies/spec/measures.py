@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.archive.run import Run
@@ -365,6 +366,16 @@ def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> 
             values[measure.name + ERROR] = taken.error(value, run)
     checked = {} if run.accuracy is None else OF_CHECKED_RUNS
     return values | {name: measure.of(run) for name, measure in checked.items()}
+
+
+def numbers_of(
+    run: Run, reference: Run | None, spec: RunSpec, names: Iterable[str], defined: Iterable[DefinedMeasure]
+) -> dict[str, float]:
+    """Return the numbers of a run, by column: the built-in measures with these names, `other_values`, and counters."""
+    group = RunGroup([run], reference)
+    values = {name: float(MEASURES[name].take(group)[0]) for name in names}
+    counters = {name: float(run.stats.get(name, math.nan)) for name in COUNTERS}
+    return values | other_values(run, spec, defined) | counters
 
 
 def built_in_measures() -> Mapping[str, str]:

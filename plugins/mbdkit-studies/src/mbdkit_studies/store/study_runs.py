@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
@@ -21,7 +20,7 @@ from mbdkit.base.text import did_you_mean, listed
 from mbdkit.runs.simulation import simulate
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
-from mbdkit_studies.spec.measures import MEASURES, Description, other_values
+from mbdkit_studies.spec.measures import MEASURES, Description, numbers_of
 from mbdkit_studies.spec.study_spec import StudySpec, expressions_of
 from mbdkit_studies.store.storage import JoinedRuns, Storage
 from mbdkit_studies.store.study_index import NUMBERS, TEXTS, Index
@@ -325,10 +324,13 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
     if run.data_sha256 != point.data_sha256:
         message = f"run {point.number}, computed again, has other data than the stored run"
         raise MbdkitError(f"{message}{why}")
+    known = point.values
+    names = [name for name, one in MEASURES.items() if name in known and (reference is not None or not one.needs)]
+    numbers = numbers_of(run, reference, run.run_spec, names, study.defined_measures())
     differing = [
         name
-        for name, value in _numbers_of(study, point, run, reference)
-        if not (value == point.values[name] or (math.isnan(value) and math.isnan(point.values[name])))
+        for name, value in numbers.items()
+        if name in known and not (value == known[name] or (math.isnan(value) and math.isnan(known[name])))
     ]
     if run.verdict != (point.verdict or run.verdict):
         differing.append("verdict")
@@ -336,16 +338,3 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
         message = f"run {point.number}, computed again, has the same data, but the index has other values of"
         raise MbdkitError(f"{message} {listed(differing)}{why}")
     return run
-
-
-def _numbers_of(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in the row of a point that are computed from its run and its reference run."""
-    known: Mapping[str, float] = point.values
-    for name, measure in MEASURES.items():
-        if name in known and (reference is not None or not measure.needs):
-            yield name, measure.of(run, reference)
-    others = other_values(run, run.run_spec, study.defined_measures())
-    yield from ((name, value) for name, value in others.items() if name in known)
-    for name in COUNTERS:
-        if name in known and name in run.stats:
-            yield name, float(run.stats[name])
