@@ -75,11 +75,8 @@ class Study(StudyRuns, HtmlView):
 
         Failed runs, and runs that are left out because a distribution is not installed, do not count as missing.
         """
-        return (
-            "partial"
-            if "missing" in (*self.statuses(), *(reference.status for reference in self.references))
-            else "complete"
-        )
+        statuses = (*self.statuses(), *(reference.status for reference in self.references))
+        return "partial" if "missing" in statuses else "complete"
 
     def statuses(self) -> Sequence[str]:
         """Return the status of the run of each point."""

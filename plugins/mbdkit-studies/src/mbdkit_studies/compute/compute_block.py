@@ -8,7 +8,6 @@ import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
@@ -124,22 +123,6 @@ def _collecting_new_objects_only() -> Iterator[None]:
         gc.unfreeze()
 
 
-@dataclass(frozen=True)
-class _Member:
-    """A run of a block.
-
-    Parameters
-    ----------
-    point
-        Point of the study.
-    spec
-        Spec of the run, or the reason why the run is not computed.
-    """
-
-    point: PlannedPoint
-    spec: RunSpec | Outcome
-
-
 def compute_block(
     folder: str | Path,
     block: int,
@@ -218,12 +201,13 @@ def _compute_block(
                 computed = {number for part in some_runs for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
                 runs += unfinished.added(some_runs)
-            members = [_member(plan.points[place], varied, skip, mark) for place in left]
+            members = {place + 1: _spec_of(plan.points[place], varied, skip, mark) for place in left}
             known = _taken_over(saved, members)
             runs += known.values()
-            missing = [member for member in members if member.point.number not in known]
-            for some, result in _results(missing, lanes, plan.expressions, mark, notify):
-                runs += unfinished.added([_own_runs(measures, some, result)])
+            missing = {number: spec for number, spec in members.items() if number not in known}
+            for numbers, result in _results(missing, lanes, plan.expressions, mark, notify):
+                specs = [spec for number in numbers if isinstance(spec := missing[number], RunSpec)]
+                runs += unfinished.added([_own_runs(measures, numbers, specs, result)])
         write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
@@ -242,16 +226,20 @@ def _points(points: PlannedPoints, places: range) -> BlockPoints:
     return BlockPoints(numbers, [point.grid.base_json for point in some], columns)
 
 
-def _taken_over(saved: Mapping[int, BlockRuns], members: Sequence[_Member]) -> dict[int, BlockRuns]:
+#: Specs of runs by their numbers, or the reasons why they are not computed.
+Members = Mapping[int, RunSpec | Outcome]
+
+
+def _taken_over(saved: Mapping[int, BlockRuns], members: Members) -> dict[int, BlockRuns]:
     """Return those saved runs, by number, that have the specs and the plugins of members."""
     runs = {}
-    for member in members if saved else ():
-        run, spec = saved.get(member.point.number), member.spec
+    for number, spec in members.items() if saved else ():
+        run = saved.get(number)
         if run is None or not isinstance(spec, RunSpec):
             continue
         same = run.spec_sha256, run.run_id, run.plugins
         if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
-            runs[member.point.number] = run
+            runs[number] = run
     return runs
 
 
@@ -261,51 +249,47 @@ def _measures(study: str, changed: int) -> BlockMeasures:
     return BlockMeasures(StudyPlan(load_study_spec(study)))
 
 
-def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
-    base = point.grid.base_json
+def _spec_of(
+    point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark
+) -> RunSpec | Outcome:
+    """Return the spec of a run, or the reason why it is not computed."""
     if point.lacking:
-        reason = f"not-installed: the distribution {point.lacking} is not installed."
-        return _Member(point, Outcome("left-out", reason))
+        return Outcome("left-out", f"not-installed: the distribution {point.lacking} is not installed.")
     if point.number in skip:
-        return _Member(point, Outcome("failed", skip[point.number]))
+        return Outcome("failed", skip[point.number])
     mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
-        spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
+        values = [(setting.path, setting.value) for setting in point.settings]
+        spec = varied[point.grid.base_json].spec(values)
         spec.mechanism()
     except SpecError:
         try:
             # `point.spec` raises the error again, with the location in the study that causes it
-            return _Member(point, point.spec)
+            return point.spec
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
+            return Outcome("failed", f"wrong-input: {joined_lines(text)}")
     except Exception as error:
-        return _Member(point, refusal(error))
-    return _Member(point, spec)
+        return refusal(error)
+    return spec
 
 
 def _results(
-    members: Sequence[_Member],
-    lanes: LaneRuns,
-    measures: Sequence[str],
-    mark: _Mark,
-    notify: Callable[[str], None],
-) -> Iterator[tuple[list[_Member], FinishedRuns | Outcome]]:
-    """Yield members with their results as soon as these are known."""
-    computed = [member for member in members if isinstance(member.spec, RunSpec)]
+    members: Members, lanes: LaneRuns, measures: Sequence[str], mark: _Mark, notify: Callable[[str], None]
+) -> Iterator[tuple[list[int], FinishedRuns | Outcome]]:
+    """Yield the numbers of runs with their results as soon as these are known."""
+    computed = {number: spec for number, spec in members.items() if isinstance(spec, RunSpec)}
+    numbers = list(computed)
     results = simulate_in_any_order(
-        [member.spec for member in computed if isinstance(member.spec, RunSpec)],
-        begun=lambda place: mark.note(computed[place].point.number),
-        measures=measures,
-        lanes=lanes,
+        computed.values(), begun=lambda place: mark.note(numbers[place]), measures=measures, lanes=lanes
     )
     for places, result in results:
         for warning in chain.from_iterable(() if isinstance(result, Outcome) else result.warnings):
             notify(f"warning: {warning}")
-        yield [computed[place] for place in places], result
-    for member in members:
-        if isinstance(member.spec, Outcome):
-            yield [member], member.spec
+        yield [numbers[place] for place in places], result
+    for number, spec in members.items():
+        if isinstance(spec, Outcome):
+            yield [number], spec
 
 
 def _varied_runs(
@@ -346,10 +330,10 @@ def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str],
             )
 
 
-def _own_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
-    """Return the data that the block stores for several runs with specs of their own."""
-    numbers = [member.point.number for member in members]
-    specs = [member.spec for member in members if isinstance(member.spec, RunSpec)]
+def _own_runs(
+    measures: BlockMeasures, numbers: Sequence[int], specs: Sequence[RunSpec], result: FinishedRuns | Outcome
+) -> BlockRuns:
+    """Return the data that the block stores for several runs with specs of their own; none if they are not valid."""
     hashes = [spec.sha256() for spec in specs] or "", [spec.run_id() for spec in specs] or ""
     if isinstance(result, Outcome):
         return BlockRuns(numbers, result.status, result.reason, *hashes)

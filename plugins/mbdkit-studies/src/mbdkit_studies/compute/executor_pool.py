@@ -99,12 +99,13 @@ class Pool:
                         yield task, Outcome("missing", f"no-resources: {self._refusal}")
                     batches = []
                     continue
-                future = self._next_ended()
-                if future is None:
+                ended = self._next_ended()
+                if ended is None:
                     outcome = Outcome("missing", "no-resources: the connection to the Dask scheduler is lost.")
                     yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
                     self._begun.clear()
                     return
+                future = ended
                 batch = self._begun[future].tasks
                 answers = future.result()
             except ResourceError:

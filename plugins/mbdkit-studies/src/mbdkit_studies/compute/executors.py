@@ -148,7 +148,6 @@ def _check(executor: str, workers: int | None, scheduler: str | None, slurm: Seq
         raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(scheduler)}")
 
 
-@contextlib.contextmanager
 def opened(
     name: str,
     workers: int | None,
@@ -157,8 +156,8 @@ def opened(
     *,
     scheduler: str | None = None,
     slurm: Sequence[str] = (),
-) -> Iterator[Executor | None]:
-    """Yield the requested executor, or None for processes on this machine, and close the executor at the end.
+) -> contextlib.AbstractContextManager[Executor | None]:
+    """Return a context with the requested executor, which closes it, or with None for processes on this machine.
 
     Parameters
     ----------
@@ -180,15 +179,11 @@ def opened(
         machine.
     """
     _check(name, workers, scheduler, slurm)
-    match name:
-        case "local":
-            yield None
-        case "dask":
-            with _dask(scheduler, workers, notify) as executor:
-                yield executor
-        case "submitit":
-            with _submitit(scheduler or "slurm", slurm, workers, folder, notify) as executor:
-                yield executor
+    if name == "dask":
+        return _dask(scheduler, workers, notify)
+    if name == "submitit":
+        return _submitit(scheduler or "slurm", slurm, workers, folder, notify)
+    return contextlib.nullcontext()
 
 
 def _package(name: str, extra: str) -> Any:

@@ -142,7 +142,10 @@ class RunFiles(RunStore[str]):
         path, outcome = self.folder.archive(run_id), self.outcome(run_id)
         # A plugin that computes a measure may have changed since the previous index.
         use_plugins = any(measure.item is not None for measure in self._defined)
-        row = None if use_plugins else self._measured_before(run_id, reference_id)
+        row = self._measured.get((run_id, reference_id))
+        is_unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
+        if row is not None and (use_plugins or not row.verdict or not is_unchanged):
+            row = None
         if row is None and outcome.status != "missing" and path.exists():
             is_compared = bool(reference_id) and self._is_complete(reference_id)
             sha256 = self._file_sha256(run_id)
@@ -211,31 +214,18 @@ class RunFiles(RunStore[str]):
                 return ""
         return self._hashes[run_id]
 
-    def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the indexed row of a run if its archive and that of its reference have not changed; else None."""
-        row = self._measured.get((run_id, reference_id))
-        unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
-        return row if unchanged and row is not None and row.verdict else None
-
     def forget(self, key: str) -> None:
         """See `RunStore.forget`."""
         super().forget(key)
         self._hashes.pop(key, None)
 
-    def _indexed(self, key: str) -> Outcome | None:
-        """Return the outcome stored in a file that has not changed since it was indexed; None for other files."""
-        row = self._by_run.get(key)
-        if row is None:
-            return None
-        is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
-        is_known = self._is_unchanged(key) or (is_refused and not self.folder.archive(key).exists())
-        return Outcome(row.status, row.status_reason) if is_known else None
-
     def read(self, key: str) -> Outcome:
         """See `RunStore.read`."""
-        if (known := self._indexed(key)) is not None:
-            return known
-        path = self.folder.archive(key)
+        row, path = self._by_run.get(key), self.folder.archive(key)
+        if row is not None:
+            is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
+            if self._is_unchanged(key) or (is_refused and not path.exists()):
+                return Outcome(row.status, row.status_reason)
         try:
             run = load(path)
         except (SpecError, ArchiveError, ResourceError) as error:
@@ -251,10 +241,6 @@ class RunFiles(RunStore[str]):
                 sound = bool(run.file)  # all arrays are verified
             except ArchiveError:
                 sound = False
-            ended = run.status in ("complete", "failed") and self._has_integrals(run)
+            needed = {integral.text for integral in functionals_of(self._runs[key], self.plan.expressions)}
+            ended = run.status in ("complete", "failed") and needed <= run.integrals.keys()
             return Outcome(run.status, run.status_reason) if sound and ended else MISSING
-
-    def _has_integrals(self, run: Run) -> bool:
-        """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {integral.text for integral in functionals_of(self._runs[run.run_id], self.plan.expressions)}
-        return needed <= run.integrals.keys()

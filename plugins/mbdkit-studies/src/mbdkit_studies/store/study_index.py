@@ -162,13 +162,9 @@ class Index:
         """Return the row of a run, or of a reference run, without axis labels, which follow from the study spec."""
         columns = self.references if of_references else self.runs
         texts: dict[str, Any] = {name: str(columns[name][place]) for name in TEXTS if name in columns}
-        return Row(
-            **texts,
-            values={name: float(columns[name][place]) for name in self.described if name in columns},
-            repeats=tuple(float(value) for value in columns[REPEATS][place] if not math.isnan(value))
-            if REPEATS in columns
-            else (),
-        )
+        values = {name: float(columns[name][place]) for name in self.described if name in columns}
+        repeats = columns[REPEATS][place].tolist() if REPEATS in columns else ()
+        return Row(**texts, values=values, repeats=tuple(value for value in repeats if not math.isnan(value)))
 
 
 def _columns(rows: Sequence[Row], numbers: Iterable[str]) -> dict[str, np.ndarray]:
