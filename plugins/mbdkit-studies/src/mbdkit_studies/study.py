@@ -18,8 +18,7 @@ from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.statistics.quantile_bands import QUANTILES, QuantileBands, quantiles
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, MeasureStatistics, statistics
 from mbdkit_studies.statistics.selection import select_rows
-from mbdkit_studies.statistics.sensitivity import Sensitivity, sensitivity
-from mbdkit_studies.statistics.sobol_indices import RESAMPLES
+from mbdkit_studies.statistics.sobol_indices import RESAMPLES, Sensitivity, sensitivity
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.storage import storage_of
 from mbdkit_studies.store.study_point import Points, StudyPoint

@@ -14,8 +14,7 @@ from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
 from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide, slug
 from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, statistics_of_group
-from mbdkit_studies.statistics.sensitivity import Sensitivity
-from mbdkit_studies.statistics.sobol_indices import ROUND_OFF
+from mbdkit_studies.statistics.sobol_indices import ROUND_OFF, Sensitivity
 from mbdkit_studies.store.study_point import axis_unit
 from mbdkit_studies.study import Study
 

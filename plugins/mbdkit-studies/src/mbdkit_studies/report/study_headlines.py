@@ -21,8 +21,7 @@ from mbdkit_studies.statistics.sample_statistics import (
     squared_correlation,
     statistics_of_group,
 )
-from mbdkit_studies.statistics.sensitivity import Sensitivity
-from mbdkit_studies.statistics.sobol_indices import members_for
+from mbdkit_studies.statistics.sobol_indices import Sensitivity, members_for
 from mbdkit_studies.store.study_point import axis_unit, point_words
 from mbdkit_studies.study import Study
 from mbdkit_studies.texts import ERROR

@@ -165,14 +165,8 @@ class StudySpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "sample",
-        "tolerances",
-        "added",
-        "store",
-        "block",
-        "compress",
-        "members",
-    )
+        "sample", "tolerances", "added", "store", "block", "compress", "members",
+    )  # fmt: skip
     """Keys that the canonical form omits if they have their default values.
 
     Studies written before these keys existed therefore keep their hash.
