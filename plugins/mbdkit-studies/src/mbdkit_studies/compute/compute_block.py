@@ -52,17 +52,8 @@ MISALIGNMENT = "misalignment_max"  #: The measure that blocks store in a column 
 PATIENCE = 10.0
 
 
-class BlockMeasures:
-    """The measures that are computed for the runs in blocks.
-
-    Parameters
-    ----------
-    plan
-        The plan of the study.
-    """
-
-    def __init__(self, plan: StudyPlan):
-        self.plan, self.spec = plan, plan.spec
+class BlockPlan(StudyPlan):
+    """The plan of a study, and the measures that are computed for its runs in blocks."""
 
     @cached_property
     def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
@@ -72,19 +63,19 @@ class BlockMeasures:
     def described(self) -> dict[str, Description]:
         """Unit and description of each measure."""
         # the misalignment has its own column
-        built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
+        built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}
         checked = OF_CHECKED_RUNS if self.is_checked else {}
-        return {**built_in, **self.plan.defined, **checked}
+        return {**built_in, **self.defined, **checked}
 
     @cached_property
     def varied(self) -> EnsembleRuns:
         """The runs whose specs differ in numbers only."""
-        return EnsembleRuns(self.plan.points, self.plan.expressions)
+        return EnsembleRuns(self.points, self.expressions)
 
     @property
     def is_checked(self) -> bool:
         """Whether the spec of the first valid sample of the plan requests error estimates."""
-        return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
+        return any(spec.estimates_errors for _, spec in self.valid_samples[:1])
 
     def of(self, results: FinishedRuns, specs: Sequence[RunSpec]) -> tuple[dict[str, np.ndarray], dict[int, Outcome]]:
         """Return the measures of R runs by name, (R,), and the reasons why those of a run could not be computed."""
@@ -95,7 +86,7 @@ class BlockMeasures:
             taken.setdefault(name, np.full(len(runs), np.nan))[places] = values
 
         for places, group in runs.groups():
-            for name in self.plan.built_in:
+            for name in self.built_in:
                 if name != MISALIGNMENT:
                     put(name, places, MEASURES[name].take(group))
         for place in range(len(runs)) if self._defined_measures or results.single is not None else ():
@@ -174,15 +165,12 @@ def _compute_block(
     folder: Path, block: int, skip: Mapping[int, str], notify: Callable[[str], None], *, one_by_one: bool
 ) -> int:
     files = StudyFolder(folder)
-    measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
-    plan = measures.plan
-    heading = BlockHeading(
-        plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
-    )
+    plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    heading = BlockHeading(plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress)
     unfinished = UnfinishedBlock(files.block(block), heading)
     # The run in which a process has died is found if runs are computed one by one.
     one_by_one = one_by_one or bool(skip) or run_at_work(files.block(block)) is not None
-    if block == 0 and not one_by_one and (reason := measures.varied.note):
+    if block == 0 and not one_by_one and (reason := plan.varied.note):
         notify(reason)
     twice = drawn(plan.blocks.places(block), len(plan.points))
     # entered here, because entering it for each vector of runs would take time
@@ -194,10 +182,10 @@ def _compute_block(
         # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
         for first in range(0, len(places), CHUNK):
             left: Sequence[int] = places[first : first + CHUNK]
-            if not (one_by_one or saved or measures.varied.reason):
+            if not (one_by_one or saved or plan.varied.reason):
                 mark.note(left[-1] + 1)
-                runs_of_numbers = runs_of_numbers or measures.varied.varied_in(lanes)
-                some_runs = list(_varied_runs(measures, left, runs_of_numbers, notify, twice))
+                runs_of_numbers = runs_of_numbers or plan.varied.varied_in(lanes)
+                some_runs = list(_varied_runs(plan, left, runs_of_numbers, notify, twice))
                 computed = {number for part in some_runs for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
                 runs += unfinished.added(some_runs)
@@ -207,7 +195,7 @@ def _compute_block(
             missing = {number: spec for number, spec in members.items() if number not in known}
             for numbers, result in _results(missing, lanes, plan.expressions, mark, notify):
                 specs = [spec for number in numbers if isinstance(spec := missing[number], RunSpec)]
-                runs += unfinished.added([_own_runs(measures, numbers, specs, result)])
+                runs += unfinished.added([_own_runs(plan, numbers, specs, result)])
         write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
@@ -244,9 +232,9 @@ def _taken_over(saved: Mapping[int, BlockRuns], members: Members) -> dict[int, B
 
 
 @lru_cache(maxsize=4)
-def _measures(study: str, changed: int) -> BlockMeasures:
-    """Return the measures of a study, with its plan; cached for all blocks that a process computes."""
-    return BlockMeasures(StudyPlan(load_study_spec(study)))
+def _plan(study: str, changed: int) -> BlockPlan:
+    """Return the plan of a study; cached for all blocks that a process computes."""
+    return BlockPlan(load_study_spec(study))
 
 
 def _spec_of(
@@ -293,7 +281,7 @@ def _results(
 
 
 def _varied_runs(
-    measures: BlockMeasures,
+    plan: BlockPlan,
     places: Sequence[int],
     runs: VariedRuns,
     notify: Callable[[str], None],
@@ -303,7 +291,7 @@ def _varied_runs(
 
     Raises DifferenceError if their results differ.
     """
-    varied = measures.varied
+    varied = plan.varied
     for done, results in varied.finished(runs, places):
         for warning in chain.from_iterable(results.warnings):
             notify(f"warning: {warning}")
@@ -311,14 +299,14 @@ def _varied_runs(
         for number, place in enumerate(done):
             if place not in twice:
                 continue
-            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], measures)
+            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], plan)
         plugins = _plugins_json(tuple(plugins_of(base).items()))
-        yield _block_runs(measures, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
+        yield _block_runs(plan, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
 
 
-def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], measures: BlockMeasures) -> None:
+def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], plan: BlockPlan) -> None:
     """Raise DifferenceError if a run differs from the same run by the ordinary way."""
-    other = simulate_arrays(spec, measures=measures.plan.expressions)
+    other = simulate_arrays(spec, measures=plan.expressions)
     mine = run.data_sha256, *hashes, run.judgement, run.warnings, run.status
     theirs = other.data_sha256, spec.sha256(), spec.run_id(), other.judgement, other.warnings, other.status
     names = "data_sha256", "spec_sha256", "run_id", "verdict", "warnings", "status"
@@ -331,14 +319,14 @@ def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str],
 
 
 def _own_runs(
-    measures: BlockMeasures, numbers: Sequence[int], specs: Sequence[RunSpec], result: FinishedRuns | Outcome
+    plan: BlockPlan, numbers: Sequence[int], specs: Sequence[RunSpec], result: FinishedRuns | Outcome
 ) -> BlockRuns:
     """Return the data that the block stores for several runs with specs of their own; none if they are not valid."""
     hashes = [spec.sha256() for spec in specs] or "", [spec.run_id() for spec in specs] or ""
     if isinstance(result, Outcome):
         return BlockRuns(numbers, result.status, result.reason, *hashes)
     return _block_runs(
-        measures, numbers, result, specs, hashes,
+        plan, numbers, result, specs, hashes,
         plugins=[_plugins_json(tuple(plugins_of(spec).items())) for spec in specs],
         # That of a packaged model is not stored for each run, because its spec alone determines it.
         mechanism=["" if is_determined(spec) else mechanism_json(spec.mechanism()) for spec in specs],
@@ -347,13 +335,13 @@ def _own_runs(
 
 
 def _block_runs(
-    measures: BlockMeasures, numbers: Sequence[int], results: FinishedRuns, specs: Sequence[RunSpec],
+    plan: BlockPlan, numbers: Sequence[int], results: FinishedRuns, specs: Sequence[RunSpec],
     hashes: tuple[Texts, Texts], **columns: Any,
 ) -> BlockRuns:  # fmt: skip
-    taken, failed = measures.of(results, specs)
+    taken, failed = plan.of(results, specs)
     ended = [failed.get(place, results) for place in range(len(numbers))] if failed else ()
     status, reason = [one.status for one in ended] or results.status, [one.reason for one in ended] or results.reason
-    stored_results = kept(results, stored(measures.spec))
+    stored_results = kept(results, stored(plan.spec))
     return BlockRuns(numbers, status, reason, *hashes, results=stored_results, measures=taken, **columns)
 
 
