@@ -146,7 +146,7 @@ class Pool:
                 if getattr(getattr(self.executor, "_client", None), "status", "") == "closed":
                     return None
                 continue
-            if isinstance(ended, Future):
+            if not isinstance(ended, str):
                 return ended
             self.say(ended)
 

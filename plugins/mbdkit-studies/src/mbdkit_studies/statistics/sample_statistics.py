@@ -254,7 +254,9 @@ def statistics_of_group(
     study: StudyRuns, group: SampleGroup, measure: str, confidence: float = CONFIDENCE
 ) -> MeasureStatistics | None:
     """Return the statistics of a measure over the runs of one sample; None if fewer than `FEWEST` runs have a value."""
-    values = by_member(study, measured(study, measure, group.places))
+    sample = study.spec.sample
+    runs_of_member = 1 if sample is None else sample.runs_of_member
+    values = measured(study, measure, group.places).reshape(-1, runs_of_member)
     count = int(np.sum(np.isfinite(values)))
     if count < FEWEST:
         return None
@@ -271,9 +273,3 @@ def statistics_of_group(
         bad=len(known) - count,
         mean_with_bad=float(np.mean(known)),
     )
-
-
-def by_member(study: StudyRuns, values: np.ndarray) -> np.ndarray:
-    """Return the values (N,) of the runs of a sample with one row for each member."""
-    sample = study.spec.sample
-    return values.reshape(-1, 1 if sample is None else sample.runs_of_member)
