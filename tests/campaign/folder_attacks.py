@@ -228,7 +228,7 @@ def _results(folder: Path) -> Any:
     if (folder / "design.json").exists():
         return json.loads((folder / "design.json").read_text())["best"]
     study = mbdkit.load_study(folder)
-    return [(point.status, point.row.data_sha256) for point in study.points]
+    return [(point.status, point.data_sha256) for point in study.points]
 
 
 def _problems(ending: Ending, told: str, allowed: tuple[int, ...]) -> list[str]:

@@ -204,7 +204,7 @@ def _whole_study() -> tuple[dict[str, str], float]:
         _write_spec(Path(folder), STUDY)
         start = time.monotonic()
         assert not (found := finish(Path(folder), *STUDY_COMMAND, "-o", "forked", start=start_forking)), found
-        return {point.run_id: point.row.data_sha256 for point in study.points}, time.monotonic() - start
+        return {point.run_id: point.data_sha256 for point in study.points}, time.monotonic() - start
 
 
 def _index_hash(folder: Path) -> str:
@@ -421,7 +421,7 @@ def _repeated_problems(folder: Path) -> list[str]:
     if found:
         return found
     study = mbdkit.load_study(folder / "out")
-    if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+    if {point.run_id: point.data_sha256 for point in study.points} != hashes:
         found.append("the repeated study differs from the undisturbed one")
     left = sorted(os.listdir(folder / "out")), sorted(os.listdir(folder / "out" / "runs"))
     if left != (["index.h5", "runs", "study.yaml"], sorted(f"{run_id}.h5" for run_id in hashes)):
@@ -527,7 +527,7 @@ def kill_worker(random: np.random.Generator, folder: Path) -> list[str]:
     if status != 0:
         return [f"it ended with exit status {status}: {said(folder)}"]
     study = mbdkit.load_study(folder / "out")
-    if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+    if {point.run_id: point.data_sha256 for point in study.points} != hashes:
         return ["the study differs from the undisturbed one"]
     return []
 
@@ -549,7 +549,7 @@ def begin_parts(random: np.random.Generator, folder: Path) -> list[str]:
             found.append(f"part {part} ended with exit status {status}: {said(folder)}")
     if not found:
         study = mbdkit.load_study(folder / "out")
-        if {point.run_id: point.row.data_sha256 for point in study.points} != hashes:
+        if {point.run_id: point.data_sha256 for point in study.points} != hashes:
             found.append("the parts differ from the undisturbed study")
     return found
 

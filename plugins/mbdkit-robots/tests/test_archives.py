@@ -55,7 +55,7 @@ def test_runs_of_a_study_are_drawn_without_the_file(spec: dict[str, Any], tmp_pa
     with pytest.raises(mbdkit.SpecError, match="its SHA-256 differs"):
         study.remake(1, files=True)
     (tmp_path / "arm.xml").write_text(TEXT)
-    assert study.remake(1, files=True).data_sha256 == study.points[1].row.data_sha256
+    assert study.remake(1, files=True).data_sha256 == study.points[1].data_sha256
 
 
 def test_a_block_holds_one_copy_of_an_equal_mechanism(spec: dict[str, Any], tmp_path: Path) -> None:

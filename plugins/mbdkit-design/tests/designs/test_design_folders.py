@@ -6,7 +6,6 @@ import json
 import os
 import shutil
 import zlib
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -122,8 +121,8 @@ def test_a_complete_design_is_read_and_not_computed_again(whole: Path) -> None:
 def test_processes_compute_the_same_points(whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(computing, "PATIENCE", 0.0)
     started: list[Any] = []
-    real = pool._Worker
-    monkeypatch.setattr(pool, "_Worker", lambda *given: started.append(real(*given)) or started[-1])
+    real = pool._Process
+    monkeypatch.setattr(pool, "_Process", lambda *given: started.append(real(*given)) or started[-1])
     mbdkit.design(tuned(), out=tmp_path / "out", workers=2)
     assert len(started) == 2  # for all searches together
     assert sorted(lines(tmp_path / "out")) == sorted(lines(whole))
@@ -139,16 +138,16 @@ def test_an_executor_computes_the_same_points(whole: Path, tmp_path: Path) -> No
 
 @pytest.mark.usefixtures("processes")
 def test_a_point_that_kills_its_process_twice_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    give: Callable[[Any, Any], None] = pool._Worker.give
+    answer_of = pool._Process.answer
     path = ("model", "forces", "spring", "stiffness")
 
-    def deadly(worker: Any, task: Any) -> None:
-        if any(dict(job.settings)[path] == 3.0 for job in task.key):
+    def deadly(worker: Any, message: Any, notify: Any) -> Any:
+        if any([list(path), 3.0] in settings for settings in message["settings"]):
             worker.process.kill()
             worker.process.wait()
-        give(worker, task)
+        return answer_of(worker, message, notify)
 
-    monkeypatch.setattr(pool._Worker, "give", deadly)
+    monkeypatch.setattr(pool._Process, "answer", deadly)
     spec, jobs = load_design_spec(tuned()), [Job("", [(path, stiffness)]) for stiffness in (2.0, 3.0)]
     engine = Engine(1, None, WORKER)
     with Computer(spec, engine, print, tmp_path / "points.jsonl") as computer:

@@ -151,7 +151,7 @@ def test_the_measures_that_a_study_asks_for_are_drawn_and_listed(tmp_path):
     assert {"largest reaction force", "Jacobians", "factorizations", "upper quartile"} <= set(labels)
     assert "wall time, shortest" in labels
     wall = document.verdict.figure("wall-time-over-model-forces-upper-spring-stiffness").lines[0]
-    rows = [sorted(point.row.repeats) for point in study.points]
+    rows = [sorted(point.repeats) for point in study.points]
     assert wall.y.tolist() == [row[0] for row in rows]  # the shortest of three
     assert wall.band.shape == (4, 2)
     work = document.verdict.figure("operations-over-model-forces-upper-spring-stiffness").lines[0]

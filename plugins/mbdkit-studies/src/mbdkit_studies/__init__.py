@@ -10,14 +10,14 @@ from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
-    from mbdkit_studies.command_options import Cluster as Cluster, Workers as Workers
+    from mbdkit_studies.commands import Cluster as Cluster, Workers as Workers
     from mbdkit_studies.compute.batch import Batches as Batches
     from mbdkit_studies.compute.executor_pool import Engine as Engine
     from mbdkit_studies.compute.tasks import Message as Message, PASSING as PASSING, Task as Task
     from mbdkit_studies.folder.owned_folder import OwnedFolder as OwnedFolder
     from mbdkit_studies.lanes.prepared_run import PreparedRun as PreparedRun
     from mbdkit_studies.points.varied_values import start_warnings_of_study as start_warnings_of_study
-    from mbdkit_studies.results.cost import at_equal_work as at_equal_work, work_for as work_for
+    from mbdkit_studies.results.cost_at_error import at_equal_work as at_equal_work, work_for as work_for
     from mbdkit_studies.results.point_selection import (
         family as family, IN_TOLERANCES as IN_TOLERANCES, METHOD as METHOD, MODEL as MODEL, OPERATIONS as OPERATIONS,
         Points as Points, STEP as STEP, value as value,

@@ -29,7 +29,7 @@ def mbdkit_items() -> Iterable[Item]:
             load=Target("mbdkit_studies.spec.study_loading:load_study_spec"),
             validate=Target("mbdkit_studies.commands:validate_study"),
             is_packaged=Target("mbdkit_studies.spec.study_loading:is_study_name"),
-            schema=Target("mbdkit_studies.spec.study_schema:study_schema"),
+            schema=Target("mbdkit_studies.spec.study_loading:study_schema"),
         ),
         Command(
             name="study",

@@ -12,28 +12,21 @@ from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit_report import data_frame
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
+from mbdkit_studies.points.planned_points import Label, PlannedPoints
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics
 from mbdkit_studies.statistics.quantile_bands import QUANTILES, QuantileBands, quantiles
-from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
+from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, MeasureStatistics, statistics
 from mbdkit_studies.statistics.selection import select_rows
-from mbdkit_studies.statistics.sensitivity import Sensitivity, sensitivity
-from mbdkit_studies.statistics.sobol_indices import RESAMPLES
+from mbdkit_studies.statistics.sobol_indices import RESAMPLES, Sensitivity, sensitivity
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.storage import storage_of
-from mbdkit_studies.store.study_index import NUMBERS, TEXTS
 from mbdkit_studies.store.study_point import Points, StudyPoint
 from mbdkit_studies.store.study_runs import StudyRuns
 
 if TYPE_CHECKING:
     import pandas
     import xarray
-
-
-#: Columns of texts in the index that the tables of a study have at another place, or not at all.
-_NOT_SHOWN = ("family", "data_sha256", "file_sha256")
 
 
 class Study(StudyRuns, HtmlView):
@@ -71,20 +64,9 @@ class Study(StudyRuns, HtmlView):
         compared = {point.reference_id: point.planned for point in self.points} if len(index.references) else {}
         rows = [index.row(place, of_references=True) for place in range(len(index.references.get("run_id", ())))]
         self.references: tuple[StudyPoint, ...] = tuple(
-            StudyPoint(number, row, compared[row.run_id], self._files, {}, is_reference=True)
+            StudyPoint(**vars(row), number=number, planned=compared[row.run_id], folder=self._files, is_reference=True)
             for number, row in enumerate(rows, start=1)
         )
-
-    def described(self, name: str) -> tuple[str, str]:
-        """Return the units and the description of a numeric column of the index, such as a measure.
-
-        Raises
-        ------
-        KeyError
-            If there is no such column.
-        """
-        column = self._index.described.get(name) or NUMBERS[name]
-        return column.units, column.long_name
 
     @property
     def status(self) -> str:
@@ -92,11 +74,8 @@ class Study(StudyRuns, HtmlView):
 
         Failed runs, and runs that are left out because a distribution is not installed, do not count as missing.
         """
-        return (
-            "partial"
-            if "missing" in (*self.statuses(), *(reference.status for reference in self.references))
-            else "complete"
-        )
+        statuses = (*self.statuses(), *(reference.status for reference in self.references))
+        return "partial" if "missing" in statuses else "complete"
 
     def statuses(self) -> Sequence[str]:
         """Return the status of the run of each point."""
@@ -112,28 +91,6 @@ class Study(StudyRuns, HtmlView):
         failed = self.points.at(np.flatnonzero(self._index.runs["status"] == "failed").tolist())
         references = [reference for reference in self.references if reference.status == "failed"]
         return (*failed, *references) if references else failed
-
-    def axes(self, family: str | None = None) -> dict[str, list[Label]]:
-        """Return the labels on each axis of a family by dotted key, in the order of the spec.
-
-        Parameters
-        ----------
-        family
-            Name of the family; optional if the study has only one.
-        """
-        grid = self.grid(family)
-        return {key: [value.label for value in values] for axis in grid.axes for key, values in axis}
-
-    def grid(self, family: str | None = None) -> Grid:
-        """Return the plan of a family: its axes and the values of its sample.
-
-        Parameters
-        ----------
-        family
-            Name of the family; optional if the study has only one.
-        """
-        name = self._family(family)
-        return next(grid for grid in self._planned.grids if grid.name == name)
 
     def select(self, condition: str) -> pandas.DataFrame:
         """Return the rows of `to_frame` that satisfy a condition on its columns.
@@ -158,12 +115,6 @@ class Study(StudyRuns, HtmlView):
         selected.attrs = frame.attrs
         return selected
 
-    def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
-        """Return the columns of the index for the points with these indices, without families and axes."""
-        texts = [name for name in TEXTS if name in self._index.runs and name not in _NOT_SHOWN]
-        names = dict.fromkeys((*texts, *self._index.described, "data_sha256"))
-        return {name: self._index.runs[name][places] for name in names}
-
     def to_frame(self, family: str | None = None) -> pandas.DataFrame:
         """Return a table with one row per point: number, family, axes, run, status, verdict, measures, counters, times.
 
@@ -182,15 +133,6 @@ class Study(StudyRuns, HtmlView):
         frame = data_frame(self._table(family))
         frame.attrs["units"] = self.units
         return frame
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each numeric column of `columns` that is not an axis, by name."""
-        return {name: column.units for name, column in self._index.described.items()}
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return the columns of `to_frame` by name, each with one value for each point."""
-        return self._table()
 
     def statistics(
         self, measure: str, *, where: Mapping[str, Label] | None = None, confidence: float = CONFIDENCE
@@ -301,19 +243,6 @@ class Study(StudyRuns, HtmlView):
             results, or if the study does not store the quantity.
         """
         return quantiles(self, quantity, q, where=where, times=times)
-
-    def _places(self, family: str) -> list[int]:
-        """Return the indices of the points of a family."""
-        return np.flatnonzero(self._planned.families() == self._family(family)).tolist()
-
-    def _table(self, family: str | None = None) -> dict[str, np.ndarray]:
-        """Return the columns of a table of the points of one family, or of all."""
-        where = {"number": np.arange(1, len(self.points) + 1), "family": self._planned.families()}
-        if family is None:
-            return where | self._planned.labels() | self._columns(slice(None))
-        places = self._places(family)
-        labels = self.grid(family).labels()
-        return {name: column[places] for name, column in where.items()} | labels | self._columns(places)
 
     def to_xarray(self, family: str | None = None) -> xarray.Dataset:
         """Return the points of one family as a dataset with one dimension per axis.

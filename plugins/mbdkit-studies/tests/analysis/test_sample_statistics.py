@@ -12,7 +12,7 @@ from tests.analysis.ishigami import FIRST, TAIL_SHARES, TOTAL, tail, values
 
 import mbdkit
 from mbdkit_studies.points.sampled_values import sampled_values
-from mbdkit_studies.results.cost import at_equal_work, work_for
+from mbdkit_studies.results.cost_at_error import at_equal_work, work_for
 from mbdkit_studies.spec.sample_section import Sample
 from mbdkit_studies.statistics.sample_statistics import (
     Estimate,

@@ -13,7 +13,7 @@ from mbdkit_report import Figure
 from mbdkit_report.pages import report
 from mbdkit_report.plot.charts import image_files, write_chart_images
 from mbdkit_studies.compute import executor_pool, pool
-from mbdkit_studies.compute.pool import Pool
+from mbdkit_studies.compute.executor_pool import Pool
 from tests.forked_worker import ForkedWorker
 
 

@@ -39,7 +39,7 @@ METHODS: dict[str, Any] = {
 def hashes(study: mbdkit.Study, methods: set[str]) -> dict[str, str]:
     """Return the hashes of the data of the runs of some methods, and of the reference runs."""
     points = [*(point for point in study.points if point.axes["integrator"] in methods), *study.references]
-    return {point.run_id: point.row.data_sha256 for point in points}
+    return {point.run_id: point.data_sha256 for point in points}
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.report.runs_table import export_runs
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.store.blocks import Block
-from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.store.storage import StudyBlocks
 from tests.runs.rotor_with_inputs import OFF_GRID, given, rotor
 
 
@@ -66,7 +66,7 @@ def test_runs_of_all_methods_have_the_bits_of_single_runs(grid: mbdkit.Study) ->
     assert len(list((grid.folder / "runs").iterdir())) == 4  # 15 runs
     for point in grid.points:
         with mbdkit.run(point.spec) as single, grid.run(point) as stored:
-            assert stored.data_sha256 == point.row.data_sha256 == single.data_sha256
+            assert stored.data_sha256 == point.data_sha256 == single.data_sha256
             assert stored.spec_json == single.spec_json
             assert point.status == stored.status == single.status
             assert (stored.run_id, stored.status_reason) == (single.run_id, single.status_reason)
@@ -126,7 +126,7 @@ def test_every_store_keeps_results_and_makes_runs_again(store: Any, tmp_path: Pa
 def test_a_run_that_cannot_be_made_again_is_told_from_the_one_that_was_stored(tmp_path: Path) -> None:
     study = pendulums(4, store="hashes", out=tmp_path / "s")
     other = study.points[1]
-    object.__setattr__(other.row, "data_sha256", study.points[2].row.data_sha256)
+    object.__setattr__(other, "data_sha256", study.points[2].data_sha256)
     (tmp_path / "s" / "runs" / "block-000000.h5").unlink()  # the index alone tells what was computed
     with pytest.raises(MbdkitError, match="run 2, computed again, has other data"):
         study.remake(other)
@@ -138,7 +138,7 @@ def test_compressed_blocks_are_smaller_and_have_the_same_runs(tmp_path: Path) ->
     assert sizes[1] < sizes[0]
     assert packed.to_frame()["data_sha256"].tolist() == plain.to_frame()["data_sha256"].tolist()
     with packed.run(3) as run:
-        assert data_sha256(run.file) == plain.points[3].row.data_sha256
+        assert data_sha256(run.file) == plain.points[3].data_sha256
 
 
 def test_only_missing_and_damaged_blocks_are_computed(tmp_path: Path) -> None:
@@ -250,9 +250,8 @@ def test_a_falsified_index_is_found_when_a_run_is_computed_again(tmp_path: Path)
     assert study.points[1].values["energy_balance_max"] == 123.0  # the hashes are not a signature
     with pytest.raises(MbdkitError, match="the index has other values of energy_balance_max, rhs_evaluations"):
         study.remake(1)
-    row = dataclasses.replace(study.points[2].row, verdict="bad", values={})
     with pytest.raises(MbdkitError, match="the index has other values of verdict"):
-        study.remake(dataclasses.replace(study.points[2], row=row))
+        study.remake(dataclasses.replace(study.points[2], verdict="bad", values={}))
 
 
 def test_a_block_is_a_function_of_its_folder(grid: mbdkit.Study, tmp_path: Path) -> None:
@@ -297,18 +296,18 @@ def test_a_process_that_dies_in_a_run_is_known_to_have_died_in_that_run(
 def test_a_run_that_kills_its_process_twice_fails_without_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    give = pool._Worker.give
+    answer_of = pool._Process.answer
     deaths: list[int] = []
 
-    def deadly(worker: Any, task: Any) -> None:
-        if task.key == 1 and 5 not in task.skip:
-            mark_of(task.path).write_text(f"{5:8d}")
-            deaths.append(task.key)
+    def deadly(worker: Any, message: Any, notify: Any) -> Any:
+        if message["block"] == 1 and "5" not in message["skip"]:
+            mark_of(Path(message["path"])).write_text(f"{5:8d}")
+            deaths.append(1)
             worker.process.kill()
             worker.process.wait()
-        give(worker, task)
+        return answer_of(worker, message, notify)
 
-    monkeypatch.setattr(pool._Worker, "give", deadly)
+    monkeypatch.setattr(pool._Process, "answer", deadly)
     study = pendulums(store="summary", out=tmp_path / "s", block=3)
     assert len(deaths) == 2
     assert [point.number for point in study.failures] == [5]
@@ -389,8 +388,8 @@ def test_an_ensemble_goes_on_from_its_folder_alone(tmp_path: Path) -> None:
 def test_specs_in_a_block_do_not_need_the_study(grid: mbdkit.Study) -> None:
     with Block(grid.folder / "runs" / "block-000001.h5") as block:
         for number in block.numbers.tolist():
-            if block.runs["spec_sha256"][block.row(number)]:
-                assert block.spec(number).sha256() == grid.points[number - 1].spec.sha256()
+            if (run := block.run(number)) is not None:
+                assert run.run_spec.sha256() == grid.points[number - 1].spec.sha256()
 
 
 def test_rows_are_selected_by_conditions(grid: mbdkit.Study) -> None:

@@ -17,7 +17,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.part_file import checkpoint_path
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.spec import load_spec
-from mbdkit_studies.compute import pool, worker
+from mbdkit_studies.compute import executor_pool, pool, worker
 from mbdkit_studies.compute.batch import refusal
 from mbdkit_studies.compute.run_files import RunFiles
 from mbdkit_studies.folder.folder_lock import Shard
@@ -83,7 +83,7 @@ def test_two_workers_give_the_same_data_as_one(finished, small, tmp_path):
     study = mbdkit.study(small, out=tmp_path / "two", workers=2)
     assert study.computed == 5
     assert index_hash(tmp_path / "two") == index_hash(finished.folder)
-    hashes = [[point.row.data_sha256 for point in which.points] for which in (study, finished)]
+    hashes = [[point.data_sha256 for point in which.points] for which in (study, finished)]
     assert hashes[0] == hashes[1]
 
 
@@ -188,16 +188,16 @@ def test_runs_that_fail_are_results_with_their_reasons_and_are_not_tried_again(t
 def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_later_ones(
     count, finished, small, tmp_path, monkeypatch
 ):
-    victim, give, deaths = finished.points[1].run_id, pool._Worker.give, []
+    victim, answer_of, deaths = finished.points[1].run_id, pool._Process.answer, []
 
-    def deadly(worker, task):
-        if task.key == victim and len(deaths) < count:
+    def deadly(worker, message, notify):
+        if Path(message["path"]).stem == victim and len(deaths) < count:
             deaths.append(worker)
             worker.process.kill()
             worker.process.wait()
-        give(worker, task)
+        return answer_of(worker, message, notify)
 
-    monkeypatch.setattr(pool._Worker, "give", deadly)
+    monkeypatch.setattr(pool._Process, "answer", deadly)
     study = mbdkit.study(small, out=tmp_path / "out", workers=count)
     reason = "worker-died: two processes that computed it died; the second one was killed by SIGKILL."
     assert study.unfinished == (reason,) * (count - 1)
@@ -213,7 +213,7 @@ def test_a_run_whose_worker_dies_is_tried_once_more_in_the_same_call_and_in_late
 
 @pytest.mark.usefixtures("processes")
 def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, small, tmp_path, monkeypatch):
-    work = pool.Pool.work
+    work = executor_pool.Pool.work
 
     def interrupted(self, tasks):
         for number, done in enumerate(work(self, tasks)):
@@ -221,7 +221,7 @@ def test_an_interrupted_call_leaves_an_index_of_all_that_is_there(finished, smal
                 raise KeyboardInterrupt
             yield done
 
-    monkeypatch.setattr(pool.Pool, "work", interrupted)
+    monkeypatch.setattr(executor_pool.Pool, "work", interrupted)
     with pytest.raises(KeyboardInterrupt):
         mbdkit.study(small, out=tmp_path / "out")
     monkeypatch.undo()
@@ -276,13 +276,13 @@ def test_repeated_timings_are_kept_with_their_quartiles_and_not_made_again(tmp_p
     }  # fmt: skip
     done = mbdkit.study(study, out=tmp_path / "out")
     for point in done.points:
-        assert len(point.row.repeats) == 5
-        expected = np.quantile(point.row.repeats, [0.0, 0.25, 0.5, 0.75])
+        assert len(point.repeats) == 5
+        expected = np.quantile(point.repeats, [0.0, 0.25, 0.5, 0.75])
         found = [point.values[f"wall_{name}_s"] for name in ("min", "q1", "median", "q3")]
         assert found == pytest.approx(expected)
         assert found[0] > 0
     again = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.repeats for point in again.points] == [point.row.repeats for point in done.points]
+    assert [point.repeats for point in again.points] == [point.repeats for point in done.points]
 
 
 def test_progress_counts_runs_and_timings(small, tmp_path):

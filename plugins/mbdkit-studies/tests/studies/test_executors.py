@@ -22,7 +22,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.terminal import command_line, executing
 from mbdkit.cli import app
 from mbdkit_studies.compute import executor_pool, executors, worker
-from mbdkit_studies.compute.executor_pool import ExecutorPool
+from mbdkit_studies.compute.executor_pool import Pool
 from mbdkit_studies.compute.executors import SubmititExecutor
 from mbdkit_studies.compute.tasks import Task
 from mbdkit_studies.folder.owned_folder import JOBS
@@ -216,13 +216,13 @@ def test_an_interrupt_cancels_what_is_not_begun(blocks, monkeypatch, tmp_path):
             begun.append(future)
             return future
 
-    work = ExecutorPool.work
+    work = Pool.work
 
     def interrupted(self: Any, tasks: Any) -> Any:
         yield next(work(self, tasks))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(executor_pool.ExecutorPool, "work", interrupted)
+    monkeypatch.setattr(Pool, "work", interrupted)
     with pytest.raises(KeyboardInterrupt):
         pendulums(out=tmp_path / "s", executor=Waiting())
     monkeypatch.undo()

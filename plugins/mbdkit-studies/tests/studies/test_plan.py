@@ -19,8 +19,7 @@ from mbdkit.spec import load_spec
 from mbdkit.spec.schema import HOME, run_schema
 from mbdkit_studies.compute.study_plan import plan_study
 from mbdkit_studies.points.planned_points import PlannedPoints
-from mbdkit_studies.spec.study_loading import load_study_spec, study_names
-from mbdkit_studies.spec.study_schema import study_schema
+from mbdkit_studies.spec.study_loading import load_study_spec, study_names, study_schema
 
 
 def points(study):

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 import mbdkit
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.cli import app
-from mbdkit_studies.compute import pool, worker
+from mbdkit_studies.compute import executor_pool, pool, worker
 from mbdkit_studies.compute.tasks import Outcome
 
 
@@ -103,19 +103,19 @@ def test_the_command_ends_with_exit_status_3_and_says_why(finished, small, begun
 @pytest.mark.usefixtures("processes")
 def test_a_second_run_without_resources_is_made_by_the_next_call(small, tmp_path, monkeypatch):
     study = small | {"reference": "none", "measures": ["reversibility_defect"]}
-    work = pool.Pool.work
+    work = executor_pool.Pool.work
 
     def without_memory(self, tasks):
         for task, outcome in work(self, tasks):
             yield task, Outcome("missing", "no-resources: no memory.") if "second" in task.content else outcome
 
-    monkeypatch.setattr(pool.Pool, "work", without_memory)
+    monkeypatch.setattr(executor_pool.Pool, "work", without_memory)
     first = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.second_run for point in first.points] == [""] * 4
+    assert [point.second_run for point in first.points] == [""] * 4
     assert len(first.unfinished) == 4
     monkeypatch.undo()
     second = mbdkit.study(study, out=tmp_path / "out")
-    assert [point.row.second_run for point in second.points] == ["complete"] * 4
+    assert [point.second_run for point in second.points] == ["complete"] * 4
 
 
 @pytest.mark.usefixtures("processes")
@@ -123,7 +123,7 @@ def test_a_study_whose_processes_are_refused_says_so_and_keeps_its_index(small, 
     def refuse(*_: object) -> None:
         raise OSError(24, os.strerror(24))
 
-    monkeypatch.setattr(pool, "_Worker", refuse)
+    monkeypatch.setattr(pool, "_Process", refuse)
     with pytest.raises(ResourceError, match="cannot be started: Too many open files"):
         mbdkit.study(small, out=tmp_path / "out")
     assert {point.status for point in mbdkit.load_study(tmp_path / "out").points} == {"missing"}
@@ -131,7 +131,7 @@ def test_a_study_whose_processes_are_refused_says_so_and_keeps_its_index(small, 
 
 @pytest.mark.usefixtures("processes")
 def test_one_process_is_enough_if_more_are_refused(finished, small, tmp_path, monkeypatch):
-    real, started = pool._Worker, []
+    real, started = pool._Process, []
 
     def only_one(*given: Any) -> Any:
         if started:
@@ -139,7 +139,7 @@ def test_one_process_is_enough_if_more_are_refused(finished, small, tmp_path, mo
         started.append(real(*given))
         return started[0]
 
-    monkeypatch.setattr(pool, "_Worker", only_one)
+    monkeypatch.setattr(pool, "_Process", only_one)
     told: list[str] = []
     study = mbdkit.study(small, out=tmp_path / "out", workers=4, notify=told.append)
     assert study.status == "complete"

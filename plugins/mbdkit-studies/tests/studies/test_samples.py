@@ -23,8 +23,7 @@ from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.results.study_notes import notes
 from mbdkit_studies.spec.sample_section import Sample
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.statistics.sensitivity import sensitivity
-from mbdkit_studies.statistics.sobol_indices import sobol_indices
+from mbdkit_studies.statistics.sobol_indices import sensitivity, sobol_indices
 from tests import identified
 from tests.identified import COVARIANCE, STIFFNESS, sliding, write_fit
 from tests.margins import assert_within

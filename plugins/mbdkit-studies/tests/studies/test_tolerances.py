@@ -12,7 +12,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.spec.loading import load_spec
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.report.study_summary import outcome
-from mbdkit_studies.results.proven_bounds import is_bounded_by_corners
+from mbdkit_studies.report.worst_cases import is_bounded_by_corners
 
 SPEED, GRAVITY = 100.0, 9.81
 

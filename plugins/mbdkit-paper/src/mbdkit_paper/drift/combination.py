@@ -239,6 +239,6 @@ def _trend(
 
 def _why_not_reversed(points: Points) -> Undetermined:
     """Return the reason why a complete run has no reversibility defect."""
-    note = next((point.row.second_run for point in points), "")
+    note = next((point.second_run for point in points), "")
     code = note.partition(":")[0]
     return {"": "not made", "not-reversible": "not reversible", "too-short": "too short"}.get(code, "failed")

@@ -318,8 +318,11 @@ class _Attempt:
         without = None
         if self.method.claims.adaptive:
             without = self._step_axis(place, chosen)
-            span = RunSpec(**next(place.data(chosen))).span
-            chosen |= _without_step(base, span, others if without is None else others - place.keys_set(without))
+            start, end = RunSpec(**next(place.data(chosen))).span
+            varied = others if without is None else others - place.keys_set(without)
+            # The method chooses its first step, and the time span is kept.
+            has_steps = base["time"].get("steps") and not any(key.partition(".")[0] == "time" for key in varied)
+            chosen |= {"time": {"start": start, "end": end}} if has_steps else {"time.step": None}
         name, how = self.method.settings[METHOD]["name"].rpartition(":")[2], self.how["formulation"]
         same = {
             place.words_of(value): value.label
@@ -369,13 +372,6 @@ def _words(spec: RunSpec) -> str:
     """Return what makes a method another one: integrator, formulation and stabilization."""
     data = json.loads(spec.canonical_json())
     return json.dumps([data.get(key) for key in (METHOD, *_HOW)])
-
-
-def _without_step(base: Mapping[str, Any], span: tuple[float, float], others: set[str]) -> dict[str, object]:
-    """Return settings that leave the first step to an adaptive method, and keep the time span."""
-    if any(key.partition(".")[0] == "time" for key in others):
-        return {"time.step": None}
-    return {"time": {"start": span[0], "end": span[1]}} if base["time"].get("steps") else {"time.step": None}
 
 
 def _joined(spec: StudySpec, attempt: _Attempt) -> StudySpec:

@@ -97,8 +97,12 @@ def simulate_in_any_order(
         for index in sorted(alone):
             place, spec = chunk[index]
             begun(place)
-            result = _alone(spec, lanes.starts, measures)
-            yield [place], result if isinstance(result, Outcome) else FinishedRuns.of(result)
+            result: FinishedRuns | Outcome
+            try:
+                result = FinishedRuns.of(simulate_arrays(spec, starts=lanes.starts, measures=measures))
+            except (Exception, SystemExit) as error:
+                result = refusal(error)
+            yield [place], result
 
 
 def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -> Iterator[RunSpec]:
@@ -106,14 +110,6 @@ def _noted(chunk: Iterable[tuple[int, RunSpec]], begun: Callable[[int], None]) -
     for place, spec in chunk:
         begun(place)
         yield spec
-
-
-def _alone(spec: RunSpec, starts: Starts, measures: Sequence[str]) -> FinishedRun | Outcome:
-    """Run one spec without vectorization."""
-    try:
-        return simulate_arrays(spec, starts=starts, measures=measures)
-    except (Exception, SystemExit) as error:
-        return refusal(error)
 
 
 def refusal(error: BaseException) -> Outcome:

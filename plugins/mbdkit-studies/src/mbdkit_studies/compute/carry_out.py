@@ -38,7 +38,7 @@ from mbdkit_studies.spec.study_loading import StudySource, load_study_spec
 from mbdkit_studies.spec.study_spec import Storing, StudySpec
 from mbdkit_studies.store import study_index
 from mbdkit_studies.store.block_writer import Store
-from mbdkit_studies.store.study_blocks import with_store
+from mbdkit_studies.store.storage import with_store
 from mbdkit_studies.study import Study
 from mbdkit_studies.texts import without_numbers
 
@@ -285,18 +285,17 @@ def _carried_out(
     try:
         is_shown = progress is None and in_notebook()
         with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
-            of_sample: dict[str, str] = {}
-
-            def notify_unless_told(text: str) -> None:
-                if without_numbers(text.removeprefix("warning: ")) not in of_sample:
-                    notify(text)
-
             store: RunStores = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
             folder.check(spec, overwrite=overwrite)
             for _, checked in store.plan.validated:
                 check_calls(checked)
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
-            of_sample |= store.plan.warnings_of_sample()
+            of_sample = store.plan.warnings_of_sample()
+
+            def notify_unless_told(text: str) -> None:
+                if without_numbers(text.removeprefix("warning: ")) not in of_sample:
+                    notify(text)
+
             for warning in (*of_sample.values(), *store.plan.notes()):
                 _LOG.warning("%s", warning)
                 notify(f"warning: {warning}")
@@ -316,28 +315,20 @@ def _execute(
     folder = store.folder
     folder.prepare(store.spec)
     with folder.locked(shard):
-        total = store.begin(shard, notify)
+        total, ended = store.begin(shard, notify), 0  # ended: runs planned for this round and the rounds before
         try:
-            _compute(store, engine, total, progress, notify)
+            for some in store.rounds():
+                ended += some.planned
+                done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
+                with (Engine() if some.one_by_one else engine).pool(notify) as pool:
+                    for task, outcome in pool.work(some.tasks):
+                        store.note(task, outcome)
+                        done += task.runs
+                        if progress is not None:
+                            progress(done, total, store.failed)
         finally:
             with interrupts_delayed(), alone(folder.spec):  # other calls may write the index
                 study_index.write(folder.index, store.spec, store.index())
-
-
-def _compute(
-    store: RunStores, engine: Engine, total: int, progress: Progress | None, notify: Callable[[str], None]
-) -> None:
-    """Compute the missing results."""
-    ended = 0  # number of runs that were planned for this round and the rounds before
-    for some in store.rounds():
-        ended += some.planned
-        done = ended - sum(task.runs for task in some.tasks)  # planned runs without a task count as done
-        with (Engine() if some.one_by_one else engine).pool(notify) as pool:
-            for task, outcome in pool.work(some.tasks):
-                store.note(task, outcome)
-                done += task.runs
-                if progress is not None:
-                    progress(done, total, store.failed)
 
 
 def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, object]) -> StudySpec:
@@ -371,17 +362,12 @@ def _columns_of(variables: Mapping[str, object]) -> dict[str, np.ndarray]:
     columns = {}
     for key, values in variables.items():
         column = np.asarray(values)
-        if column.dtype.kind in "US":
-            column = column.astype(str).astype(object)
-        elif column.dtype.kind in "iu":
-            column = column.astype(np.int64)
-        elif column.dtype.kind == "f":
-            column = column.astype(np.float64)
-        else:
+        kind = {"U": str, "S": str, "i": np.int64, "u": np.int64, "f": np.float64}.get(column.dtype.kind)
+        if kind is None:
             raise SpecError(f"needs an array of numbers or of texts, not {value_text(values)}", key=f"variables: {key}")
         if column.ndim != 1 or not len(column):
             raise SpecError(f"needs an array (N,), not one of the shape {column.shape}", key=f"variables: {key}")
-        columns[str(key)] = column
+        columns[str(key)] = column.astype(kind).astype(object) if kind is str else column.astype(kind)
     lengths = {key: len(column) for key, column in columns.items()}
     if len(set(lengths.values())) != 1:
         told = ", ".join(f"{key} has {length}" for key, length in lengths.items()) or "there are none"

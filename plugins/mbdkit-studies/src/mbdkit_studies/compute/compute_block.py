@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
-
 import gc
 import json
 import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.archive.part_file import write_image
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
 from mbdkit.base.errors import ResourceError, SpecError
@@ -44,17 +40,10 @@ from mbdkit_studies.compute.unfinished_block import UnfinishedBlock
 from mbdkit_studies.compute.varied_runs import DifferenceError, EnsembleRuns, drawn, is_determined
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints
-from mbdkit_studies.spec.measures import (
-    MEASURES,
-    OF_CHECKED_RUNS,
-    Description,
-    Measure,
-    RunsInMemory,
-    other_values,
-)
+from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, Description, RunsInMemory, other_values
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, kept, write_block
-from mbdkit_studies.store.study_blocks import stored
+from mbdkit_studies.store.block_writer import UNSET, BlockHeading, BlockPoints, BlockRuns, Texts, block_image, kept
+from mbdkit_studies.store.storage import stored
 from mbdkit_studies.texts import joined_lines
 
 MISALIGNMENT = "misalignment_max"  #: The measure that blocks store in a column apart from the other measures.
@@ -63,40 +52,30 @@ MISALIGNMENT = "misalignment_max"  #: The measure that blocks store in a column 
 PATIENCE = 10.0
 
 
-class BlockMeasures:
-    """The measures that are computed for the runs in blocks.
-
-    Parameters
-    ----------
-    plan
-        The plan of the study.
-    """
-
-    def __init__(self, plan: StudyPlan):
-        self.plan, self.spec = plan, plan.spec
+class BlockPlan(StudyPlan):
+    """The plan of a study, and the measures that are computed for its runs in blocks."""
 
     @cached_property
     def _defined_measures(self) -> tuple[DefinedMeasure, ...]:
         return self.spec.defined_measures()
 
     @cached_property
-    def described(self) -> dict[str, tuple[str, str]]:
+    def described(self) -> dict[str, Description]:
         """Unit and description of each measure."""
         # the misalignment has its own column
-        built_in = {name: MEASURES[name] for name in self.plan.built_in if name != MISALIGNMENT}
+        built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}
         checked = OF_CHECKED_RUNS if self.is_checked else {}
-        measures: dict[str, Measure | Description] = {**built_in, **self.plan.defined, **checked}
-        return {name: (measure.units, measure.long_name) for name, measure in measures.items()}
+        return {**built_in, **self.defined, **checked}
 
     @cached_property
     def varied(self) -> EnsembleRuns:
         """The runs whose specs differ in numbers only."""
-        return EnsembleRuns(self.plan.points, self.plan.expressions)
+        return EnsembleRuns(self.points, self.expressions)
 
     @property
     def is_checked(self) -> bool:
         """Whether the spec of the first valid sample of the plan requests error estimates."""
-        return any(spec.estimates_errors for _, spec in self.plan.valid_samples[:1])
+        return any(spec.estimates_errors for _, spec in self.valid_samples[:1])
 
     def of(self, results: FinishedRuns, specs: Sequence[RunSpec]) -> tuple[dict[str, np.ndarray], dict[int, Outcome]]:
         """Return the measures of R runs by name, (R,), and the reasons why those of a run could not be computed."""
@@ -107,7 +86,7 @@ class BlockMeasures:
             taken.setdefault(name, np.full(len(runs), np.nan))[places] = values
 
         for places, group in runs.groups():
-            for name in self.plan.built_in:
+            for name in self.built_in:
                 if name != MISALIGNMENT:
                     put(name, places, MEASURES[name].take(group))
         for place in range(len(runs)) if self._defined_measures or results.single is not None else ():
@@ -133,22 +112,6 @@ def _collecting_new_objects_only() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-@dataclass(frozen=True)
-class _Member:
-    """A run of a block.
-
-    Parameters
-    ----------
-    point
-        Point of the study.
-    spec
-        Spec of the run, or the reason why the run is not computed.
-    """
-
-    point: PlannedPoint
-    spec: RunSpec | Outcome
 
 
 def compute_block(
@@ -202,15 +165,12 @@ def _compute_block(
     folder: Path, block: int, skip: Mapping[int, str], notify: Callable[[str], None], *, one_by_one: bool
 ) -> int:
     files = StudyFolder(folder)
-    measures = _measures(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
-    plan = measures.plan
-    heading = BlockHeading(
-        plan.spec.sha256(), stored(plan.spec), surroundings(), measures.described, plan.spec.compress
-    )
+    plan = _plan(str(files.spec.absolute()), files.spec.stat().st_mtime_ns)
+    heading = BlockHeading(plan.spec.sha256(), stored(plan.spec), surroundings(), plan.described, plan.spec.compress)
     unfinished = UnfinishedBlock(files.block(block), heading)
     # The run in which a process has died is found if runs are computed one by one.
     one_by_one = one_by_one or bool(skip) or run_at_work(files.block(block)) is not None
-    if block == 0 and not one_by_one and (reason := measures.varied.note):
+    if block == 0 and not one_by_one and (reason := plan.varied.note):
         notify(reason)
     twice = drawn(plan.blocks.places(block), len(plan.points))
     # entered here, because entering it for each vector of runs would take time
@@ -219,33 +179,24 @@ def _compute_block(
         places, saved, lanes = plan.blocks.places(block), unfinished.saved(), LaneRuns(Starts(), plan.expressions)
         runs: list[BlockRuns] = []
         runs_of_numbers: VariedRuns | None = None
-        pending: list[BlockRuns] = []
-
-        def add() -> None:
-            unfinished.add(pending)
-            runs.extend(pending)
-            pending.clear()
-
         # Specs and mechanisms of a few runs exist at a time, so that the memory does not depend on the size of blocks.
         for first in range(0, len(places), CHUNK):
             left: Sequence[int] = places[first : first + CHUNK]
-            if not (one_by_one or saved or measures.varied.reason):
+            if not (one_by_one or saved or plan.varied.reason):
                 mark.note(left[-1] + 1)
-                runs_of_numbers = runs_of_numbers or measures.varied.varied_in(lanes)
-                pending += _varied_runs(measures, left, runs_of_numbers, notify, twice)
-                computed = {number for part in pending for number in part.numbers}
+                runs_of_numbers = runs_of_numbers or plan.varied.varied_in(lanes)
+                some_runs = list(_varied_runs(plan, left, runs_of_numbers, notify, twice))
+                computed = {number for part in some_runs for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
-                add()
-            members = [_member(plan.points[place], varied, skip, mark) for place in left]
+                runs += unfinished.added(some_runs)
+            members = {place + 1: _spec_of(plan.points[place], varied, skip, mark) for place in left}
             known = _taken_over(saved, members)
             runs += known.values()
-            missing = [member for member in members if member.point.number not in known]
-            for some, result in _results(missing, lanes, plan.expressions, mark, notify):
-                pending.append(_own_runs(measures, some, result))
-                if unfinished.is_due:
-                    add()
-            add()
-        write_block(files.block(block), heading, _points(plan.points, places), runs)
+            missing = {number: spec for number, spec in members.items() if number not in known}
+            for numbers, result in _results(missing, lanes, plan.expressions, mark, notify):
+                specs = [spec for number in numbers if isinstance(spec := missing[number], RunSpec)]
+                runs += unfinished.added([_own_runs(plan, numbers, specs, result)])
+        write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
 
@@ -263,74 +214,74 @@ def _points(points: PlannedPoints, places: range) -> BlockPoints:
     return BlockPoints(numbers, [point.grid.base_json for point in some], columns)
 
 
-def _taken_over(saved: Mapping[int, BlockRuns], members: Sequence[_Member]) -> dict[int, BlockRuns]:
+#: Specs of runs by their numbers, or the reasons why they are not computed.
+Members = Mapping[int, RunSpec | Outcome]
+
+
+def _taken_over(saved: Mapping[int, BlockRuns], members: Members) -> dict[int, BlockRuns]:
     """Return those saved runs, by number, that have the specs and the plugins of members."""
     runs = {}
-    for member in members if saved else ():
-        run, spec = saved.get(member.point.number), member.spec
+    for number, spec in members.items() if saved else ():
+        run = saved.get(number)
         if run is None or not isinstance(spec, RunSpec):
             continue
         same = run.spec_sha256, run.run_id, run.plugins
         if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
-            runs[member.point.number] = run
+            runs[number] = run
     return runs
 
 
 @lru_cache(maxsize=4)
-def _measures(study: str, changed: int) -> BlockMeasures:
-    """Return the measures of a study, with its plan; cached for all blocks that a process computes."""
-    return BlockMeasures(StudyPlan(load_study_spec(study)))
+def _plan(study: str, changed: int) -> BlockPlan:
+    """Return the plan of a study; cached for all blocks that a process computes."""
+    return BlockPlan(load_study_spec(study))
 
 
-def _member(point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark) -> _Member:
-    base = point.grid.base_json
+def _spec_of(
+    point: PlannedPoint, varied: Mapping[str, VariedSpecs], skip: Mapping[int, str], mark: _Mark
+) -> RunSpec | Outcome:
+    """Return the spec of a run, or the reason why it is not computed."""
     if point.lacking:
-        reason = f"not-installed: the distribution {point.lacking} is not installed."
-        return _Member(point, Outcome("left-out", reason))
+        return Outcome("left-out", f"not-installed: the distribution {point.lacking} is not installed.")
     if point.number in skip:
-        return _Member(point, Outcome("failed", skip[point.number]))
+        return Outcome("failed", skip[point.number])
     mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
-        spec = varied[base].spec([(setting.path, setting.value) for setting in point.settings])
+        values = [(setting.path, setting.value) for setting in point.settings]
+        spec = varied[point.grid.base_json].spec(values)
         spec.mechanism()
     except SpecError:
         try:
             # `point.spec` raises the error again, with the location in the study that causes it
-            return _Member(point, point.spec)
+            return point.spec
         except SpecError as error:  # stored without the file name, which depends on the folder
             text = f"{error.key}: {error.message}" if error.key else error.message
-            return _Member(point, Outcome("failed", f"wrong-input: {joined_lines(text)}"))
+            return Outcome("failed", f"wrong-input: {joined_lines(text)}")
     except Exception as error:
-        return _Member(point, refusal(error))
-    return _Member(point, spec)
+        return refusal(error)
+    return spec
 
 
 def _results(
-    members: Sequence[_Member],
-    lanes: LaneRuns,
-    measures: Sequence[str],
-    mark: _Mark,
-    notify: Callable[[str], None],
-) -> Iterator[tuple[list[_Member], FinishedRuns | Outcome]]:
-    """Yield members with their results as soon as these are known."""
-    computed = [member for member in members if isinstance(member.spec, RunSpec)]
+    members: Members, lanes: LaneRuns, measures: Sequence[str], mark: _Mark, notify: Callable[[str], None]
+) -> Iterator[tuple[list[int], FinishedRuns | Outcome]]:
+    """Yield the numbers of runs with their results as soon as these are known."""
+    computed = {number: spec for number, spec in members.items() if isinstance(spec, RunSpec)}
+    numbers = list(computed)
     results = simulate_in_any_order(
-        [member.spec for member in computed if isinstance(member.spec, RunSpec)],
-        begun=lambda place: mark.note(computed[place].point.number),
-        measures=measures,
-        lanes=lanes,
+        computed.values(), begun=lambda place: mark.note(numbers[place]), measures=measures, lanes=lanes
     )
     for places, result in results:
         for warning in chain.from_iterable(() if isinstance(result, Outcome) else result.warnings):
             notify(f"warning: {warning}")
-        yield [computed[place] for place in places], result
-    for member in members:
-        if isinstance(member.spec, Outcome):
-            yield [member], member.spec
+        yield [numbers[place] for place in places], result
+    for number, spec in members.items():
+        if isinstance(spec, Outcome):
+            yield [number], spec
 
 
 def _varied_runs(
-    measures: BlockMeasures,
+    plan: BlockPlan,
     places: Sequence[int],
     runs: VariedRuns,
     notify: Callable[[str], None],
@@ -340,7 +291,7 @@ def _varied_runs(
 
     Raises DifferenceError if their results differ.
     """
-    varied = measures.varied
+    varied = plan.varied
     for done, results in varied.finished(runs, places):
         for warning in chain.from_iterable(results.warnings):
             notify(f"warning: {warning}")
@@ -348,14 +299,14 @@ def _varied_runs(
         for number, place in enumerate(done):
             if place not in twice:
                 continue
-            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], measures)
+            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], plan)
         plugins = _plugins_json(tuple(plugins_of(base).items()))
-        yield _block_runs(measures, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
+        yield _block_runs(plan, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
 
 
-def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], measures: BlockMeasures) -> None:
+def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str], plan: BlockPlan) -> None:
     """Raise DifferenceError if a run differs from the same run by the ordinary way."""
-    other = simulate_arrays(spec, measures=measures.plan.expressions)
+    other = simulate_arrays(spec, measures=plan.expressions)
     mine = run.data_sha256, *hashes, run.judgement, run.warnings, run.status
     theirs = other.data_sha256, spec.sha256(), spec.run_id(), other.judgement, other.warnings, other.status
     names = "data_sha256", "spec_sha256", "run_id", "verdict", "warnings", "status"
@@ -367,15 +318,15 @@ def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str],
             )
 
 
-def _own_runs(measures: BlockMeasures, members: Sequence[_Member], result: FinishedRuns | Outcome) -> BlockRuns:
-    """Return the data that the block stores for several runs with specs of their own."""
-    numbers = [member.point.number for member in members]
-    specs = [member.spec for member in members if isinstance(member.spec, RunSpec)]
+def _own_runs(
+    plan: BlockPlan, numbers: Sequence[int], specs: Sequence[RunSpec], result: FinishedRuns | Outcome
+) -> BlockRuns:
+    """Return the data that the block stores for several runs with specs of their own; none if they are not valid."""
     hashes = [spec.sha256() for spec in specs] or "", [spec.run_id() for spec in specs] or ""
     if isinstance(result, Outcome):
         return BlockRuns(numbers, result.status, result.reason, *hashes)
     return _block_runs(
-        measures, numbers, result, specs, hashes,
+        plan, numbers, result, specs, hashes,
         plugins=[_plugins_json(tuple(plugins_of(spec).items())) for spec in specs],
         # That of a packaged model is not stored for each run, because its spec alone determines it.
         mechanism=["" if is_determined(spec) else mechanism_json(spec.mechanism()) for spec in specs],
@@ -384,13 +335,13 @@ def _own_runs(measures: BlockMeasures, members: Sequence[_Member], result: Finis
 
 
 def _block_runs(
-    measures: BlockMeasures, numbers: Sequence[int], results: FinishedRuns, specs: Sequence[RunSpec],
+    plan: BlockPlan, numbers: Sequence[int], results: FinishedRuns, specs: Sequence[RunSpec],
     hashes: tuple[Texts, Texts], **columns: Any,
 ) -> BlockRuns:  # fmt: skip
-    taken, failed = measures.of(results, specs)
+    taken, failed = plan.of(results, specs)
     ended = [failed.get(place, results) for place in range(len(numbers))] if failed else ()
     status, reason = [one.status for one in ended] or results.status, [one.reason for one in ended] or results.reason
-    stored_results = kept(results, stored(measures.spec))
+    stored_results = kept(results, stored(plan.spec))
     return BlockRuns(numbers, status, reason, *hashes, results=stored_results, measures=taken, **columns)
 
 
@@ -425,14 +376,13 @@ class _Mark:
         while True:
             try:
                 file_locks.lock(self.handle)
+                return
             except BlockingIOError:
                 if time.monotonic() > until:
                     message = "another process is computing this block; repeat the command when it has ended"
                     raise ResourceError(message, file=self.block) from None
                 time.sleep(0.05)
             except OSError:  # the file system does not support locks
-                return
-            else:
                 return
 
     def note(self, number: int) -> None:

@@ -7,18 +7,19 @@ import os
 import queue
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from mbdkit.base.distributions import own_version
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.text import one_line
 from mbdkit_studies.compute.executors import SubmititExecutor
-from mbdkit_studies.compute.pool import PROGRAM, Pool
+from mbdkit_studies.compute.pool import PROGRAM, LocalProcesses, ProcessDiedError
 from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
+from mbdkit_studies.texts import without_numbers
 
 LOOK = 1.0  #: Interval between checks whether the client of a Dask cluster is closed [s].
 
@@ -57,7 +58,7 @@ class Engine:
         message = f"needs a concurrent.futures.Executor, or one of submitit, not {value_text(executor)}"
         raise SpecError(message, key="executor")
 
-    def pool(self, notify: Callable[[str], None]) -> Pool | ExecutorPool:
+    def pool(self, notify: Callable[[str], None]) -> Pool:
         """Return the pool that computes tasks, for use in a `with` block.
 
         Parameters
@@ -65,32 +66,31 @@ class Engine:
         notify
             Called with each message of the workers, unless it differs from an earlier one only in numbers.
         """
-        local: Pool = Pool(self.workers, notify, self.program)
-        return local if self.executor is None else ExecutorPool(self.executor, local)
+        return Pool(self, notify)
 
 
-class ExecutorPool:
-    """Tasks that an executor computes, with the methods of `Pool`.
+class Pool:
+    """Tasks that the processes of this machine or another executor compute. The pool is used in a `with` block.
 
     Workers receive texts, numbers and paths of files; all workers must have access to these files. A worker writes the
     archive or the block of its task. A task whose worker is lost is submitted again (see `Task.after_death`).
-
-    Parameters
-    ----------
-    local
-        Computes the remaining tasks if the executor breaks, as a `ProcessPoolExecutor` does when one of its processes
-        dies.
     """
 
-    def __init__(self, executor: Executor, local: Pool):
-        self.executor = executor
-        self.local: Pool = local
-        self._compute: Callable[..., Any] = import_module(local.program).compute
+    def __init__(self, engine: Engine, notify: Callable[[str], None]):
+        self.engine, self.notify = engine, notify
+        self._said: set[str] = set()
         self._begun: dict[Future[list[Message]], _Batch] = {}
-        self._ended: queue.SimpleQueue[Future[list[Message]]] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[Future[list[Message]] | str] = queue.SimpleQueue()  # or messages of processes
+        self.executor = engine.executor or LocalProcesses(engine.workers, engine.program, self._ended.put)
 
     def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Submit the tasks in order, and yield each with its outcome when it is finished."""
+        """Submit the tasks in order, and yield each with its outcome when it is finished.
+
+        Raises
+        ------
+        ResourceError
+            If the system refuses all processes.
+        """
         batches = self._batches(tasks)
         while batches or self._begun:
             try:
@@ -99,25 +99,28 @@ class ExecutorPool:
                         yield task, Outcome("missing", f"no-resources: {self._refusal}")
                     batches = []
                     continue
-                future = self._next_ended()
+                ended = self._next_ended()
+                if ended is None:
+                    outcome = Outcome("missing", "no-resources: the connection to the Dask scheduler is lost.")
+                    yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
+                    self._begun.clear()
+                    return
+                future = ended
                 batch = self._begun[future].tasks
                 answers = future.result()
+            except ResourceError:
+                raise
             except BrokenExecutor as error:
                 yield from self._without_executor(batches, error)
                 return
-            except _SchedulerLostError:
-                outcome = Outcome("missing", "no-resources: the connection to the Dask scheduler is lost.")
-                yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
-                self._begun.clear()
-                return
-            except CancelledError:  # cancelled by Dask, which cancels all tasks when it loses its scheduler
-                outcome = Outcome("missing", "no-resources: the executor cancelled tasks; is its scheduler running?")
-                yield from ((task, outcome) for task in self._begun.pop(future).tasks)
-            except ImportError as error:
-                outcome = Outcome("missing", f"no-resources: a worker of the executor cannot begin: {_told(error)}.")
+            except (CancelledError, ImportError) as error:
+                why = f"a worker of the executor cannot begin: {_told(error)}."
+                if isinstance(error, CancelledError):  # by Dask, which cancels all tasks when it loses its scheduler
+                    why = "the executor cancelled tasks; is its scheduler running?"
+                outcome = Outcome("missing", f"no-resources: {why}")
                 yield from ((task, outcome) for task in self._begun.pop(future).tasks)
             except Exception as error:
-                how = f"was lost by the executor: {_told(error)}"
+                how = str(error) if isinstance(error, ProcessDiedError) else f"was lost by the executor: {_told(error)}"
                 suspects, innocent = self._begun.pop(future).divided()
                 for task in suspects:
                     following = task.after_death(how)
@@ -131,17 +134,28 @@ class ExecutorPool:
                 for task, answer in zip(batch, answers, strict=True):
                     yield task, self._outcome(task, answer)
 
-    def _next_ended(self) -> Future[list[Message]]:
-        """Return a future that has ended, after waiting for it; raise _SchedulerLostError if none will end.
+    def _next_ended(self) -> Future[list[Message]] | None:
+        """Return a future that has ended, after waiting for it; None if none will end.
 
         The futures of a Dask client that lost its scheduler, and was therefore closed, never end.
         """
         while True:
             try:
-                return self._ended.get(timeout=LOOK)
+                ended = self._ended.get(timeout=LOOK)
             except queue.Empty:
                 if getattr(getattr(self.executor, "_client", None), "status", "") == "closed":
-                    raise _SchedulerLostError from None
+                    return None
+                continue
+            if not isinstance(ended, str):
+                return ended
+            self.say(ended)
+
+    def say(self, text: str) -> None:
+        """Pass a message to the user, unless it differs from an earlier one only in numbers."""
+        kind = without_numbers(text)
+        if kind not in self._said:
+            self._said.add(kind)
+            self.notify(text)
 
     def _batches(self, tasks: Sequence[Task]) -> list[list[Task]]:
         """Return the tasks in lists that are submitted together: lists of one task or, for submitit, one list for each
@@ -154,18 +168,19 @@ class ExecutorPool:
     def _refused(self, batches: list[list[Task]]) -> list[Task]:
         """Submit batches, and return the tasks that the executor refuses."""
         messages = [[task.message() for task in batch] for batch in batches]
+        compute: Callable[..., Any] = import_module(self.engine.program).compute
         submitted = 0
         futures: Iterator[Future[list[Message]]]
         try:
             if isinstance(self.executor, SubmititExecutor):
-                futures = iter(self.executor.submit_all(self._compute, messages, own_version()))
+                futures = iter(self.executor.submit_all(compute, messages, own_version()))
             else:
-                futures = (self.executor.submit(self._compute, part, own_version()) for part in messages)
+                futures = (self.executor.submit(compute, part, own_version()) for part in messages)
             for batch, future in zip(batches, futures, strict=True):
                 self._begun[future] = _Batch(batch)
                 submitted += 1
                 future.add_done_callback(self._ended.put)
-        except BrokenExecutor:
+        except (BrokenExecutor, ResourceError):
             del batches[:submitted]
             raise
         except Exception as error:
@@ -175,17 +190,17 @@ class ExecutorPool:
     def _without_executor(self, batches: list[list[Task]], error: BrokenExecutor) -> Iterator[tuple[Task, Outcome]]:
         """Compute the remaining tasks of a broken executor by local processes."""
         self.executor.shutdown()  # wait until its last processes have ended
-        self.local.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
+        self.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
         begun: list[list[Task]] = [batch.tasks for batch in self._begun.values()]
         left: list[Task] = [task for batch in (*begun, *batches) for task in batch]
         self._begun.clear()
-        with self.local as pool:
+        with replace(self.engine, executor=None).pool(self.say) as pool:
             yield from pool.work(left)
 
     def _outcome(self, task: Task, answer: Message) -> Outcome:
         """Return the outcome reported by a worker; ``missing`` if this process cannot see the file of the worker."""
-        for note in answer.pop("notes"):
-            self.local.say(note)
+        for note in answer.pop("notes", ()):
+            self.say(note)
         outcome = Outcome.of(answer)
         if outcome.status != "complete" or not task.writes or task.path.exists():
             return outcome
@@ -195,16 +210,15 @@ class ExecutorPool:
         why = f"{answer['host']} has written {task.path.name}, which is not in the folder of the study here"
         return Outcome("missing", f"no-resources: {why}; the folder must be on a file system that all workers share.")
 
-    def __enter__(self) -> ExecutorPool:
+    def __enter__(self) -> Pool:
         return self
 
     def __exit__(self, *_: object) -> None:
         for future in self._begun:
-            future.cancel()  # running tasks are not cancelled; they end by themselves
-
-
-class _SchedulerLostError(Exception):
-    """The client of a Dask cluster is closed."""
+            future.cancel()  # running tasks of an executor are not cancelled; they end by themselves
+        is_ours = self.executor is not self.engine.executor
+        if is_ours or (self._begun and isinstance(self.executor, SubmititExecutor)):  # cancels jobs
+            self.executor.shutdown(cancel_futures=True)
 
 
 class _Batch:

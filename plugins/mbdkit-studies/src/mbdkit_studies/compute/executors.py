@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future, ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,8 @@ from mbdkit.base.text import counted, one_line, shown
 from mbdkit_studies.folder.owned_folder import JOBS
 
 MOST_JOBS = 100  #: Default of the largest number of jobs into which the tasks of a study are divided.
+
+MOST_THREADS = 10_000  #: Largest number of jobs that are awaited at the same time.
 
 INTERVAL = 0.5  #: Interval at which the jobs are checked [s].
 
@@ -40,6 +42,7 @@ class SlurmQueue:
     def __init__(self) -> None:
         self._answers: deque[frozenset[str]] = deque(maxlen=2)
         self._asked = -math.inf
+        self._lock = threading.Lock()
 
     def forget(self) -> None:
         """Discard the answers, which do not list the jobs that are submitted later."""
@@ -47,17 +50,18 @@ class SlurmQueue:
 
     def lacks(self, job: str) -> bool:
         """Return whether the last two answers do not list a job: its result may need a moment to become visible."""
-        if time.monotonic() - self._asked >= QUEUE_INTERVAL:
-            self._asked = time.monotonic()
-            command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
-            with contextlib.suppress(OSError, subprocess.SubprocessError):  # Slurm does not answer
-                done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=TIMEOUT)
-                self._answers.append(frozenset(done.stdout.split()))
-        return len(self._answers) == 2 and not any(job in answer for answer in self._answers)
+        with self._lock:
+            if time.monotonic() - self._asked >= QUEUE_INTERVAL:
+                self._asked = time.monotonic()
+                command = ["squeue", "--noheader", "--array", "--format=%i", f"--user={os.getuid()}"]
+                with contextlib.suppress(OSError, subprocess.SubprocessError):  # Slurm does not answer
+                    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=TIMEOUT)
+                    self._answers.append(frozenset(done.stdout.split()))
+            return len(self._answers) == 2 and not any(job in answer for answer in self._answers)
 
 
-class SubmititExecutor(Executor):
-    """Jobs of a scheduler such as Slurm.
+class SubmititExecutor(ThreadPoolExecutor):
+    """Jobs of a scheduler such as Slurm; a thread waits for each of them.
 
     Parameters
     ----------
@@ -68,88 +72,56 @@ class SubmititExecutor(Executor):
     """
 
     def __init__(self, begin: Callable[[], Any], jobs: int = MOST_JOBS):
+        super().__init__(MOST_THREADS)
         self.jobs = jobs
         self.has_lost = False  # whether a job has ended without a result
         self._begin = begin
         self._executor: Any = None
-        self._jobs: dict[Future[Any], Any] = {}
-        self._cancelled: list[Any] = []
         self._queue = SlurmQueue()
-        self._lock = threading.Lock()
+        self._is_ending = False
 
     def submit_all(self, function: Callable[..., Any], values: Sequence[object], *rest: object) -> list[Future[Any]]:
         """Submit jobs that call ``function(value, *rest)``, one for each value, as one array of jobs."""
         if self._executor is None:
             self._executor = self._begin()
         jobs = self._executor.map_array(function, values, *([value] * len(values) for value in rest))
-        futures: list[Future[Any]] = [Future() for _ in jobs]
         self._queue.forget()
-        with self._lock:
-            is_watched = bool(self._jobs)
-            self._jobs.update(zip(futures, jobs, strict=True))
-            if not is_watched:
-                threading.Thread(target=self._watch, daemon=True).start()
-        return futures
+        return [self.submit(self._result, job) for job in jobs]
 
-    def submit(self, function: Callable[..., Any], /, *arguments: object, **options: object) -> Future[Any]:
-        """Submit one job that calls ``function(*arguments)``."""
-        if options:
-            raise TypeError("jobs take no arguments by name")
-        return self.submit_all(function, arguments[:1], *arguments[1:])[0]
-
-    def _watch(self) -> None:
-        """Pass the results of jobs to their futures until no job is left."""
-        while True:
-            for future, job in list(self._jobs.items()):
-                if future.cancelled():
-                    job.cancel(check=False)
-                    self._cancelled.append(job)
-                elif not self._has_ended(future, job):
-                    continue
-                with self._lock:
-                    del self._jobs[future]
-            with self._lock:
-                if not self._jobs:
-                    return
-            time.sleep(INTERVAL)
-
-    def _has_ended(self, future: Future[Any], job: Any) -> bool:
-        """Return whether a job has ended; if so, pass its result to its future."""
+    def _result(self, job: Any) -> Any:
+        """Return the result of a job after waiting for it, or cancel it if this executor is shut down."""
         try:
-            if self._is_lost(job):
-                raise RuntimeError(f"Slurm has ended the job {job.job_id}, which has left no result")
-            if not job.done():
-                return False
-            error = job.exception()
-            result = job.result() if error is None else None
-        except Exception as lost:  # for example, a file of submitit cannot be read
-            error = lost
-        self.has_lost |= error is not None
-        if future.set_running_or_notify_cancel():
-            if error is None:
-                future.set_result(result)
-            else:
-                future.set_exception(error)
-        return True
+            while not job.done():
+                if self._is_lost(job):
+                    raise RuntimeError(f"Slurm has ended the job {job.job_id}, which has left no result")
+                if self._is_ending:
+                    self._cancel(job)
+                    raise CancelledError
+                time.sleep(INTERVAL)
+            if (error := job.exception()) is not None:
+                raise error
+            return job.result()
+        except CancelledError:
+            raise
+        except Exception:  # of the job, or for example because a file of submitit cannot be read
+            self.has_lost = True
+            raise
 
     def _is_lost(self, job: Any) -> bool:
         """Return whether a job, whose state Slurm does not know, has ended without a result."""
         return not job.done() and job.state == "UNKNOWN" and self._queue.lacks(job.job_id)
 
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Cancel the jobs if `cancel_futures`, and wait until they end if `wait`.
-
-        Cancelled jobs are awaited for at most `PATIENCE`. See `concurrent.futures.Executor.shutdown`.
-        """
-        for future in list(self._jobs) if cancel_futures else ():
-            future.cancel()
-        while wait and self._jobs:
-            time.sleep(INTERVAL / 5)
+    def _cancel(self, job: Any) -> None:
+        """Cancel a job, and wait until it ends, for at most `PATIENCE`."""
+        job.cancel(check=False)
         until = time.monotonic() + PATIENCE
-        while (
-            wait and time.monotonic() < until and not all(job.done() or self._is_lost(job) for job in self._cancelled)
-        ):
+        while time.monotonic() < until and not (job.done() or self._is_lost(job)):
             time.sleep(INTERVAL / 5)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Cancel the jobs if `cancel_futures`, and wait until they end if `wait`."""
+        self._is_ending = cancel_futures
+        super().shutdown(wait)
 
 
 TIMEOUT = 10  #: Time for a Dask scheduler to answer [s].
@@ -176,7 +148,6 @@ def _check(executor: str, workers: int | None, scheduler: str | None, slurm: Seq
         raise SpecError(f"with submitit, --scheduler is slurm or local, not {shown(scheduler)}")
 
 
-@contextlib.contextmanager
 def opened(
     name: str,
     workers: int | None,
@@ -185,8 +156,8 @@ def opened(
     *,
     scheduler: str | None = None,
     slurm: Sequence[str] = (),
-) -> Iterator[Executor | None]:
-    """Yield the requested executor, or None for processes on this machine, and close the executor at the end.
+) -> contextlib.AbstractContextManager[Executor | None]:
+    """Return a context with the requested executor, which closes it, or with None for processes on this machine.
 
     Parameters
     ----------
@@ -208,15 +179,11 @@ def opened(
         machine.
     """
     _check(name, workers, scheduler, slurm)
-    match name:
-        case "local":
-            yield None
-        case "dask":
-            with _dask(scheduler, workers, notify) as executor:
-                yield executor
-        case "submitit":
-            with _submitit(scheduler or "slurm", slurm, workers, folder, notify) as executor:
-                yield executor
+    if name == "dask":
+        return _dask(scheduler, workers, notify)
+    if name == "submitit":
+        return _submitit(scheduler or "slurm", slurm, workers, folder, notify)
+    return contextlib.nullcontext()
 
 
 def _package(name: str, extra: str) -> Any:

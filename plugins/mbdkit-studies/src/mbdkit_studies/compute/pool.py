@@ -1,4 +1,4 @@
-"""A pool of worker processes. If a process dies, another process tries its task again (see `Task.after_death`).
+"""Worker processes of this machine, as an executor. A process that dies is replaced.
 
 `concurrent.futures.ProcessPoolExecutor` and loky do not suffice for studies. When a process dies in one of these pools,
 all pending tasks fail, and the error tells neither which task killed the process nor what the process printed last
@@ -17,14 +17,14 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
 
 from mbdkit.archive.part_file import checkpoint_path, part_path, remove_part
 from mbdkit.base.errors import ResourceError
-from mbdkit_studies.compute.tasks import Message, Outcome, Task, died
-from mbdkit_studies.texts import without_numbers
+from mbdkit_studies.compute.tasks import Message
 
 PROGRAM = "mbdkit_studies.compute.worker"  #: Module that carries out the tasks of studies.
 
@@ -37,105 +37,92 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
 _WINDOWS_ERROR = 0xC0000000
 
 
-class Pool:
-    """Worker processes with one thread of linear algebra each. The pool is used in a `with` block, which ends them.
+class ProcessDiedError(Exception):
+    """A worker process died during a task; the message says how."""
+
+
+class LocalProcesses(ThreadPoolExecutor):
+    """Worker processes with one thread of linear algebra each; the threads of this executor wait for their answers.
 
     Parameters
     ----------
     size
         Maximum number of processes.
-    notify
-        Called with each message of the workers, unless it differs from an earlier one only in numbers.
     program
         Module whose `main` carries out the tasks.
+    notify
+        Called with each message of the processes, in another thread.
     """
 
-    def __init__(self, size: int, notify: Callable[[str], None], program: str = PROGRAM):
-        self.size = size
-        self.notify = notify
-        self.program = program
-        self._workers: list[_Worker] = []
-        self._lines: queue.SimpleQueue[tuple[_Worker, str]] = queue.SimpleQueue()
-        self._said: set[str] = set()
+    def __init__(self, size: int, program: str, notify: Callable[[str], None]):
+        super().__init__(size)
+        self.size, self.program, self.notify = size, program, notify
+        self._processes: list[_Process] = []
+        self._idle: queue.SimpleQueue[_Process | None] = queue.SimpleQueue()  # None: the executor is shut down
+        self._is_ending = False
 
-    def work(self, tasks: Sequence[Task]) -> Iterator[tuple[Task, Outcome]]:
-        """Start the tasks in order, and yield each with its outcome when it is finished.
-
-        Processes of earlier tasks are reused.
+    def submit(self, function: object, /, messages: Sequence[Message], *_: object) -> Future[Any]:  # type: ignore[override]
+        """Let a process carry out a task; `function` is not used, because the processes know what to do.
 
         Raises
         ------
         ResourceError
             If the system refuses all processes.
         """
-        waiting = deque(tasks)
-        for worker in self._workers[: len(waiting)]:
-            worker.give(waiting.popleft())
-        while waiting and len(self._workers) < min(self.size, len(tasks)) and (added := self._started()):
-            added.give(waiting.popleft())
-        while any(worker.task for worker in self._workers):
-            worker, line = self._lines.get()
-            task = worker.task
-            if task is None:  # the process died while it was idle
-                self._workers.remove(worker)
-                worker.end()
-                continue
-            if line:
-                answer: Message = json.loads(line)
-                if "note" in answer:
-                    self.say(answer["note"])
-                    continue
-                outcome = Outcome.of(answer)
-                worker.task = None
-            else:
-                how = worker.death()
-                self._workers.remove(worker)
-                worker.end()
-                following = task.after_death(how)
-                if following is not None:
-                    waiting.appendleft(following)
-                if waiting and (added := self._started()):
-                    added.give(waiting.popleft())
-                if following is not None:
-                    continue
-                outcome = Outcome("failed", died(how))
-            if waiting and worker in self._workers:
-                worker.give(waiting.popleft())
-            yield task, outcome
+        if len(self._processes) < self.size:
+            self._start()
+        return super().submit(self._carry_out, *messages)
 
-    def _started(self) -> _Worker | None:
-        """Start another process; return None if the system refuses it but other processes are running."""
+    def _start(self) -> None:
         try:
-            worker: _Worker = _Worker(self._lines, self.program)
+            process = _Process(self.program)
         except OSError as error:
             message = f"a worker process cannot be started: {error.strerror or error}"
-            if not self._workers:
+            if not self._processes:
                 raise ResourceError(message) from error
-            self.say(message)
-            return None
-        self._workers.append(worker)
-        return worker
+            self.size = len(self._processes)
+            self.notify(message)
+            return
+        self._processes.append(process)
+        self._idle.put(process)
 
-    def say(self, text: str) -> None:
-        """Pass a message to the user, unless it differs from an earlier one only in numbers."""
-        kind = without_numbers(text)
-        if kind not in self._said:
-            self._said.add(kind)
-            self.notify(text)
+    def _carry_out(self, message: Message) -> list[Message]:
+        """Return the answer of a process, in a list; a process that dies is replaced, and its unfinished archive is
+        removed, unless another call can continue it from a checkpoint because this executor has ended the process.
+        """
+        process = self._idle.get()
+        if process is None:
+            raise CancelledError
+        try:
+            answer = process.answer(message, self.notify)
+        except EOFError:
+            self._processes.remove(process)
+            how, part = process.end(), part_path(Path(message["path"]))
+            if not (self._is_ending and checkpoint_path(part).is_file()):
+                remove_part(part)
+            if not self._is_ending:
+                self._start()
+            raise ProcessDiedError(how) from None
+        self._idle.put(process)
+        return [answer]
 
-    def __enter__(self) -> Pool:
-        return self
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes, also those that carry out tasks."""
+        self._is_ending = True
+        super().shutdown(wait=False, cancel_futures=True)
+        for process in list(self._processes):
+            process.process.kill()
+        for _ in range(self._max_workers):
+            self._idle.put(None)
+        super().shutdown()
+        for process in self._processes:
+            process.end()
 
-    def __exit__(self, *_: object) -> None:
-        for worker in self._workers:
-            worker.end(keep_checkpoint=True)
 
+class _Process:
+    """One process, which carries out one task at a time."""
 
-class _Worker:
-    """One process, its task, and a thread that forwards its output."""
-
-    def __init__(self, lines: queue.SimpleQueue[tuple[_Worker, str]], program: str):
-        self.task: Task | None = None
+    def __init__(self, program: str):
         self.errors = tempfile.TemporaryFile()  # noqa: SIM115
         environment = os.environ | dict.fromkeys(ONE_THREAD, "1")
         environment["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
@@ -156,44 +143,31 @@ class _Worker:
         except OSError:
             self.errors.close()
             raise
-        threading.Thread(target=self._listen, args=(lines,), daemon=True).start()
 
-    def _listen(self, lines: queue.SimpleQueue[tuple[_Worker, str]]) -> None:
-        assert self.process.stdout is not None
-        # closed here, because closing it in another thread would wait for this thread
-        with self.process.stdout as output:
-            for line in output:
-                lines.put((self, line))
-        lines.put((self, ""))
-
-    def give(self, task: Task) -> None:
-        """Send a task to the process; if the process is dead, `_listen` reports the end of its output."""
-        self.task = task
+    def answer(self, message: Message, notify: Callable[[str], None]) -> Message:
+        """Return the answer to a task, after passing on notes; raise EOFError if the process dies."""
         assert self.process.stdin is not None
+        assert self.process.stdout is not None
         with contextlib.suppress(OSError):  # BrokenPipeError, or EINVAL on Windows
-            self.process.stdin.write(json.dumps(task.message()) + "\n")
+            self.process.stdin.write(json.dumps(message) + "\n")
             self.process.stdin.flush()
+        for line in iter(self.process.stdout.readline, ""):
+            answer: Message = json.loads(line)
+            if "note" not in answer:
+                return answer
+            notify(answer["note"])
+        raise EOFError
 
-    def death(self) -> str:
-        """Return a description of how the process ended."""
+    def end(self) -> str:
+        """Kill the process, and return how it ended."""
+        self.process.kill()
         code = self.process.wait()
         status = f"{code:#x}" if code >= _WINDOWS_ERROR else code
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit status {status}"
         self.errors.seek(0)
         said = self.errors.read().decode(errors="replace").strip().splitlines()
-        return f"{how}{': ' + said[-1].strip().rstrip('.') if said else ''}"
-
-    def end(self, *, keep_checkpoint: bool = False) -> None:
-        """Kill the process and remove the unfinished archive of its task; it is kept if another call can continue it
-        from a checkpoint and `keep_checkpoint` is true.
-        """
-        self.process.kill()
-        self.process.wait()
-        for stream in (self.process.stdin, self.errors):
+        for stream in (self.process.stdin, self.process.stdout, self.errors):
             assert stream is not None
             with contextlib.suppress(OSError):
                 stream.close()
-        if self.task is not None:
-            part = part_path(self.task.path)
-            if not (keep_checkpoint and checkpoint_path(part).is_file()):
-                remove_part(part)
+        return f"{how}{': ' + said[-1].strip().rstrip('.') if said else ''}"

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.layout import COUNTERS, TIMINGS
-from mbdkit.base.errors import ArchiveError, MbdkitError, ResourceError, SpecError
+from mbdkit.base.errors import FormatVersionError, MbdkitError, SpecError
 from mbdkit.runs.lane_runs import why_alone
 from mbdkit_studies.compute.compute_block import MISALIGNMENT
 from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
@@ -19,7 +19,6 @@ from mbdkit_studies.compute.tasks import DIFFERS, Outcome, Task, forget_run_at_w
 from mbdkit_studies.compute.unfinished_block import PIECE
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.blocks import Block, ForeignBlockError
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, NUMBERS, Index
@@ -50,8 +49,8 @@ class RunBlocks(RunStore[int]):
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
         self.count, self._sha256 = len(self.plan.points), spec.sha256()
-        self._sound: dict[int, tuple[int, ...]] = {}  # states of the files that are known to be valid
-        self._read: dict[int, tuple[tuple[int, ...], Index | None]] = {}  # rows of the index, with the file's state
+        #: Rows of the index that were read from files, each with the state of its file; None if it is not valid.
+        self._known: dict[int, tuple[tuple[int, ...], Index | None]] = {}
 
     def begin(self, shard: Shard | None, notify: Callable[[str], None]) -> int:
         """See `RunStore.begin`."""
@@ -93,9 +92,8 @@ class RunBlocks(RunStore[int]):
         if outcome.status == DIFFERS:
             raise MbdkitError(outcome.reason)
         if outcome.status == "complete":
-            self._sound[task.key] = state = _state(task.path)
             # while further blocks are computed; the file has just been written
-            self._read[task.key] = state, self._from_file(task.key, is_verified=False)
+            self._known[task.key] = _state(task.path), self._from_file(task.key, is_verified=False)
         self.unfinished += [*task.skip.values(), *([] if outcome.status == "complete" else [outcome.reason])]
         self.computed += task.runs
         self.failed += int(outcome.values.get("failed", 0))
@@ -110,7 +108,9 @@ class RunBlocks(RunStore[int]):
         for number in range(blocks.count):
             places = blocks.places(number)
             rows = slice(places.start, places.stop)
-            block = self._rows(number)
+            block = None
+            with suppress(ForeignBlockError, FormatVersionError):  # in another shard
+                block = self._rows(number)
             if block is None:
                 found["status_reason"][rows] = self._outcomes.get(number, MISSING).reason
                 continue
@@ -131,51 +131,40 @@ class RunBlocks(RunStore[int]):
         of_numbers = {name: described[name] for name in ordered}
         return Index(columns, of_numbers, axes=frozenset(labels), states=self._states())
 
-    def indexed(self, key: int) -> Outcome | None:
-        """See `RunStore.indexed`."""
-        rows = self._indexed(key)
-        return None if rows is None else _ended(rows.runs["status"], rows.runs["status_reason"])
-
     def read(self, key: int) -> Outcome:
         """See `RunStore.read`."""
-        path = self.folder.block(key)
-        state = _state(path)
-        if state == UNKNOWN:
+        rows = self._rows(key)
+        if rows is None:
             return MISSING
-        try:
-            with Block(path, self.spec.sha256(), is_verified=False) as block:
-                whole = block.numbers.tolist() == [place + 1 for place in self.plan.blocks.places(key)]
-                if not (whole and block.is_sound()):
-                    return MISSING
-                self._sound[key] = state
-                return _ended(block.runs["status"], block.runs["status_reason"])
-        except ForeignBlockError:
-            raise
-        except (SpecError, ArchiveError, ResourceError):
-            return MISSING
+        runs = zip(rows.runs["status"], rows.runs["status_reason"], strict=True)
+        is_final = all(Outcome(str(status), str(reason)).is_final for status, reason in set(runs))
+        return Outcome("complete", "") if is_final else MISSING
 
     def _rows(self, block: int) -> Index | None:
-        """Return the rows of the index for the runs of a block; None if its file cannot be read."""
-        state, rows = self._read.get(block, (UNKNOWN, None))
-        if rows is not None and state == _state(self.folder.block(block)):
-            return rows
-        return self._indexed(block) or self._from_file(block)
-
-    def _from_file(self, block: int, *, is_verified: bool = True) -> Index | None:
-        """Return the rows of the index for the runs of a block, read from its file; None if it does not exist or cannot
-        be read.
+        """Return the rows of the index for the runs of a block, read from its file if this has changed since it was
+        indexed; None if it is not valid. ForeignBlockError and FormatVersionError are raised.
         """
-        count = len(self.plan.blocks.places(block))
+        state, rows = self._known.get(block, (UNKNOWN, None))
+        if state == UNKNOWN or state != _state(self.folder.block(block)):
+            state = _state(self.folder.block(block))
+            rows = self._indexed(block) or self._from_file(block, is_verified=True)
+            self._known[block] = state, rows
+        return rows
+
+    def _from_file(self, block: int, *, is_verified: bool) -> Index | None:
+        """Return the rows of the index for the runs of a block, read from its file; None if it is not valid."""
+        numbers = [place + 1 for place in self.plan.blocks.places(block)]
         try:
-            with Block(self.folder.block(block), self._sha256, is_verified=is_verified) as file:
-                if len(file.numbers) != count:
+            with Block(self.folder.block(block), self._sha256, is_verified=False) as file:
+                if file.numbers.tolist() != numbers or (is_verified and not file.is_sound()):
                     return None
                 columns = file.columns("runs", {*OF_BLOCKS, MISALIGNMENT})
-                reasons = columns.get("verdict_reasons", np.full(count, "[]", object))  # lists in JSON
+                reasons = columns.get("verdict_reasons", np.full(len(numbers), "[]", object))  # lists in JSON
                 joined = {text: BETWEEN_REASONS.join(json.loads(text)) for text in dict.fromkeys(reasons)}
                 columns["verdict_reasons"] = np.array([joined[text] for text in reasons], object)
-                described = {name: Description(*column) for name, column in file.described().items()}
-                return Index({**columns, **file.columns("measures"), **file.columns("stats")}, described)
+                return Index({**columns, **file.columns("measures"), **file.columns("stats")}, file.described())
+        except (ForeignBlockError, FormatVersionError):
+            raise
         except (MbdkitError, OSError):
             return None
 
@@ -185,9 +174,9 @@ class RunBlocks(RunStore[int]):
         now = time.time_ns()
         for block in range(self.plan.blocks.count):
             state = _state(self.folder.block(block))
-            if self._indexed(block) is not None or (
-                state == self._sound.get(block) and now - max(state[TIMES]) > SETTLED * 1e9
-            ):
+            known, rows = self._known.get(block, (UNKNOWN, None))
+            is_settled = now - max(state[TIMES]) > SETTLED * 1e9
+            if self._indexed(block) is not None or (state == known and rows is not None and is_settled):
                 states[block] = state
         return states
 
@@ -202,12 +191,6 @@ class RunBlocks(RunStore[int]):
         rows = slice(places.start, places.stop)
         names = (*OF_BLOCKS, *self._before.described)
         return Index({name: columns[name][rows] for name in names}, self._before.described)
-
-
-def _ended(statuses: np.ndarray, reasons: np.ndarray) -> Outcome:
-    """Return the outcome of a block from the outcomes of its runs."""
-    runs = [Outcome(str(status), str(reason)) for status, reason in set(zip(statuses, reasons, strict=True))]
-    return Outcome("complete", "") if all(run.is_final for run in runs) else MISSING
 
 
 def _state(path: Path) -> tuple[int, ...]:

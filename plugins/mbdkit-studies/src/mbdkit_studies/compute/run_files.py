@@ -21,7 +21,7 @@ from mbdkit_studies.compute.run_store import MISSING, Round, RunStore
 from mbdkit_studies.compute.tasks import Outcome, Task
 from mbdkit_studies.folder.folder_lock import Shard
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.measures import MEASURES, SECOND, RunGroup, other_values, worst_joint
+from mbdkit_studies.spec.measures import SECOND, numbers_of, worst_joint
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, Index, Row, quartiles
 
@@ -35,10 +35,10 @@ class RunFiles(RunStore[str]):
 
     def __init__(self, spec: StudySpec, folder: StudyFolder):
         super().__init__(spec, folder)
-        planned = [point for point in self.plan.points if not point.lacking]
-        references = {point.reference_id: point.reference for point in planned if point.reference is not None}
+        self._planned = [point for point in self.plan.points if not point.lacking]
+        references = {point.reference_id: point.reference for point in self._planned if point.reference is not None}
         #: Specs of the distinct runs by run id, references first.
-        self._runs = references | {point.run_id: point.spec for point in planned}
+        self._runs = references | {point.run_id: point.spec for point in self._planned}
         self.count = len(self._runs)
         self._defined = spec.defined_measures()
         self._is_timed = any(grid.repeats > 1 for grid in self.plan.points.grids)
@@ -68,30 +68,22 @@ class RunFiles(RunStore[str]):
         missing = set(self.missing(self._runs))
         run_ids = [run_id for index, run_id in enumerate(self._runs) if shard is None or shard.has(index)]
         self._missing = [run_id for run_id in run_ids if run_id in missing]
-        self._again = self._to_run_again() if shard is None else []
-        self._turns = self._missing_timings() if shard is None else []
+        #: Runs that still need a second run; reference runs never do.
+        self._again: list[str] = []
+        self._turns: list[tuple[int, str]] = []
+        if shard is None:
+            wanted = dict.fromkeys(point.run_id for point in self._planned if self.spec.second_run_measures)
+            self._again = [run_id for run_id in wanted if run_id not in self._second]
+            # All runs are timed once before one is timed again: other work on the machine that lasts for many runs then
+            # spreads the times of each run, and does not pass for a difference between runs.
+            timings = dict.fromkeys(
+                (turn, point.run_id)
+                for point in self._planned
+                if point.grid.repeats > 1
+                for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
+            )
+            self._turns = sorted(timings, key=lambda timing: timing[0])
         return len(self._missing) + len(self._again) + len(self._turns)
-
-    def _to_run_again(self) -> list[str]:
-        """Return the runs that still need a second run; reference runs never do."""
-        if not self.spec.second_run_measures:
-            return []
-        wanted = dict.fromkeys(point.run_id for point in self.plan.points if not point.lacking)
-        return [run_id for run_id in wanted if run_id not in self._second]
-
-    def _missing_timings(self) -> list[tuple[int, str]]:
-        """Return the numbers and runs of the timings to make.
-
-        All runs are timed once before one is timed again: other work on the machine that lasts for many runs then
-        spreads the times of each run, and does not pass for a difference between runs.
-        """
-        wanted = dict.fromkeys(
-            (turn, point.run_id)
-            for point in self.plan.points
-            if not point.lacking and point.grid.repeats > 1
-            for turn in range(len(self._timings.get(point.run_id, ())), point.grid.repeats)
-        )
-        return sorted(wanted, key=lambda timing: timing[0])
 
     def rounds(self) -> Iterator[Round]:
         """Yield the missing runs, then the second runs and the timings of complete runs."""
@@ -150,7 +142,10 @@ class RunFiles(RunStore[str]):
         path, outcome = self.folder.archive(run_id), self.outcome(run_id)
         # A plugin that computes a measure may have changed since the previous index.
         use_plugins = any(measure.item is not None for measure in self._defined)
-        row = None if use_plugins else self._measured_before(run_id, reference_id)
+        row = self._measured.get((run_id, reference_id))
+        is_unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
+        if row is not None and (use_plugins or not row.verdict or not is_unchanged):
+            row = None
         if row is None and outcome.status != "missing" and path.exists():
             is_compared = bool(reference_id) and self._is_complete(reference_id)
             sha256 = self._file_sha256(run_id)
@@ -187,23 +182,19 @@ class RunFiles(RunStore[str]):
             If an archive cannot be read.
         """
         with load(archive) as run:
+            values = numbers_of(run, reference, spec, self.plan.built_in, self._defined)
+            values |= {name: float(run.stats.get(name, math.nan)) for name in TIMINGS}
+            values |= {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
             return Row(
                 run.run_id,
                 run.status,
                 run.status_reason,
                 worst_joint=worst_joint(run),
                 data_sha256=run.data_sha256,
-                values=self._values(run, reference, spec),
+                values=values,
                 verdict=run.verdict,
                 verdict_reasons=BETWEEN_REASONS.join(run.verdict_reasons),
             )
-
-    def _values(self, run: Run, reference: Run | None, spec: RunSpec) -> dict[str, float]:
-        group = RunGroup([run], reference)
-        taken = {name: float(MEASURES[name].take(group)[0]) for name in self.plan.built_in}
-        taken |= other_values(run, spec, self._defined)
-        numbers = {name: float(run.stats.get(name, math.nan)) for name in (*COUNTERS, *TIMINGS)}
-        return taken | numbers | {name: float(run.stats.get(name, 0)) for name in SOME_COUNTERS}
 
     def _is_unchanged(self, run_id: str) -> bool:
         """Return whether the archive of a run has the same bytes as when it was indexed."""
@@ -223,29 +214,18 @@ class RunFiles(RunStore[str]):
                 return ""
         return self._hashes[run_id]
 
-    def _measured_before(self, run_id: str, reference_id: str) -> Row | None:
-        """Return the indexed row of a run if its archive and that of its reference have not changed; else None."""
-        row = self._measured.get((run_id, reference_id))
-        unchanged = all(self._is_unchanged(name) for name in (run_id, reference_id) if name)
-        return row if unchanged and row is not None and row.verdict else None
-
     def forget(self, key: str) -> None:
         """See `RunStore.forget`."""
         super().forget(key)
         self._hashes.pop(key, None)
 
-    def indexed(self, key: str) -> Outcome | None:
-        """See `RunStore.indexed`."""
-        row = self._by_run.get(key)
-        if row is None:
-            return None
-        is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
-        is_known = self._is_unchanged(key) or (is_refused and not self.folder.archive(key).exists())
-        return Outcome(row.status, row.status_reason) if is_known else None
-
     def read(self, key: str) -> Outcome:
         """See `RunStore.read`."""
-        path = self.folder.archive(key)
+        row, path = self._by_run.get(key), self.folder.archive(key)
+        if row is not None:
+            is_refused = row.status_reason.startswith("wrong-input")  # invalid input leaves no archive
+            if self._is_unchanged(key) or (is_refused and not path.exists()):
+                return Outcome(row.status, row.status_reason)
         try:
             run = load(path)
         except (SpecError, ArchiveError, ResourceError) as error:
@@ -261,10 +241,6 @@ class RunFiles(RunStore[str]):
                 sound = bool(run.file)  # all arrays are verified
             except ArchiveError:
                 sound = False
-            ended = run.status in ("complete", "failed") and self._has_integrals(run)
+            needed = {integral.text for integral in functionals_of(self._runs[key], self.plan.expressions)}
+            ended = run.status in ("complete", "failed") and needed <= run.integrals.keys()
             return Outcome(run.status, run.status_reason) if sound and ended else MISSING
-
-    def _has_integrals(self, run: Run) -> bool:
-        """Return whether a run has the time integrals that the measures of the study need."""
-        needed = {integral.text for integral in functionals_of(self._runs[run.run_id], self.plan.expressions)}
-        return needed <= run.integrals.keys()

@@ -95,12 +95,9 @@ class RunStore(ABC, Generic[Key]):
         """Return the index of the present contents of the folder."""
 
     @abstractmethod
-    def indexed(self, key: Key) -> Outcome | None:
-        """Return the outcome stored in a file that has not changed since it was indexed; None for other files."""
-
-    @abstractmethod
     def read(self, key: Key) -> Outcome:
-        """Return the outcome stored in a file; ``missing`` if there is no sound file, or if its runs have not ended.
+        """Return the outcome stored in a file, according to the index if the file has not changed since it was indexed;
+        ``missing`` if there is no sound file, or if its runs have not ended.
 
         Raises
         ------
@@ -144,7 +141,7 @@ class RunStore(ABC, Generic[Key]):
             If the file contains other runs.
         """
         if key not in self._outcomes:
-            self._outcomes[key] = self.indexed(key) or self.read(key)
+            self._outcomes[key] = self.read(key)
         return self._outcomes[key]
 
     def note_file(self, key: Key, outcome: Outcome) -> None:

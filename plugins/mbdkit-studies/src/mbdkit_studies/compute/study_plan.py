@@ -20,11 +20,10 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, distinct_runs, grids
 from mbdkit_studies.points.varied_values import notes_on_varied_values, start_warnings_of_study
 from mbdkit_studies.results.judge import find_verdict
-from mbdkit_studies.spec.listed_measures import expressions_of
 from mbdkit_studies.spec.measures import MEASURES, Description, has_error
 from mbdkit_studies.spec.sample_section import typical_values
-from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.store.study_blocks import StudyBlocks
+from mbdkit_studies.spec.study_spec import StudySpec, expressions_of
+from mbdkit_studies.store.storage import StudyBlocks
 from mbdkit_studies.store.study_index import COLUMNS, axis_column
 from mbdkit_studies.texts import ERROR, without_numbers
 

@@ -78,26 +78,24 @@ class UnfinishedBlock:
         same = all(str(then.get(name)) == str(now[name]) for name in DECIDE_LAST_BITS)
         return same and piece.study_sha256 == self._heading.study_sha256 and piece.is_sound()
 
-    @property
-    def is_due(self) -> bool:
-        """Whether enough time has passed since the last file for the runs that have been added since then."""
-        processor, wall = self._begin
-        passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
-        return passed >= INTERVAL and self._bytes <= LARGEST_RATE * passed
-
-    def add(self, runs: Sequence[BlockRuns]) -> None:
-        """Add runs, and save all that have not been saved if this is due."""
+    def added(self, runs: Sequence[BlockRuns]) -> Sequence[BlockRuns]:
+        """Add runs, save all that have not been saved if enough time has passed since the last file, and return the
+        added ones.
+        """
         self._unsaved += runs
         self._bytes += sum(
             array.nbytes for some in runs if some.results is not None for array in some.results.arrays.values()
         )
-        if not self.is_due:
-            return
+        processor, wall = self._begin
+        passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
+        if passed < INTERVAL or self._bytes > LARGEST_RATE * passed:
+            return runs
         path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")
         points = BlockPoints(sorted(number for some in self._unsaved for number in some.numbers))
         with suppress(OSError):  # the disk may be full, as an error says when the block itself is written
             path.write_bytes(block_image(self._heading, points, self._unsaved))
         self._unsaved, self._bytes, self._begin = [], 0, (time.process_time(), time.monotonic())
+        return runs
 
     def remove(self) -> None:
         """Remove the files, after the block itself has been written."""
@@ -110,17 +108,14 @@ def _runs(piece: Block) -> list[BlockRuns]:
     columns, stored = piece.columns("measures"), piece.runs
     runs = []
     for row, number in enumerate(piece.numbers.tolist()):
-        texts = {
-            name: str(stored[name][row])
-            for name in ("status", "spec_sha256", "run_id", "plugins", "mechanism", "files")
-        }
-        reason = str(stored["status_reason"][row])
-        if not (stored["data_sha256"][row] and Outcome(texts["status"], reason).is_final):
+        names = ("status", "status_reason", "spec_sha256", "run_id", "plugins", "mechanism", "files")
+        texts = {name: str(stored[name][row]) for name in names}
+        if not (stored["data_sha256"][row] and Outcome(texts["status"], texts["status_reason"]).is_final):
             continue
         result, worst = piece.results(number), str(stored["worst_joint"][row])
         if piece.store == "hashes" and worst:  # only the largest misalignment and its joint are stored
             others = np.array(result.names.joints) != worst
             result = replace(result, misalignment_max=np.where(others, 0.0, result.misalignment_max))
         measures = {name: values[row : row + 1] for name, values in columns.items()}
-        runs.append(BlockRuns([number], reason=reason, results=FinishedRuns.of(result), measures=measures, **texts))
+        runs.append(BlockRuns([number], results=FinishedRuns.of(result), measures=measures, **texts))
     return runs

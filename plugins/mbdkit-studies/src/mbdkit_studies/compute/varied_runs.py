@@ -9,15 +9,15 @@ import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.base.errors import MbdkitError
-from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
-from mbdkit.runs.varied_numbers import Variant, VariedNumbers
+from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_texts import SpecTexts
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.spec.made_items import MadeItems
 
 #: Share of the runs, and their largest number in a study, that are computed in the ordinary way as well.
 SHARE, MOST = 0.01, 200
@@ -78,7 +78,7 @@ class EnsembleRuns:
 
     def varied_in(self, lanes: LaneRuns) -> VariedRuns:
         """Return what computes the runs."""
-        return VariedRuns(lanes, self.numbers, _reads_no_files)
+        return VariedRuns(lanes, self.numbers, lambda _, run: not run.settings.files_read)
 
     def finished(self, runs: VariedRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
         """Yield indices in the study and results of some of the runs at `places`; `runs`: see `varied_in`."""
@@ -94,26 +94,9 @@ class EnsembleRuns:
         """Return the hashes of the specs, and the identifiers, of the runs at some places."""
         return self.texts.hashes([column[places] for column in self._columns])
 
-    def specs(self, places: Sequence[int]) -> VariedSpecsAt:
+    def specs(self, places: Sequence[int]) -> Sequence[RunSpec]:
         """Return the specs of the runs at some places, each of which is made when it is needed."""
-        return VariedSpecsAt(self, places)
-
-
-class VariedSpecsAt(Sequence[RunSpec]):
-    """Specs of some runs of an ensemble, each of which is made when it is needed."""
-
-    def __init__(self, runs: EnsembleRuns, places: Sequence[int]):
-        self.runs, self.places = runs, places
-
-    def __len__(self) -> int:
-        return len(self.places)
-
-    def __getitem__(self, number: int) -> RunSpec:  # type: ignore[override]
-        return self.runs.spec(self.places[number])
-
-
-def _reads_no_files(_: Variant, run: LaneMember) -> bool:
-    return not run.settings.files_read
+        return MadeItems(len(places), lambda number: self.spec(places[number]))
 
 
 def drawn(places: Sequence[int], runs: int) -> frozenset[int]:

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit.archive.fingerprint import StoredHashes, seal
-from mbdkit.archive.hdf5 import create, set_text
+from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column
+from mbdkit_studies.folder import tables
 from mbdkit_studies.spec.study_spec import StudySpec
 
 FILE = "members.h5"  #: Name of the table in the folder of a study; see `StudySpec.members`.
@@ -30,21 +30,19 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
     columns
         (N,) numbers or strings by dotted key.
     """
-    with hdf5_in_memory() as file:
-        texts = {"title": "Values of a study", "description": "Table of the values that vary, one row for each run."}
-        texts |= {"format": _FORMAT, "format_version": _VERSION, "Conventions": f"{_FORMAT}-{_VERSION}"}
-        for name, text in texts.items():
-            set_text(file, name, text)
+    with tables.hdf5_in_memory() as file:
+        what = "Table of the values that vary, one row for each run."
+        tables.write_header(file, _FORMAT, _VERSION, "Values of a study", what)
         file.create_group("members")
         count = len(next(iter(columns.values())))
-        create(file, Array("members/run", ("run",), "1", "number of the run", INTEGER), np.arange(1, count + 1))
+        tables.write_scale(file, "members/run", range(1, count + 1), "number of the run")
         for number, (key, values) in enumerate(columns.items(), start=1):
             dtype = TEXT if values.dtype == object else INTEGER if values.dtype.kind == "i" else FLOAT
             array = Array(f"members/value_{number:04d}", ("run",), "1", f"value of {key}", dtype)
-            dataset = write_column(file, array, values)
+            dataset = tables.write_column(file, array, values)
             set_text(dataset, "key", key)
         seal(file)
-        return file_bytes(file), str(file.attrs["data_sha256"])
+        return tables.file_bytes(file), str(file.attrs["data_sha256"])
 
 
 def read_members(spec: StudySpec) -> dict[str, np.ndarray]:
@@ -66,16 +64,12 @@ def _read(path: Path, runs: int, sha256: str) -> dict[str, np.ndarray]:
         raise SpecError("there is no such file, which the study names as the table of its members", file=path)
     hint = "restore it, or create the study again"
     with reading("its columns", path, hint=hint), open_hdf5(path, "table of members", hint=hint) as file:
-        if file.attrs.get("format") != _FORMAT:
-            raise SpecError("this is not a table of members", file=path)
-        written = str(file.attrs["format_version"])
-        if written.partition(".")[0] != _VERSION.partition(".")[0]:
-            raise SpecError(f"this table of members has format version {written}, this mbdkit reads 1.x", file=path)
+        tables.check_header(file, path, _FORMAT, _VERSION, "a table of members")
         StoredHashes(file).verify()
         if file.attrs["data_sha256"] != sha256:
             raise SpecError("this is not the table of this study: its hash differs", file=path)
         items = [item for item in file["members"].values() if "key" in item.attrs]
-        columns = {str(item.attrs["key"]): read_column(item) for item in items}
+        columns = {str(item.attrs["key"]): tables.read_column(item) for item in items}
         if not columns or any(column.shape != (runs,) for column in columns.values()):
             raise SpecError(f"the columns of this table do not have the {runs} rows that the study names", file=path)
         return columns

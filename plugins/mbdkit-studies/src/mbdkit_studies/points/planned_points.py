@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -24,6 +24,7 @@ from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report import stated_units
 from mbdkit_studies.points.sampled_values import rows_of, table_place, values_of
+from mbdkit_studies.spec.made_items import MadeItems
 from mbdkit_studies.spec.method_claims import METHOD, claims_of
 from mbdkit_studies.spec.sample_section import unit_of
 from mbdkit_studies.spec.study_spec import LARGEST_TABLE, Family, StudySpec
@@ -408,7 +409,7 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid, given: Mappin
     return (*grid.base_place, *path), True
 
 
-class PlannedPoints(Sequence[PlannedPoint]):
+class PlannedPoints(MadeItems[PlannedPoint]):
     """All points of a study, each created on access; the first `LARGEST_STUDY` are kept, with specs that are built.
 
     Parameters
@@ -424,35 +425,18 @@ class PlannedPoints(Sequence[PlannedPoint]):
 
     def __init__(self, spec: StudySpec):
         self.study = spec
-        self._kept: dict[int, PlannedPoint] = {}
         self.grids = grids(spec)
         self._ends = np.cumsum([grid.count for grid in self.grids]).tolist()
+        super().__init__(int(self._ends[-1]), self._point, LARGEST_STUDY)
         for end, grid in zip(self._ends, self.grids, strict=True):
             for setting in grid.with_units():
                 self[end - grid.count].check(setting)
 
-    def __len__(self) -> int:
-        return int(self._ends[-1])
-
-    @overload
-    def __getitem__(self, index: int) -> PlannedPoint: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[PlannedPoint, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> PlannedPoint | tuple[PlannedPoint, ...]:
-        if isinstance(index, slice):
-            return tuple(self[place] for place in range(*index.indices(len(self))))
-        place = range(len(self))[index]
-        if place in self._kept:
-            return self._kept[place]
+    def _point(self, place: int) -> PlannedPoint:
         number = bisect.bisect_right(self._ends, place)
         grid = self.grids[number]
         labels, settings, lacking = grid.point(place - (self._ends[number] - grid.count))
-        point = PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
-        if place < LARGEST_STUDY:
-            self._kept[place] = point
-        return point
+        return PlannedPoint(place + 1, labels, self.study, grid, tuple(settings), lacking)
 
     def table(self) -> dict[str, np.ndarray] | None:
         """Return the values that distinguish the points by dotted key, (N,), if a table has all of them; else None."""

@@ -1,18 +1,27 @@
-"""The values of a sample: points of ``scipy.stats.qmc``, transformed by the quantile functions of the variables."""
+"""The values that distinguish the runs of a study with a sample, with tolerances or with a table of members.
+
+Those of a sample are points of ``scipy.stats.qmc``, transformed by the quantile functions of the variables. With
+tolerances, the runs are the base, each number at its limits, and corners of the box of all limits.
+"""
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.plain_data import Path, path_text
+from mbdkit.base.plain_data import Path, copied, path_text
 from mbdkit.spec.estimates import Estimated
+from mbdkit.spec.reading import parse_key, put
+from mbdkit.spec.run_spec import RunSpec
+from mbdkit_gradients import gradient, resolved
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.corner_values import corner_values
 from mbdkit_studies.spec.sample_section import Sample, frozen
 from mbdkit_studies.spec.study_loading import load_study_spec
 from mbdkit_studies.spec.study_spec import Members, StudySpec
+from mbdkit_studies.spec.value_sets import DIGITS
 
 #: Smallest coordinate of a point; it replaces 0, whose quantile is infinite for many distributions.
 _SMALLEST = 2.0**-54
@@ -78,6 +87,39 @@ def unit_points(sample: Sample, dimensions: int) -> np.ndarray:
     return np.asarray(np.clip(points, _SMALLEST, 1.0 - 2.0**-53))
 
 
+MOST_FOR_ALL_CORNERS = 6
+"""Largest number of tolerances of which all corners are computed; of more, gradients choose two for each measure."""
+
+
+def corner_values(spec: StudySpec) -> dict[str, np.ndarray]:
+    """Return the values of the numbers with tolerances, (N,) by key of the run spec; the first run is the base."""
+    assert isinstance(spec.base, dict)
+    with SpecError.place_by(lambda error: spec.placed(error.located(prefix="base"))):
+        data = {"mbdkit": 1, **copied(spec.base)}
+        for key, value in spec.overrides.items():
+            put(data, parse_key(key), copied(value))
+        base = RunSpec(**data)
+    names = list(spec.tolerances)
+    if not spec.defined_measures():
+        raise spec.placed(SpecError("needs `measures`, whose worst cases are sought", key="tolerances"))
+    with SpecError.place_by(spec.placed), SpecError.rekey("tolerances"):
+        parameters = resolved(base, names)
+        if len(names) > MOST_FOR_ALL_CORNERS:
+            own = [one for one in spec.defined_measures() if one.expression]
+            measures = {one.name: {"value": one.expression, "unit": one.unit} for one in own}
+            slopes = np.sign(gradient(base, measures, names, check=False).jacobian)
+            corners = np.vstack([slopes, -slopes])
+        else:
+            corners = np.array(list(product((-1, 1), repeat=len(names))))
+    single = np.eye(len(names), dtype=int)
+    sides = np.vstack([np.zeros_like(single[:1]), *np.stack([-single, single], axis=1), corners])
+    limits = np.array([spec.tolerances[name].limits for name in names])
+    values = np.array([one.value for one in parameters]) + np.where(sides > 0, limits[:, 1], limits[:, 0]) * abs(sides)
+    rows = np.array(list(dict.fromkeys(tuple(float(f"{x:.{DIGITS}g}") for x in row) for row in values.tolist())))
+    rows[0] = values[0]
+    return {path_text(one.path): column for one, column in zip(parameters, rows.T, strict=True)}
+
+
 def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
     """Return a study with the table of the values of its sample or of its corners; others are returned unchanged.
 
@@ -88,7 +130,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
         return spec
     columns = values_of(spec)
     _, digest = member_table.image(columns)
-    there = None if overwrite else _study_in(folder)
+    there = None if overwrite else study_in(folder)
     if there is not None and there.members is not None and there.members.sha256 != digest:
         untabled = there.with_members(None).stored_as(None)
         if untabled.sha256() == spec.stored_as(None).sha256():
@@ -100,7 +142,7 @@ def with_sample_values(spec: StudySpec, folder: StudyFolder, *, overwrite: bool 
     return tabled
 
 
-def _study_in(folder: StudyFolder) -> StudySpec | None:
+def study_in(folder: StudyFolder) -> StudySpec | None:
     """Return the study in a folder; None if it cannot be read, which is reported elsewhere."""
     if not folder.spec.is_file():
         return None

@@ -44,8 +44,8 @@ def notes_on_varied_values(spec: StudySpec) -> Iterator[str]:
     The mass may be varied itself or through parameters. Where it is varied itself, the note names the parameter to vary
     instead, if mass and inertia depend on one.
     """
-    found = dict.fromkeys(note for grid in grids(spec) for note in (*_of_masses(grid), *_exchanged(spec, grid)))
-    yield from (*found, *_truncated(spec))
+    notes = (note for grid in grids(spec) for note in (*_of_masses(grid), *_of_distributions(spec, grid)))
+    yield from dict.fromkeys(notes)
 
 
 def _of_masses(grid: Grid) -> Iterator[str]:
@@ -59,7 +59,14 @@ def _of_masses(grid: Grid) -> Iterator[str]:
         if body.get("inertia") is None or (*place, "inertia") in varied:
             continue
         if (*place, "mass") in varied:
-            yield _of_mass((*place, "mass"), body, parameters)
+            common = names_in(body.get("mass")) & parameters_in_use(parameters, [body["inertia"]])
+            advice = "write both as expressions of one parameter, and vary this parameter"
+            if len(common) == 1:
+                advice = f"vary parameters.{min(common)} instead"
+            yield (
+                f"the runs vary {path_text((*place, 'mass'))}, but not the inertia of body '{name}', "
+                f"{body['inertia']}; to change both, {advice}"
+            )
         elif not _depends(body["inertia"], parameters, names):
             of_mass = tuple(one for one in sorted(names) if _depends(body.get("mass"), parameters, {one}))
             through.setdefault(of_mass, []).append((name, body["inertia"]))
@@ -74,19 +81,6 @@ def _of_masses(grid: Grid) -> Iterator[str]:
             )
 
 
-def _of_mass(path: Path, body: Mapping[str, object], parameters: Mapping[str, object]) -> str:
-    common = names_in(body.get("mass")) & parameters_in_use(parameters, [body["inertia"]])
-    advice = (
-        f"vary parameters.{min(common)} instead"
-        if len(common) == 1
-        else "write both as expressions of one parameter, and vary this parameter"
-    )
-    return (
-        f"the runs vary {path_text(path)}, but not the inertia of body '{path[2]}', {body['inertia']}; to change both, "
-        f"{advice}"
-    )
-
-
 def _depends(text: object, parameters: Mapping[str, object], names: Set[str]) -> bool:
     """Return whether a value depends on any of the named parameters, also through other parameters."""
     return bool(parameters_in_use(parameters, [text]) & names)
@@ -99,43 +93,33 @@ def _varied(grid: Grid) -> list[Path]:
     return [parse_key(key) for key in dict.fromkeys([*keys, *grid.table])]
 
 
-def _exchanged(spec: StudySpec, grid: Grid) -> Iterator[str]:
+def _of_distributions(spec: StudySpec, grid: Grid) -> Iterator[str]:
     """Yield a note for each normal distribution whose standard deviation, but not its mean, is near the value of the
-    base.
+    base, and for each truncated one whose center is outside of its limits, but would be inside if the limits were
+    values of the variable.
     """
     base = json.loads(grid.base_json)
     for key, given in ({} if spec.sample is None else spec.sample.variables).items():
-        (kind,) = given
-        value = _number(base, parse_key(key)) if kind in ("normal", "norm") else None
-        if value is None:
+        (kind,), place = given, path_text(("sample", "variables", key))
+        if kind not in ("normal", "norm", "truncnorm"):
             continue
-        distribution = frozen(given)
+        distribution, value = frozen(given), _number(base, parse_key(key))
         mean, std = float(distribution.mean()), float(distribution.std())
-        if std > WIDE * abs(mean) > 0.0 and abs(value - std) < abs(value - mean):
+        if kind == "truncnorm":
+            (low, high), (a, b) = distribution.support(), distribution.args
+            center, scale = (distribution.kwds.get(name, value) for name, value in (("loc", 0.0), ("scale", 1.0)))
+            if a <= center <= b and not low <= center <= high:
+                advised = ", ".join(f"{x:.6g}" for x in ((a - center) / scale, (b - center) / scale, center, scale))
+                yield (
+                    f"{place}: the drawn values are between {low:g} and {high:g}, although loc is {center:g}, because "
+                    f"the limits of `truncnorm` are relative to loc, in units of scale; for values between {a:g} and "
+                    f"{b:g}, write [{advised}]"
+                )
+        elif value is not None and std > WIDE * abs(mean) > 0.0 and abs(value - std) < abs(value - mean):
             yield (
-                f"{path_text(('sample', 'variables', key))}: the standard deviation of {std:g} is much larger than "
-                f"the mean of {mean:g}, but near the value {value:g} of the base; the parameters of `{kind}` are the "
-                f"mean and the standard deviation, in this order"
-            )
-
-
-def _truncated(spec: StudySpec) -> Iterator[str]:
-    """Yield a note for each truncated normal distribution whose center is outside of its limits, but would be inside if
-    the limits were values of the variable.
-    """
-    for key, given in ({} if spec.sample is None else spec.sample.variables).items():
-        if "truncnorm" not in given:
-            continue
-        distribution = frozen(given)
-        low, high = distribution.support()
-        a, b = distribution.args
-        center, scale = (distribution.kwds.get(name, value) for name, value in (("loc", 0.0), ("scale", 1.0)))
-        if a <= center <= b and not low <= center <= high:
-            advised = ", ".join(f"{x:.6g}" for x in ((a - center) / scale, (b - center) / scale, center, scale))
-            yield (
-                f"{path_text(('sample', 'variables', key))}: the drawn values are between {low:g} and {high:g}, "
-                f"although loc is {center:g}, because the limits of `truncnorm` are relative to loc, in units of "
-                f"scale; for values between {a:g} and {b:g}, write [{advised}]"
+                f"{place}: the standard deviation of {std:g} is much larger than the mean of {mean:g}, but near the "
+                f"value {value:g} of the base; the parameters of `{kind}` are the mean and the standard deviation, in "
+                f"this order"
             )
 
 

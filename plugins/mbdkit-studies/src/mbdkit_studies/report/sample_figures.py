@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 import ast
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.reductions import REDUCTIONS
 from mbdkit_report import Axis, Cell, Column, Figure, Line, Table, key_words
-from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
-from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide
-from mbdkit_studies.statistics.measure_statistics import statistics_of_group
-from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
-from mbdkit_studies.statistics.sobol_indices import ROUND_OFF
+from mbdkit_studies.report.study_figures import Quantity, asked_measures, is_wide, slug
+from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit_studies.statistics.sample_statistics import CONFIDENCE, statistics_of_group
+from mbdkit_studies.statistics.sobol_indices import ROUND_OFF, Sensitivity
 from mbdkit_studies.store.study_point import axis_unit
-
-if TYPE_CHECKING:
-    from mbdkit_studies.statistics.sensitivity import Sensitivity
-    from mbdkit_studies.study import Study
+from mbdkit_studies.study import Study
 
 _FEWEST = 8  #: A distribution is shown only if at least this number of values is known.
 _MOST_BINS = 60
@@ -56,12 +50,12 @@ class _Measured:
 
     @property
     def told(self) -> str:
-        """Sentence that says which runs belong to the sample; empty in a study with a single sample."""
-        return f" Runs with: {self.group.words}." if self.group.words else ""
+        """See `_told`."""
+        return _told(self.group)
 
     def slug(self, *words: str) -> str:
         """Return a name for a chart of this measure, for use in file names."""
-        return re.sub(r"[^a-z0-9]+", "-", "-".join([*words, self.name, self.group.words]).lower()).strip("-")
+        return slug(*words, self.name, self.group.words)
 
     def sensitivity(self, members: int | None = None, **options: int) -> Sensitivity | None:
         """Return the Sobol indices from the first `members` of the sample, by default from all; None if the sample does
@@ -74,6 +68,11 @@ class _Measured:
             return self.study.sensitivity(self.name, where=self.group.where or None, members=members, **options)
         except MbdkitError:  # too few members have a value
             return None
+
+
+def _told(group: SampleGroup) -> str:
+    """Return a sentence that says which runs belong to a sample; empty in a study with a single sample."""
+    return f" Runs with: {group.words}." if group.words else ""
 
 
 def sample_figures(study: Study) -> tuple[Figure, ...]:
@@ -229,7 +228,6 @@ def _convergence(one: _Measured) -> list[Figure]:
 
 def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
     """Yield for each quantity in the measures a chart of its quantiles over time."""
-    one = _Measured(study, group, Quantity(("time",), "", Axis("")), np.empty(0))
     for text in _quantities(study):
         try:
             bands = study.quantiles(text, _BANDS, where=group.where or None)
@@ -245,8 +243,8 @@ def _bands(study: Study, group: SampleGroup) -> Iterator[Figure]:
             Line("5 % and 95 %", np.concatenate([x, gap, x]), np.concatenate([lowest, gap, highest])),
         )
         unit = "" if bands.unit == "1" else bands.unit
-        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{bands.told}{one.told}"
-        name = replace(one, quantity=Quantity((text,), "", Axis(""))).slug("quantiles")
+        caption = f"Quantiles of {int(bands.count.max())} runs at each time.{bands.told}{_told(group)}"
+        name = slug("quantiles", text, group.words)
         yield Figure(name, f"{text} over time", caption, Axis("time", "s"), Axis(text, unit), lines)
 
 

@@ -7,18 +7,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit_report import Axis, Column, Figure, Guide, Line, key_words, observed_order
 from mbdkit_studies.results.cost_at_error import TIMED, TIMED_ONCE, is_timed
 from mbdkit_studies.results.point_selection import IN_TOLERANCES, METHOD, OPERATIONS, STEP, value
-from mbdkit_studies.store.study_point import axis_unit, others_than, value_words
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.store.study_point import StudyPoint, axis_unit, others_than, value_words
+from mbdkit_studies.study import Study
 
 _DECADE = 8.0  #: Ratio of largest to smallest value from which an axis is logarithmic.
 _SPREAD = f"{TIMED} Bands reach to the upper quartile."
@@ -164,16 +160,9 @@ def _against_axis(quantity: Quantity, key: str, points: Sequence[StudyPoint], fa
         x, bounds = np.array([float(point.axes[key]) for point in chosen]), quantity.bounds(chosen)
         band = None if bounds is None else _band((x, bounds[0]), (x, bounds[1]))
         lines.append(Line(label, x, quantity.of(chosen), "both", group, band))
-    return [
-        Figure(
-            _slug(family, quantity.title, "over", key),
-            f"{quantity.title} against {axis.label}",
-            f"{quantity.caption}{_of(family, title)}",
-            axis,
-            quantity.axis,
-            tuple(lines),
-        )
-    ]
+    of = f" Runs of: {title or family}." if family else ""
+    name, heading = slug(family, quantity.title, "over", key), f"{quantity.title} against {axis.label}"
+    return [Figure(name, heading, f"{quantity.caption}{of}", axis, quantity.axis, tuple(lines))]
 
 
 def _against_cost(
@@ -194,16 +183,9 @@ def _against_cost(
             x, y, bounds = cost.of(chosen), measure.of(chosen), cost.bounds(chosen)
             band = None if bounds is None else _band((bounds[0], y), (bounds[1], y))
             lines.append(Line(label, x, y, "both", group, band))
-    return [
-        Figure(
-            _slug(family, measure.title, "over", cost.title),
-            f"{measure.title} against {cost.title.lower()}",
-            f"{measure.caption} {cost.caption}{_of(family, title)}",
-            cost.axis,
-            measure.axis,
-            tuple(lines),
-        )
-    ]
+    caption = f"{measure.caption} {cost.caption}" + (f" Runs of: {title or family}." if family else "")
+    name, heading = slug(family, measure.title, "over", cost.title), f"{measure.title} against {cost.title.lower()}"
+    return [Figure(name, heading, caption, cost.axis, measure.axis, tuple(lines))]
 
 
 def _band(one: tuple[np.ndarray, np.ndarray], other: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
@@ -227,11 +209,8 @@ def _lines(points: Sequence[StudyPoint], along: str) -> list[tuple[str, str, lis
     ]
 
 
-def _of(family: str, title: str) -> str:
-    return f" Runs of: {title or family}." if family else ""
-
-
-def _slug(*words: str) -> str:
+def slug(*words: str) -> str:
+    """Return a name for a chart, for use in file names."""
     return re.sub(r"[^a-z0-9]+", "-", "-".join(filter(None, words)).lower()).strip("-")
 
 

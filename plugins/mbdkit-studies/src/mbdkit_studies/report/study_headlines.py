@@ -6,25 +6,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed, plus_minus, told_apart
 from mbdkit_report import key_words
-from mbdkit_studies.points.sample_groups import SampleGroup, measured, sample_groups
 from mbdkit_studies.report.worst_cases import worst_cases
 from mbdkit_studies.results.cost_at_error import error_headlines
-from mbdkit_studies.statistics.measure_statistics import MeasureStatistics, statistics_of_group
-from mbdkit_studies.statistics.sample_statistics import Estimate, squared_correlation
-from mbdkit_studies.statistics.sobol_indices import members_for
+from mbdkit_studies.statistics.sample_groups import SampleGroup, measured, sample_groups
+from mbdkit_studies.statistics.sample_statistics import (
+    Estimate,
+    MeasureStatistics,
+    squared_correlation,
+    statistics_of_group,
+)
+from mbdkit_studies.statistics.sobol_indices import Sensitivity, members_for
 from mbdkit_studies.store.study_point import axis_unit, point_words
+from mbdkit_studies.study import Study
 from mbdkit_studies.texts import ERROR
-
-if TYPE_CHECKING:
-    from mbdkit_studies.statistics.sensitivity import Sensitivity
-    from mbdkit_studies.study import Study
 
 MOST = 5  #: Largest number of measures, and of samples of a study, in the headlines.
 

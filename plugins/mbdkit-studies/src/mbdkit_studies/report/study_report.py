@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -39,21 +38,18 @@ from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.pages.run_verdict import mechanism_size
 from mbdkit_report.seams import report_of_folder
-from mbdkit_studies.points.sample_groups import sample_groups
 from mbdkit_studies.report.sample_figures import sample_figures, sample_tables
 from mbdkit_studies.report.study_figures import measure_columns, study_figures, with_slope_guides
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.report.worst_cases import worst_case_tables
-from mbdkit_studies.results.added_results import ADDED, added_texts, with_emphasis
 from mbdkit_studies.results.cost_at_error import is_timed
+from mbdkit_studies.results.general_verdict import ADDED, added_texts, with_emphasis
 from mbdkit_studies.results.judge import find_verdict, judge
 from mbdkit_studies.results.point_selection import OPERATIONS, value
 from mbdkit_studies.results.study_notes import notes
-from mbdkit_studies.store.study_point import axis_unit, point_words, valid_specs
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.statistics.sample_groups import sample_groups
+from mbdkit_studies.store.study_point import StudyPoint, axis_unit, point_words, valid_specs
+from mbdkit_studies.study import Study
 
 _FILMS = 6
 _MEASURES = 4  #: Largest number of measures that the first section names.
@@ -211,18 +207,21 @@ def runs_table(study: Study) -> Table:
     if study.spec.has_table:
         units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
     usual = [*_COLUMNS, *(_TIMED if is_timed(points) else _TIMED_ONCE)]
-    asked = [
-        measure_column
-        for measure_column in measure_columns(study)
-        if measure_column[1] not in {name for _, name in usual}
-    ]
+    asked = [entry for entry in measure_columns(study) if entry[1] not in {name for _, name in usual}]
     shown = [
         (column, name)
         for column, name in (*asked, *usual)
         if any(not math.isnan(value(point, name)) for point in points)
     ]
     rows: list[tuple[Cell, ...]] = [
-        (*_named(point, units), point.status, point.verdict, *(_cell(point, name) for _, name in shown))
+        (
+            point.number,
+            point.family,
+            point_words(point, units),
+            point.status,
+            point.verdict,
+            *(_cell(point, name) for _, name in shown),
+        )
         for point in points
     ]
     named = columns_of("run; family; values; status; verdict")
@@ -233,10 +232,6 @@ def runs_table(study: Study) -> Table:
         note = f"The index of the study has all {len(study.points)} runs; `mbdkit.load_study(...).to_frame()` shows it."
         return Table("runs", f"The first {len(points)} runs", columns, tuple(rows), note)
     return Table("runs", "All runs", columns, tuple(rows))
-
-
-def _named(point: StudyPoint, units: Mapping[str, str] | None) -> tuple[Cell, ...]:
-    return point.number, point.family, point_words(point, units)
 
 
 def _cell(point: StudyPoint, name: str) -> Cell:

@@ -5,23 +5,20 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
 from mbdkit.trust.criteria import LEVELS
+from mbdkit_studies.compute.study_plan import StudyPlan
+from mbdkit_studies.points.planned_points import Grid
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.report.worst_cases import worst_cases
 from mbdkit_studies.results.study_notes import notes
+from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.sample_section import central_range, unit_of
+from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import STATUSES
-
-if TYPE_CHECKING:
-    from mbdkit_studies.compute.study_plan import StudyPlan
-    from mbdkit_studies.points.planned_points import Grid
-    from mbdkit_studies.spec.measures import Description
-    from mbdkit_studies.spec.study_spec import StudySpec
-    from mbdkit_studies.study import Study
+from mbdkit_studies.study import Study
 
 
 def summary(study: Study) -> str:

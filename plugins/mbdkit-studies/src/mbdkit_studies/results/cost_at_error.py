@@ -1,22 +1,17 @@
-"""The cost of runs at a given error, in studies with a reference."""
+"""The cost of runs at a given error, in studies with a reference, and the comparison of runs at equal cost."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from mbdkit.trust.criteria import KNOWN_POSITION
 from mbdkit_report import Cell, Column, Table
-from mbdkit_studies.results.cost import at_equal_work, work_for
-from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, value
-from mbdkit_studies.store.study_point import others_than, value_words
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
+from mbdkit_studies.results.point_selection import METHOD, OPERATIONS, grouped, value
+from mbdkit_studies.store.study_point import StudyPoint, others_than, value_words
+from mbdkit_studies.study import Study
 
 ERROR = "end_error"  #: Column of the error: the largest distance of a body from the reference at the end [m].
 
@@ -120,14 +115,13 @@ def _groups(study: Study) -> dict[str, list[StudyPoint]]:
     The keys are the families and the values on the other axes, in words. Sequences in which all errors are equal are
     left out.
     """
-    results: dict[str, list[StudyPoint]] = {}
-    for point in study.points:
-        if math.isnan(value(point, ERROR)):
-            continue
+
+    def words(point: StudyPoint) -> list[str]:
         numbers = [key for key, label in point.axes.items() if key != METHOD and isinstance(label, int | float)]
-        others = [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
-        results.setdefault(", ".join(filter(None, [point.family, *others])), []).append(point)
-    return {name: points for name, points in results.items() if len({value(point, ERROR) for point in points}) > 1}
+        return [value_words(key, point) for key in others_than((numbers or [""])[-1], point)]
+
+    groups = grouped([point for point in study.points if not math.isnan(value(point, ERROR))], words)
+    return {name: points for name, points in groups.items() if len({value(point, ERROR) for point in points}) > 1}
 
 
 def _targets(errors: list[float]) -> list[float]:
@@ -144,3 +138,55 @@ def _targets(errors: list[float]) -> list[float]:
 
 def _operations(point: StudyPoint) -> float:
     return sum(value(point, column) for column in OPERATIONS)
+
+
+def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
+    """Return the result at a given cost by log-log interpolation between neighbouring runs.
+
+    Parameters
+    ----------
+    work
+        (K,) costs of the runs, in any order; runs with costs that are not positive are ignored.
+    result
+        (K,) errors or misalignments of the runs; runs with values that are not finite or not positive are ignored.
+    wanted
+        Cost at which to interpolate.
+
+    Returns
+    -------
+    float
+        Interpolated result; nan if `wanted` lies outside the range of the costs, because nothing is extrapolated.
+    """
+    pairs = sorted((w, r) for w, r in zip(work, result, strict=True) if w > 0 and r > 0 and math.isfinite(r))
+    if not pairs or not pairs[0][0] <= wanted <= pairs[-1][0]:
+        return math.nan
+    x, y = np.log(np.array(pairs)).T
+    return float(np.exp(np.interp(math.log(wanted), x, y)))
+
+
+def work_for(work: Sequence[float], result: Sequence[float], wanted: float) -> float:
+    """Return the smallest cost from which on all results are at most `wanted`.
+
+    Parameters
+    ----------
+    work
+        (K,) costs of the runs, in any order; runs with costs that are not positive are ignored.
+    result
+        (K,) errors or misalignments of the runs; a value that is not finite counts as too large.
+    wanted
+        Result to reach.
+
+    Returns
+    -------
+    float
+        Cost, interpolated between two runs in logarithms where their results allow it; nan if the result of the most
+        expensive run exceeds `wanted`, or if there are no runs.
+    """
+    pairs = sorted((w, r if math.isfinite(r) else math.inf) for w, r in zip(work, result, strict=True) if w > 0)
+    last_bad = max((i for i, (_, r) in enumerate(pairs) if r > wanted), default=-1)
+    if last_bad == len(pairs) - 1:
+        return math.nan
+    if last_bad < 0 or not math.isfinite(pairs[last_bad][1]) or pairs[last_bad + 1][1] <= 0:
+        return pairs[last_bad + 1][0]
+    (w0, r0), (w1, r1) = pairs[last_bad], pairs[last_bad + 1]
+    return math.exp(math.log(w0) + math.log(wanted / r0) / math.log(r1 / r0) * math.log(w1 / w0))

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 from mbdkit.base.errors import PluginError, SpecError, with_place
 from mbdkit.base.text import did_you_mean, listed
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.registry.seam import Seam
-
-if TYPE_CHECKING:
-    from mbdkit.registry.catalogue import Registered
-    from mbdkit_report import Verdict
-    from mbdkit_studies.spec.study_spec import StudySpec
-    from mbdkit_studies.study import Study
+from mbdkit_report import Verdict
+from mbdkit_studies.results.general_verdict import general_verdict, with_added_methods
+from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.study import Study
 
 
 @Seam
@@ -44,11 +42,7 @@ def judge(study: Study) -> Verdict:
         If the verdict function of another distribution fails or returns no Verdict.
     """
     name = study.spec.verdict
-    from mbdkit_studies.results.added_results import with_added_methods
-
     if not name:
-        from mbdkit_studies.results.general_verdict import general_verdict
-
         return with_added_methods(general_verdict(study), study)
     item, function = find_verdict(study.spec)
     try:
@@ -62,18 +56,12 @@ def judge(study: Study) -> Verdict:
         if item.origin.distribution == "mbdkit":
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
-    return with_added_methods(_checked(verdict, item), study)
-
-
-def _checked(verdict: object, item: Registered) -> Verdict:
-    from mbdkit_report import Verdict
-
     if not isinstance(verdict, Verdict):
         what = type(verdict).__name__
         raise PluginError(
             f"the verdict of '{item.id}' is an object of type {what}, not an mbdkit_report.analysis.verdict.Verdict"
         )
-    return verdict
+    return with_added_methods(verdict, study)
 
 
 def find_verdict(spec: StudySpec) -> tuple[Registered, Callable[[object], object]]:

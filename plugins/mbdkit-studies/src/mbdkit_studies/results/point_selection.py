@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
 from mbdkit_studies.spec.method_claims import METHOD as METHOD
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
-
+from mbdkit_studies.store.study_point import StudyPoint
+from mbdkit_studies.study import Study
 
 MODEL, STEP = "model", "time.step"
 #: Suffix of the family in which an added method has tolerances in place of the steps of another family.
@@ -61,6 +57,14 @@ class Points:
 def value(point: StudyPoint, column: str) -> float:
     """Return a value of a point; nan if its run is not complete."""
     return float(point.values.get(column, math.nan)) if point.status == "complete" else math.nan
+
+
+def grouped(points: Iterable[StudyPoint], words: Callable[[StudyPoint], Iterable[str]]) -> dict[str, list[StudyPoint]]:
+    """Return the points with the same family and the same words, by these as one line."""
+    groups: dict[str, list[StudyPoint]] = {}
+    for point in points:
+        groups.setdefault(", ".join(filter(None, [point.family, *words(point)])), []).append(point)
+    return groups
 
 
 def family(study: Study, name: str) -> Points:

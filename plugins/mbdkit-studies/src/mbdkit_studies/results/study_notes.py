@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +16,9 @@ from mbdkit.base.text import counted, listed
 from mbdkit.runs.method_evidence import evidence_of
 from mbdkit_studies.statistics.sample_statistics import CONFIDENCE
 from mbdkit_studies.store.study_index import BETWEEN_REASONS, STATUSES
-from mbdkit_studies.store.study_point import valid_specs
+from mbdkit_studies.store.study_point import StudyPoint, valid_specs
+from mbdkit_studies.study import Study
 from mbdkit_studies.texts import ERROR, without_numbers
-
-if TYPE_CHECKING:
-    from mbdkit_studies.store.study_point import StudyPoint
-    from mbdkit_studies.study import Study
 
 _CODE = re.compile(r"[a-z-]+(?=: )")  #: Code at the beginning of the reason for a failure.
 

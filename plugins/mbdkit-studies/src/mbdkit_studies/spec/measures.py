@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import overload
+from pathlib import Path
 
 import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.archive.peak_errors import missed_of_verdict
 from mbdkit.archive.run import Run
@@ -23,15 +25,10 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit_report import Trend, trends
-from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN
-from mbdkit_studies.spec.reference_errors import (
-    EVERY_ROW,
-    LAST_ROW,
-    carries_multipliers,
-    common_rows,
-    multiplier_error,
-    offsets,
-)
+from mbdkit_studies.spec import reference_errors
+from mbdkit_studies.spec.made_items import MadeItems
+from mbdkit_studies.spec.reference_errors import EVERY_ROW, LAST_ROW, METHOD_MULTIPLIER, common_rows, offsets
+from mbdkit_studies.spec.study_spec import REFERENCE, SECOND_RUN
 from mbdkit_studies.texts import ERROR
 
 
@@ -95,27 +92,12 @@ class RunGroup:
         return np.full(len(self), value)
 
 
-class RunsInMemory(Sequence[Run]):
+class RunsInMemory(MadeItems[Run]):
     """Runs with their specs, each of which is made when it is needed."""
 
     def __init__(self, results: FinishedRuns, specs: Sequence[RunSpec]):
+        super().__init__(len(results), lambda place: Run(ArrayContents(results.run(place), specs[place])))
         self.results, self.specs = results, specs
-
-    def __len__(self) -> int:
-        return len(self.results)
-
-    @overload
-    def __getitem__(self, place: int) -> Run: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> list[Run]: ...
-
-    def __getitem__(self, place: int | slice) -> Run | list[Run]:
-        if isinstance(place, slice):
-            return [self[index] for index in range(*place.indices(len(self)))]
-        if place >= len(self):
-            raise IndexError(place)
-        return Run(ArrayContents(self.results.run(place), self.specs[place]))
 
     def groups(self) -> Iterator[tuple[list[int], RunGroup]]:
         """Yield groups with the indices of their runs."""
@@ -133,28 +115,24 @@ class RunsInMemory(Sequence[Run]):
 
 @dataclass(frozen=True)
 class Description:
-    """Unit and description of a measure."""
+    """Unit, in SI, and description of a measure."""
 
     units: str
     long_name: str
 
 
 @dataclass(frozen=True)
-class Measure:
+class Measure(Description):
     """A scalar result of a run.
 
     Parameters
     ----------
-    units
-        SI units.
     take
         Function of a group of R runs that returns their values, (R,). The value of a run does not depend on other runs.
     needs
         What the measure needs in addition to the run: `REFERENCE`, or an empty string.
     """
 
-    units: str
-    long_name: str
     take: Callable[[RunGroup], np.ndarray]
     needs: str = ""
 
@@ -179,24 +157,21 @@ def _largest_of(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.max(values.reshape(len(values), -1), axis=1, initial=0.0))
 
 
+def _recorded(path: str, take: Callable[[np.ndarray], np.ndarray]) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take` of an array (R, T, ...); nan for runs that have not recorded it."""
+    return lambda group: take(group.array(path)) if group.records(path) else group.everywhere(math.nan)
+
+
 def _largest(path: str) -> Callable[[RunGroup], np.ndarray]:
-    def take(group: RunGroup) -> np.ndarray:
-        if not group.records(path):
-            return group.everywhere(math.nan)
-        return _largest_of(np.abs(group.array(path)))
-
-    return take
+    return _recorded(path, lambda values: _largest_of(np.abs(values)))
 
 
-def _misalignment(group: RunGroup) -> np.ndarray:
-    return np.array([run.misalignment_max for run in group.runs])
-
-
-def _reaction(group: RunGroup) -> np.ndarray:
-    if not group.records("joints/reaction_force"):
-        return group.everywhere(math.nan)
-    force = group.array("joints/reaction_force")
+def _largest_norm(force: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(_largest_of(force[..., 0] * force[..., 0] + force[..., 1] * force[..., 1])))
+
+
+def _last(values: np.ndarray) -> np.ndarray:
+    return values[:, -1] if values.shape[1] else np.full(len(values), math.nan)
 
 
 def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
@@ -216,10 +191,14 @@ def _largest_value(units: str) -> Callable[[RunGroup], np.ndarray]:
     return take
 
 
-def _end_balance(group: RunGroup) -> np.ndarray:
-    if not group.records("energy/balance") or not len(group.time):
-        return group.everywhere(math.nan)
-    return group.array("energy/balance")[:, -1]
+def _compared(take: Callable[[Run, Run], float]) -> Callable[[RunGroup], np.ndarray]:
+    """Return a function for `Measure.take` that compares runs with their reference; nan unless both are complete."""
+
+    def of(run: Run, reference: Run | None) -> float:
+        is_known = reference is not None and run.status == reference.status == "complete"
+        return take(run, reference) if reference is not None and is_known else math.nan
+
+    return _one_by_one(of)
 
 
 def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
@@ -228,16 +207,12 @@ def _error(part: slice, rows: slice) -> Callable[[RunGroup], np.ndarray]:
     The error is the difference from the reference run, in `rows` of the run.
     """
 
-    def take(run: Run, reference: Run | None) -> float:
-        if reference is None or not run.status == reference.status == "complete":
-            return math.nan
-        if (
-            run.status_reason or reference.status_reason
-        ):  # an event ended one of the two runs early, so that their end times may differ
+    def take(run: Run, reference: Run) -> float:
+        if run.status_reason or reference.status_reason:  # an event ended one of them early: end times may differ
             return math.nan
         return float(np.max(np.linalg.norm(offsets(run, reference, rows)[..., part], axis=-1), initial=0.0))
 
-    return _one_by_one(take)
+    return _compared(take)
 
 
 def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
@@ -246,9 +221,7 @@ def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
     The error is the difference from the reference run, at the times that both runs recorded, without the start.
     """
 
-    def take(run: Run, reference: Run | None) -> float:
-        if reference is None or not run.status == reference.status == "complete":
-            return math.nan
+    def take(run: Run, reference: Run) -> float:
         mine, theirs = common_rows(run, reference)
         if not len(mine):
             return math.nan
@@ -256,19 +229,16 @@ def _rate_error(part: slice) -> Callable[[RunGroup], np.ndarray]:
         difference = (velocity[0][mine] - velocity[1][theirs])[..., part]
         return float(np.max(np.linalg.norm(difference, axis=-1), initial=0.0))
 
-    return _one_by_one(take)
+    return _compared(take)
 
 
-def _multiplier_error(run: Run, reference: Run | None) -> float:
-    if reference is None or not run.status == reference.status == "complete":
-        return math.nan
-    if not all(which.records("constraints/multiplier") for which in (run, reference)):
-        return math.nan
-    return multiplier_error(run, reference)
+def _multiplier_error(run: Run, reference: Run) -> float:
+    is_recorded = all(which.records("constraints/multiplier") for which in (run, reference))
+    return reference_errors.multiplier_error(run, reference) if is_recorded else math.nan
 
 
 def _own_multipliers(group: RunGroup) -> np.ndarray:
-    own = float(carries_multipliers(group.first)) if group.records("constraints/multiplier") else math.nan
+    own = float(group.records(METHOD_MULTIPLIER)) if group.records("constraints/multiplier") else math.nan
     return group.everywhere(own)
 
 
@@ -307,71 +277,34 @@ def _size(group: RunGroup) -> np.ndarray:
 
 _XY, _THETA = slice(0, 2), slice(2, 3)
 
-MEASURES: Mapping[str, Measure] = {
-    "misalignment_max": Measure("m", "largest misalignment of any joint over every step", _misalignment),
-    "velocity_misalignment_max": Measure(
-        "m/s",
-        "largest velocity misalignment of any joint in the recorded rows",
-        _largest("joints/velocity_misalignment"),
-    ),
-    "angle_misalignment_max": Measure(
-        "rad", "largest angle misalignment of any joint in the recorded rows", _largest("joints/angle_misalignment")
-    ),
-    "energy_balance_max": Measure("J", "largest absolute energy balance", _largest("energy/balance")),
-    "energy_balance_end": Measure("J", "energy balance at the end", _end_balance),
-    "energy_scale": Measure("J", "largest kinetic energy", _largest("energy/kinetic")),
-    "reaction_force_max": Measure("N", "largest reaction force of any joint in the recorded rows", _reaction),
-    "element_force_max": Measure("N", "largest force of any force element in the recorded rows", _largest_value("N")),
-    "element_torque_max": Measure(
-        "N m", "largest torque of any force element in the recorded rows", _largest_value("N m")
-    ),
-    "driver_power_max": Measure(
-        "W", "largest absolute power of any driver in the recorded rows", _largest("joints/driver_power")
-    ),
-    "end_error": Measure(
-        "m", "largest distance of a body from the reference at the end", _error(_XY, LAST_ROW), REFERENCE
-    ),
-    "end_angle_error": Measure(
-        "rad", "largest angle error of a body against the reference at the end", _error(_THETA, LAST_ROW), REFERENCE
-    ),
-    "trajectory_error": Measure(
-        "m", "largest distance of a body from the reference in the recorded rows", _error(_XY, EVERY_ROW), REFERENCE
-    ),
-    "trajectory_angle_error": Measure(
-        "rad",
-        "largest angle error of a body against the reference in the recorded rows",
-        _error(_THETA, EVERY_ROW),
-        REFERENCE,
-    ),
-    "velocity_error": Measure(
-        "m/s",
-        "largest velocity error of a body against the reference in the rows that both runs recorded",
-        _rate_error(_XY),
-        REFERENCE,
-    ),
-    "angular_velocity_error": Measure(
-        "rad/s",
-        "largest angular velocity error of a body against the reference in the rows that both runs recorded",
-        _rate_error(_THETA),
-        REFERENCE,
-    ),
-    "multiplier_error": Measure(
-        "1",
-        "largest error of a multiplier in the rows that both runs recorded, relative to the largest one of its unit; "
-        "multipliers of the method if it computes any, else index-1 multipliers",
-        _one_by_one(_multiplier_error),
-        REFERENCE,
-    ),
-    "own_multipliers": Measure("1", "1 if the method computes multipliers itself, else 0", _own_multipliers),
-    "energy_trend": Measure("W", "slope of the energy balance over time", _trend(lambda trend: trend.slope)),
-    "energy_trend_error": Measure("W", "standard error of that slope", _trend(lambda trend: trend.error)),
-    "energy_oscillation": Measure(
-        "J", "largest distance of the energy balance from its trend", _trend(lambda trend: trend.oscillation)
-    ),
-    "duration": Measure("s", "time from the first recorded row to the last", _duration),
-    "mechanism_size": Measure(
-        "m", "longer side of the bounding box of joint points and centres of mass at the start", _size
-    ),
+_AGAINST_REFERENCE: Mapping[str, Callable[[RunGroup], np.ndarray]] = {
+    "end_error": _error(_XY, LAST_ROW),
+    "end_angle_error": _error(_THETA, LAST_ROW),
+    "trajectory_error": _error(_XY, EVERY_ROW),
+    "trajectory_angle_error": _error(_THETA, EVERY_ROW),
+    "velocity_error": _rate_error(_XY),
+    "angular_velocity_error": _rate_error(_THETA),
+    "multiplier_error": _compared(_multiplier_error),
+}
+
+_TAKE: Mapping[str, Callable[[RunGroup], np.ndarray]] = {
+    "misalignment_max": _one_by_one(lambda run, _: run.misalignment_max),
+    "velocity_misalignment_max": _largest("joints/velocity_misalignment"),
+    "angle_misalignment_max": _largest("joints/angle_misalignment"),
+    "energy_balance_max": _largest("energy/balance"),
+    "energy_balance_end": _recorded("energy/balance", _last),
+    "energy_scale": _largest("energy/kinetic"),
+    "reaction_force_max": _recorded("joints/reaction_force", _largest_norm),
+    "element_force_max": _largest_value("N"),
+    "element_torque_max": _largest_value("N m"),
+    "driver_power_max": _largest("joints/driver_power"),
+    **_AGAINST_REFERENCE,
+    "own_multipliers": _own_multipliers,
+    "energy_trend": _trend(lambda trend: trend.slope),
+    "energy_trend_error": _trend(lambda trend: trend.error),
+    "energy_oscillation": _trend(lambda trend: trend.oscillation),
+    "duration": _duration,
+    "mechanism_size": _size,
 }
 
 
@@ -390,32 +323,29 @@ def _reaction_error_share(run: Run, reference: Run | None) -> float:
     return 0.0 if worst is None else worst.share
 
 
+_OF_CHECKED_RUNS: Mapping[str, Callable[[RunGroup], np.ndarray]] = {
+    "known_until": _estimated("known_until"),
+    "reaction_error_share": _one_by_one(_reaction_error_share),
+    "position_error_estimate": _estimated("position_error_max"),
+    "angle_error_estimate": _estimated("angle_error_max"),
+}
+
+with (Path(__file__).parent / "measures.csv").open(encoding="utf-8", newline="") as _file:
+    _DESCRIBED = {row["name"]: Description(row["units"], row["long_name"]) for row in csv.DictReader(_file)}
+
+MEASURES: Mapping[str, Measure] = {
+    name: Measure(**vars(_DESCRIBED[name]), take=take, needs=REFERENCE if name in _AGAINST_REFERENCE else "")
+    for name, take in _TAKE.items()
+}
+
 #: Measures of runs whose spec has ``check: true``, in addition to those that the study requests.
 OF_CHECKED_RUNS: Mapping[str, Measure] = {
-    "known_until": Measure("s", "time until which the estimated errors are known", _estimated("known_until")),
-    "reaction_error_share": Measure(
-        "1",
-        "largest estimated error of a reaction force up to known_until, relative to the joint's largest force",
-        _one_by_one(_reaction_error_share),
-    ),
-    "position_error_estimate": Measure(
-        "m", "largest estimated error of the position of a body up to known_until", _estimated("position_error_max")
-    ),
-    "angle_error_estimate": Measure(
-        "rad", "largest estimated error of the angle of a body up to known_until", _estimated("angle_error_max")
-    ),
+    name: Measure(**vars(_DESCRIBED[name]), take=take) for name, take in _OF_CHECKED_RUNS.items()
 }
+
 #: Measures that need a second run: units and description.
-SECOND: Mapping[str, tuple[str, str]] = {
-    "reversibility_defect": (
-        "m",
-        "mass-weighted distance from the start after the run and its reversal",
-    ),
-    "reversibility_velocity_defect": (
-        "m/s",
-        "mass-weighted difference from the start velocities after the run and its reversal",
-    ),
-    "velocity_misalignment_every_step": ("m/s", "largest velocity misalignment of any joint over every step"),
+SECOND: Mapping[str, Description] = {
+    name: text for name, text in _DESCRIBED.items() if name not in (*MEASURES, *OF_CHECKED_RUNS)
 }
 
 
@@ -436,6 +366,16 @@ def other_values(run: Run, spec: RunSpec, defined: Iterable[DefinedMeasure]) -> 
             values[measure.name + ERROR] = taken.error(value, run)
     checked = {} if run.accuracy is None else OF_CHECKED_RUNS
     return values | {name: measure.of(run) for name, measure in checked.items()}
+
+
+def numbers_of(
+    run: Run, reference: Run | None, spec: RunSpec, names: Iterable[str], defined: Iterable[DefinedMeasure]
+) -> dict[str, float]:
+    """Return the numbers of a run, by column: the built-in measures with these names, `other_values`, and counters."""
+    group = RunGroup([run], reference)
+    values = {name: float(MEASURES[name].take(group)[0]) for name in names}
+    counters = {name: float(run.stats.get(name, math.nan)) for name in COUNTERS}
+    return values | other_values(run, spec, defined) | counters
 
 
 def built_in_measures() -> Mapping[str, str]:

@@ -11,6 +11,9 @@ from mbdkit.base.errors import MbdkitError
 
 EVERY_ROW, LAST_ROW = slice(None), slice(-1, None)
 
+#: Multipliers that a method computes itself, in addition to the index-1 multipliers at the recorded states.
+METHOD_MULTIPLIER = "constraints/method_multiplier"
+
 
 def offsets(run: Run, reference: Run, rows: slice = EVERY_ROW) -> np.ndarray:
     """Return the differences in the positions of the bodies between a run and a reference at the times of the run.
@@ -70,11 +73,10 @@ def multiplier_error(run: Run, reference: Run) -> float:
         Largest error, relative to the largest multiplier of the same unit in the reference; nan if the runs have no
         common times after the start, inf if multipliers that are all zero in the reference are not zero in the run.
     """
-    multipliers = carries_multipliers(run)
     mine, theirs = common_rows(run, reference)
     if not len(mine):
         return math.nan
-    result = run.array("constraints/method_multiplier" if multipliers else "constraints/multiplier")[mine]
+    result = run.array(METHOD_MULTIPLIER if run.records(METHOD_MULTIPLIER) else "constraints/multiplier")[mine]
     right = reference.array("constraints/multiplier")
     units = run.array("constraints/multiplier_row_units")
     worst = 0.0
@@ -85,13 +87,6 @@ def multiplier_error(run: Run, reference: Run) -> float:
         if off > 0:
             worst = max(worst, off / scale if scale > 0 else math.inf)
     return worst
-
-
-def carries_multipliers(run: Run) -> bool:
-    """Return whether a run recorded the multipliers that its method computes, in addition to the index-1 multipliers
-    at the recorded states.
-    """
-    return run.records("constraints/method_multiplier")
 
 
 def interpolated(run: Run, time: np.ndarray) -> np.ndarray:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path as FilePath
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.base.plain_data import Path, copied, path_text
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.items import StudyPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import example_names, exists, nearest_examples, read_source
 from mbdkit.spec.reading import Document, parse_key, read_assignment, read_file, read_text
-from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader
+from mbdkit.spec.schema import schema_with_bases
+from mbdkit.spec.spec_kinds import kind_of, packaged_spec, refused, spec_loader, spec_schema
 from mbdkit_studies.spec.sample_section import comparable
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.spec.value_sets import sets_together
@@ -95,13 +96,8 @@ def _override(document: Document, assignment: str) -> None:
         document.assign(assignment)
         return
     key = path_text(path)
-    holders: dict[Path, dict[str, object]] = {(): document.data}
     _check_sample(document.data.get("sample"), path, assignment)
-    families = document.data.get("families")
-    for name, family in families.items() if isinstance(families, Mapping) else ():
-        if isinstance(family, dict):  # validation reports other types
-            holders["families", name] = family
-    for place, holder in holders.items():
+    for place, holder in _holders(document.data).items():
         _check_axes(holder.get("axes"), path, assignment)
         given = holder.get("overrides")
         if (place and not given) or not isinstance(given, Mapping | None):
@@ -134,6 +130,18 @@ def _check_axes(axes: object, path: Path, assignment: str) -> None:
 def is_study_name(name: str) -> bool:
     """Return whether a name is that of a packaged study, but not of a packaged spec of runs or of inverse dynamics."""
     return name not in {*example_names("run"), *example_names("inverse")} and _packaged(name) is not None
+
+
+@spec_schema
+def study_schema(installed: Registry | None = None) -> dict[str, object]:
+    """Return the JSON schema (draft 2020-12) of the study spec; its bases include the schema of the run spec.
+
+    Parameters
+    ----------
+    installed
+        Registry of the models, integrators and force laws to include; by default, all that are installed.
+    """
+    return schema_with_bases(StudySpec, {"Base": "run"}, installed, holder="Family", units=None)
 
 
 def study_names() -> list[str]:
@@ -215,19 +223,23 @@ def _packaged_document(name: str, *, quick: bool = False) -> tuple[Document, Fil
     return document, path.parent
 
 
+def _holders(data: dict[str, Any]) -> dict[Path, dict[str, object]]:
+    """Return the mappings that may have `base`, `overrides` and `axes`, by key path: the study and its families."""
+    families = data.get("families")
+    if isinstance(families, dict):  # copied, because several may be one object in YAML
+        data["families"] = families = {
+            name: dict(one) if isinstance(one, dict) else one for name, one in families.items()
+        }
+    known = families.items() if isinstance(families, dict) else ()
+    return {(): data} | {("families", name): one for name, one in known if isinstance(one, dict)}
+
+
 def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Document]:
     """Replace each base that is a name or a Python object by its data; return the documents of the bases by key
     path.
     """
     documents: dict[Path, Document] = {}
-    holders: dict[Path, dict[str, object]] = {(): data}
-    families = data.get("families")
-    if isinstance(families, Mapping):
-        data["families"] = families = dict(families)
-        for name, family in families.items():
-            if isinstance(family, Mapping):
-                families[name] = holders["families", name] = dict(family)
-    for path, holder in holders.items():
+    for path, holder in _holders(data).items():
         base = holder.get("base")
         if base is None:
             continue

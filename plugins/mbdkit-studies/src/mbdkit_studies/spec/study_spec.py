@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path as FilePath
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -12,7 +13,7 @@ from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, ValidationE
 from pydantic_core import PydanticCustomError
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text, quoted
+from mbdkit.base.plain_data import LONGEST_NAME, Path, copied, parse_path, path_text
 from mbdkit.base.strict_model import FormatVersion
 from mbdkit.base.text import listed, shortened
 from mbdkit.mechanism.validation_errors import spec_error
@@ -21,16 +22,31 @@ from mbdkit.spec.model_spec import StrictSpec
 from mbdkit.spec.reading import Document, parse_key, put
 from mbdkit.spec.sections import Section
 from mbdkit.spec.study_measures import DefinedMeasure, Measures, built_in_measures, defined
-from mbdkit_studies.spec.listed_measures import REFERENCE, SECOND_RUN, built_in
 from mbdkit_studies.spec.sample_section import Sample, comparable
 from mbdkit_studies.spec.tolerance_section import Tolerance
 from mbdkit_studies.spec.value_sets import ValueSet, sets_together, size
 
+#: What a built-in measure may need in addition to the run.
+#:
+#: Measures that need a second run are computed only if a study lists them.
+REFERENCE, SECOND_RUN = "reference", "second run"
+
+
+def expressions_of(measures: Iterable[DefinedMeasure]) -> tuple[str, ...]:
+    """Return the expressions of the measures that a study itself defines; those of its bases are part of the run
+    specs.
+    """
+    return tuple(measure.expression for measure in measures if measure.item is None and not measure.of_base)
+
+
+def _check_key(key: str, place: Path) -> None:
+    if not parse_key(key):
+        raise SpecError("should be a dotted key of a run spec, such as time.step", key=path_text(place))
+
 
 def _check_keys(keys: dict[str, object]) -> dict[str, object]:
     for key in keys:
-        if not parse_key(key):
-            raise SpecError("should be a dotted key of a run spec, such as time.step", key=quoted(key))
+        _check_key(key, (key,))
     return keys
 
 
@@ -47,9 +63,7 @@ def _check_axis(axis: dict[str, Any]) -> dict[str, object]:
                 raise SpecError(message, key=path_text((key, place[0])))
         for place, keys in together:
             for inner in keys:
-                if not parse_key(inner):
-                    message = "should be a dotted key of a run spec, such as time.step"
-                    raise SpecError(message, key=path_text((key, *place, inner)))
+                _check_key(inner, (key, *place, inner))
     if not sizes:
         raise SpecError("needs at least one key of a run spec, such as `time.step: [0.1, 0.01]`")
     if len(set(sizes.values())) > 1:
@@ -151,14 +165,8 @@ class StudySpec(StrictSpec):
 
     model_config = ConfigDict(title="mbdkit study spec", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "sample",
-        "tolerances",
-        "added",
-        "store",
-        "block",
-        "compress",
-        "members",
-    )
+        "sample", "tolerances", "added", "store", "block", "compress", "members",
+    )  # fmt: skip
     """Keys that the canonical form omits if they have their default values.
 
     Studies written before these keys existed therefore keep their hash.
@@ -331,7 +339,9 @@ class StudySpec(StrictSpec):
     @property
     def built_in_measures(self) -> tuple[str, ...] | None:
         """Names of the built-in measures to compute; None for all that are computed from the archive."""
-        return built_in(self.measures)
+        if isinstance(self.measures, list):
+            return tuple(entry for entry in self.measures if isinstance(entry, str) and entry in built_in_measures())
+        return None
 
     @property
     def second_run_measures(self) -> tuple[str, ...]:
@@ -348,7 +358,8 @@ class StudySpec(StrictSpec):
             If a measure of a base is not valid, or has the name of a measure with another definition.
         """
         found = {measure.name: measure for measure in defined(self.measures, ("measures",))}
-        for measure in self._measures_of_bases():
+        of_bases = (_measures_of(base, place, keys) for base, place, keys, _ in self._bases_of_families())
+        for measure in chain.from_iterable(of_bases):
             other = found.setdefault(measure.name, measure)
             if not other.is_like(measure):
                 raise SpecError(
@@ -357,11 +368,6 @@ class StudySpec(StrictSpec):
                     key=path_text(measure.place),
                 )
         return tuple(found.values())
-
-    def _measures_of_bases(self) -> Iterator[DefinedMeasure]:
-        """Yield the measures of the base of each family, with the overrides of the study and of the family."""
-        for base, place, keys, _ in self._bases_of_families():
-            yield from _measures_of(base, place, keys)
 
     def _bases_of_families(self) -> Iterator[tuple[Mapping[str, Any], Path, dict[Path, object], Axes]]:
         """Yield the base of each family, its key path, the overrides by their key path, and the axes."""

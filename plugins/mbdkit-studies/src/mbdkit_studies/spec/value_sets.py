@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections import defaultdict
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -244,30 +244,21 @@ def _short(value: object) -> str:
 def _told_apart(entries: Sequence[Value]) -> tuple[Value, ...]:
     """Append numbers to labels that different values share, so that labels are unique."""
     taken: set[int | float | str] = {entry.label for entry in entries}
-    labels: dict[int | float | str, dict[Hashable, int | float | str]] = {}
+    namesakes: dict[int | float | str, list[Value]] = defaultdict(list)  # with their unique labels
     numbers: dict[int | float | str, Iterator[int]] = defaultdict(lambda: itertools.count(2))
     result = []
     for entry in entries:
-        namesakes, value = labels.setdefault(entry.label, {}), _hashable(entry.value)
-        if not namesakes:
-            namesakes[value] = entry.label
-        elif value not in namesakes:
+        known = namesakes[entry.label]
+        equal = next((other for other in known if other.value == entry.value), None)
+        label = entry.label if equal is None else equal.label
+        if known and equal is None:
             numbered = (f"{entry.label} ({number})" for number in numbers[entry.label])
-            namesakes[value] = next(label for label in numbered if label not in taken)
-            taken.add(namesakes[value])
-        result.append(replace(entry, label=namesakes[value]))
+            label = next(one for one in numbered if one not in taken)
+            taken.add(label)
+        result.append(replace(entry, label=label))
+        if equal is None:
+            known.append(result[-1])
     return tuple(result)
-
-
-def _hashable(value: object) -> Hashable:
-    """Return a hashable object that is equal for equal values."""
-    match value:
-        case Mapping():
-            return frozenset((key, _hashable(item)) for key, item in value.items())
-        case list() | tuple():
-            return tuple(map(_hashable, value))
-    hashable: Hashable = value
-    return hashable
 
 
 NUMBER = {"type": ["number", "string"], "pattern": QUANTITY}  #: JSON schema of a number, which may have a unit.

@@ -11,12 +11,13 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.measures.measure_expression import SeriesExpression
 from mbdkit_report import data_frame
-from mbdkit_studies.points.sample_groups import SampledStudy, groups_where, is_bad, one_group
+from mbdkit_studies.statistics.sample_groups import groups_where, is_bad, one_group
 
 if TYPE_CHECKING:
     import pandas
 
     from mbdkit_studies.points.planned_points import Label
+    from mbdkit_studies.store.study_runs import StudyRuns
 
 
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -78,12 +79,12 @@ class QuantileBands:
 
 
 def quantiles(
-    study: SampledStudy,
+    study: StudyRuns,
     quantity: str,
-    q: float | Sequence[float],
+    q: float | Sequence[float] = QUANTILES,
     *,
-    where: Mapping[str, Label] | None,
-    times: Sequence[float] | np.ndarray | None,
+    where: Mapping[str, Label] | None = None,
+    times: Sequence[float] | np.ndarray | None = None,
 ) -> QuantileBands:
     """Return quantiles of a quantity at each time; see `Study.quantiles`."""
     probabilities = np.atleast_1d(np.asarray(q, float))
@@ -148,7 +149,7 @@ class _Grid:
     step: int = 1
 
     @classmethod
-    def of(cls, study: SampledStudy, places: Set[int]) -> _Grid:
+    def of(cls, study: StudyRuns, places: Set[int]) -> _Grid:
         """Return the recorded times of the runs if all runs have the same times, otherwise equally spaced times."""
         longest = np.empty(0)
         start, end, same = np.inf, -np.inf, True

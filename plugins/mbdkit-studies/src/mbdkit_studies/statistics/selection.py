@@ -154,16 +154,17 @@ class _Condition(Compiler):
 
     def condition(self, node: ast.expr, nesting: int) -> Any:
         """Return the value of a node that must be true or false."""
-        result = self.value(node, nesting)
-        if np.asarray(result).dtype != bool:
-            self.refuse(f"'{self.segment(node)}' is neither true nor false; compare it with something", node)
-        return result
+        return self.of_kind("b", "is neither true nor false; compare it with something", node, nesting)
 
     def numeric(self, node: ast.expr, nesting: int) -> Any:
         """Return the value of a node that must be a number."""
+        return self.of_kind("fiu", "is not a number", node, nesting)
+
+    def of_kind(self, kinds: str, refusal: str, node: ast.expr, nesting: int) -> Any:
+        """Return the value of a node whose array must have one of the `kinds` of NumPy."""
         result = self.value(node, nesting)
-        if np.asarray(result).dtype.kind not in "fiu":
-            self.refuse(f"'{self.segment(node)}' is not a number", node)
+        if np.asarray(result).dtype.kind not in kinds:
+            self.refuse(f"'{self.segment(node)}' {refusal}", node)
         return result
 
     def comparison(self, node: ast.Compare, nesting: int) -> Any:

@@ -7,10 +7,9 @@ structure are those of a run archive, the groups of others are in ``structure-2`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import h5py
@@ -20,13 +19,13 @@ from mbdkit.archive.fingerprint import seal
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.layout import COUNTERS, TIMINGS, name_texts
-from mbdkit.archive.part_file import write_image
 from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array, Recorded
 from mbdkit.quantities.registered_kinds import sizes_of
 from mbdkit.quantities.table import KINDS
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, write_column, write_hashes
+from mbdkit_studies.folder import tables
+from mbdkit_studies.spec.measures import Description
 
 FORMAT = "mbdkit-block"
 FORMAT_VERSION = "1.0"
@@ -43,11 +42,11 @@ HISTORIES = frozenset(
 #: Values of `store` for which a study keeps recorded rows.
 KEEPING_TIMES: tuple[Store, ...] = ("histories", "all")
 
-#: Axes of a run archive that grow during a run, each with the group in which a block stores its length by run.
-COUNTS = (
-    ("time", "trajectory"), ("interval", "steps"), ("event", "events"), ("impact", "impacts"), ("set/number", "inputs"),
-    ("sample", "samples"),
-)  # fmt: skip
+#: Groups in which a block stores the lengths of the axes that grow during a run, by the axis of a run archive.
+GROUPS = {
+    "time": "trajectory", "interval": "steps", "event": "events", "impact": "impacts", "set/number": "inputs",
+    "sample": "samples",
+}  # fmt: skip
 
 
 def prefix(structure: int) -> str:
@@ -55,34 +54,10 @@ def prefix(structure: int) -> str:
     return f"structure-{structure + 1}/" if structure else ""
 
 
-_BY_RUN = {
-    "status": "complete, failed, interrupted, missing or left-out",
-    "status_reason": "why it is not complete, or the event that ended it",
-    "verdict": "good, unknown, doubtful or bad; empty without results",
-    "worst_joint": "joint with the largest misalignment",
-    "base": "spec before the values of the run are set, JSON",
-    "plugins": "model, integrator and force laws with their versions, JSON",
-    "mechanism": "mechanism that was run, JSON; empty if mbdkit itself has its model and force laws",
-    "files": "name, size and SHA-256 of every file that was read, JSON; empty without files",
-}
-_OF_SUMMARY = {
-    "verdict_reasons": "reasons for the verdict, JSON",
-    "warnings": "warnings about spec and run, JSON",
-    "assembly": "how the start was made consistent",
-}
-_HASHES = {
-    "run_id": "identifier of the run",
-    "spec_sha256": "hash of its spec",
-    "data_sha256": "hash of all its arrays, kept or not",
-}
-
-#: Names in a block of the axes that grow during a run.
-#:
-#: The scale along such an axis numbers the rows, because the recorded times differ between runs.
-_AXIS = {
-    "time": "row", "interval": "interval", "event": "event", "impact": "impact", "set/number": "set/number",
-    "sample": "sample",
-}  # fmt: skip
+#: Columns of the group ``runs``.
+_BY_RUN = tables.described_columns("block")
+_OF_SUMMARY = ("verdict_reasons", "warnings", "assembly")
+_HASHES = ("run_id", "spec_sha256", "data_sha256")
 
 UNSET = object()  #: Stands for a value that a run does not set.
 
@@ -116,7 +91,7 @@ class BlockRuns:
     ----------
     numbers
         Numbers of the runs in the study, from 1.
-    status, reason
+    status, status_reason
         Status of a run, and why it is not complete or which event ended it; otherwise empty.
     spec_sha256, run_id
         Hash and identifier of the run's spec; empty if the spec is not valid.
@@ -132,7 +107,7 @@ class BlockRuns:
 
     numbers: Sequence[int]
     status: Texts
-    reason: Texts
+    status_reason: Texts
     spec_sha256: Texts = ""
     run_id: Texts = ""
     plugins: Texts = ""
@@ -163,56 +138,27 @@ class BlockHeading:
     study_sha256: str
     store: Store
     provenance: Mapping[str, str | int | float]
-    measures: Mapping[str, tuple[str, str]]
+    measures: Mapping[str, Description]
     compress: bool = False
 
 
 def kept(finished: FinishedRuns, store: Store) -> FinishedRuns:
     """Return runs with the arrays selected by `store` and the arrays of names."""
-    return finished if store == "all" else finished.with_layout(_KEPT.of(finished.layout, store))
+    return finished if store == "all" else finished.with_layout(_kept_arrays(finished.layout, store))
 
 
-class _KeptArrays:
-    """Selects the arrays of a layout that a study stores.
-
-    Runs usually share their layout, so the last result is cached. Layouts are compared by identity, which is faster
-    than computing their hashes.
-    """
-
-    def __init__(self) -> None:
-        self._asked: tuple[tuple[Array, ...], Store] = ((), "all")
-        self._found: tuple[Array, ...] = ()
-
-    def of(self, recorded: tuple[Array, ...], store: Store) -> tuple[Array, ...]:
-        """Return the arrays selected by `store`, and the arrays of names."""
-        if self._asked[0] is not recorded or self._asked[1] != store:
-            wanted: frozenset[str] = HISTORIES if store == "histories" else frozenset()
-            self._found = tuple(one for one in recorded if not one.grows or one.path in wanted)
-            self._asked = recorded, store
-        return self._found
-
-
-_KEPT = _KeptArrays()
-
-
-def write_block(path: Path, heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]) -> None:
-    """Write a block with all runs of its points; an existing file at `path` is replaced.
-
-    Raises
-    ------
-    SpecError
-        If no file may be written at `path`.
-    ResourceError
-        If the file cannot be written, as on a full disk.
-    """
-    write_image(path, block_image(heading, points, runs), overwrite=True)
+@lru_cache(maxsize=8)
+def _kept_arrays(recorded: tuple[Array, ...], store: Store) -> tuple[Array, ...]:
+    """Return the arrays selected by `store`, and the arrays of names; one object for runs with the same layout."""
+    wanted = HISTORIES if store == "histories" else frozenset[str]()
+    return tuple(array for array in recorded if not array.grows or array.path in wanted)
 
 
 def block_image(heading: BlockHeading, points: BlockPoints, runs: Sequence[BlockRuns]) -> bytes:
     """Return the bytes of a block."""
-    with hdf5_in_memory() as file:
+    with tables.hdf5_in_memory() as file:
         _Writer(file, heading, points, runs).write()
-        return file_bytes(file)
+        return tables.file_bytes(file)
 
 
 class _Writer:
@@ -233,18 +179,12 @@ class _Writer:
             last = results
 
     def write(self) -> None:
-        heading, now = self.heading, utc_now()
-        for name, text in (
-            ("format", FORMAT),
-            ("format_version", FORMAT_VERSION),
-            ("created_utc", now),
-            ("study_sha256", heading.study_sha256),
-            ("store", heading.store),
-            ("title", "Runs of a study"),
-            ("description", f"{self.count} runs of the study with the hash {heading.study_sha256[:16]}."),
-            ("Conventions", f"{FORMAT}-{FORMAT_VERSION}"),
-        ):
-            set_text(self.file, name, text)
+        heading = self.heading
+        tables.write_header(
+            self.file, FORMAT, FORMAT_VERSION, "Runs of a study",
+            f"{self.count} runs of the study with the hash {heading.study_sha256[:16]}.",
+            created_utc=utc_now(), study_sha256=heading.study_sha256, store=heading.store,
+        )  # fmt: skip
         provenance = self.file.create_group("provenance")
         for name, value in heading.provenance.items():
             provenance.attrs[name] = value
@@ -262,72 +202,57 @@ class _Writer:
         if group not in self.file:
             self.scale("", group, "run", self.points.numbers, "number of the run in the study, from 1")
         array = Array(path, ("run",), units, what, dtype)
-        return write_column(self.file, array, values, compress=self.heading.compress)
+        return tables.write_column(self.file, array, values, compress=self.heading.compress)
 
     def scale(self, under: str, group: str, name: str, numbers: Sequence[int], what: str) -> None:
         """Write `numbers` as the dimension scale `name` of a group, which is created if it does not exist."""
         self.file.require_group(f"{under}{group}/{name}".rpartition("/")[0])
-        create(
-            self.file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under
-        )
+        tables.write_scale(self.file, f"{group}/{name}", numbers, what, under)
 
-    def column(self, parts: Iterable[tuple[Any, np.ndarray]], empty: object, dtype: Any = object) -> np.ndarray:
+    def column(self, parts: Iterable[tuple[Any, np.ndarray]], empty: object = np.nan, dtype: Any = float) -> np.ndarray:
         """Return a column (N,), from values of some runs with their rows in the block; `empty` for the other runs."""
-        values = np.full(self.count, empty, dtype)
-        for some, rows in parts:
-            values[rows] = some
-        return values
+        return _scattered((self.count,), parts, empty, dtype)
 
     def by_run(self) -> None:
         """Write the columns with one row for each run."""
 
-        def of_runs(name: str) -> np.ndarray:
-            parts = ((getattr(part, name), rows) for part, rows in zip(self.runs, self.rows, strict=True))
-            return self.column(parts, "")
+        def of_results(values: Callable[[FinishedRuns], Any]) -> Iterator[tuple[Any, np.ndarray]]:
+            return ((values(results), rows) for results, rows in self.results)
 
-        def of_results(values: Callable[[FinishedRuns], Any], empty: object = "", dtype: Any = object) -> np.ndarray:
-            return self.column(((values(results), rows) for results, rows in self.results), empty, dtype)
-
-        texts = {
-            "status": of_runs("status"),
-            "status_reason": of_runs("reason"),
+        texts: dict[str, Iterable[tuple[Any, np.ndarray]]] = {
+            name: [(getattr(part, name), rows) for part, rows in zip(self.runs, self.rows, strict=True)]
+            for name in ("status", "status_reason", "plugins", "mechanism", "files", "run_id", "spec_sha256")
+        }
+        texts |= {
+            "base": [(self.points.base, np.arange(self.count))],
             "verdict": of_results(lambda one: [judgement.level for judgement in one.judgements]),
             "worst_joint": of_results(_worst_joints),
-            "base": self.column([(self.points.base, np.arange(self.count))], ""),
-            "plugins": of_runs("plugins"),
-            "mechanism": of_runs("mechanism"),
-            "files": of_runs("files"),
-            "verdict_reasons": of_results(lambda one: [_json_of(x.reasons) for x in one.judgements], _json_of(())),
-            "warnings": of_results(lambda one: [*map(_json_of, one.warnings)], _json_of(())),
+            "verdict_reasons": of_results(lambda one: [_json_of(x.reasons) for x in one.judgements]),
+            "warnings": of_results(lambda one: [*map(_json_of, one.warnings)]),
             "assembly": of_results(lambda one: one.assembly),
-        }
-        for name, what in {**_BY_RUN, **(_OF_SUMMARY if self.has_summary else {})}.items():
-            self.add(f"runs/{name}", texts[name], TEXT, "1", what)
-        hashes = {
-            "run_id": of_runs("run_id"),
-            "spec_sha256": of_runs("spec_sha256"),
             "data_sha256": of_results(lambda one: one.data_sha256),
         }
-        for name, what in _HASHES.items():
-            array = Array(f"runs/{name}", ("run",), "1", what)
-            write_hashes(self.file, array, hashes[name].tolist(), compress=self.heading.compress)
-        self.add(
-            "runs/misalignment_max",
-            of_results(lambda one: one.misalignment_max.max(axis=1, initial=0.0), np.nan, float),
-            FLOAT,
-            "m",
-            "largest misalignment of any joint over every step",
-        )
+        for name, what in _BY_RUN.items():
+            if name in _OF_SUMMARY and not self.has_summary:
+                continue
+            values = self.column(texts[name], "[]" if name in ("verdict_reasons", "warnings") else "", object)
+            if name in _HASHES:
+                array = Array(f"runs/{name}", ("run",), "1", what)
+                tables.write_hashes(self.file, array, values.tolist(), compress=self.heading.compress)
+            else:
+                self.add(f"runs/{name}", values, TEXT, "1", what)
+        largest = self.column(of_results(lambda one: one.misalignment_max.max(axis=1, initial=0.0)))
+        what = "largest misalignment of any joint over every step"
+        self.add("runs/misalignment_max", largest, FLOAT, "m", what)
         structure, place = np.zeros((2, self.count), INTEGER)
         for number, parts in enumerate(self.structures.values(), start=1):
             rows = self._rows_of(parts)
             structure[rows], place[rows] = number, np.arange(1, len(rows) + 1)
         self.add("runs/structure", structure, INTEGER, "1", "number of its structure; 0 without results")
         self.add("runs/place", place, INTEGER, "1", "number of the run in the arrays of its structure")
-        if self.has_summary:
-            for name in (*COUNTERS, *TIMINGS):
-                numbers = of_results(lambda one, key=name: one.stats.get(key, np.nan), np.nan, float)  # type: ignore[misc]
-                self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
+        for name in (*COUNTERS, *TIMINGS) if self.has_summary else ():
+            numbers = self.column([(results.stats.get(name, np.nan), rows) for results, rows in self.results])
+            self.add(f"stats/{name}", numbers, FLOAT, "s" if name in TIMINGS else "1", name.replace("_", " "))
 
     @staticmethod
     def _rows_of(parts: Iterable[tuple[FinishedRuns, np.ndarray]]) -> np.ndarray:
@@ -351,13 +276,13 @@ class _Writer:
 
     def measures(self) -> None:
         """Write the value of each measure for each run; nan where a run has none."""
-        for name, (units, what) in self.heading.measures.items():
+        for name, measure in self.heading.measures.items():
             parts = [
                 (part.measures[name], rows)
                 for part, rows in zip(self.runs, self.rows, strict=True)
                 if name in part.measures
             ]
-            self.add(f"measures/{name}", self.column(parts, np.nan, float), FLOAT, units, what)
+            self.add(f"measures/{name}", self.column(parts), FLOAT, measure.units, measure.long_name)
 
     def names_of_structures(self) -> None:
         """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
@@ -381,18 +306,17 @@ class _Writer:
         sizes = sizes_of(first.names)
         texts = name_texts(first.names)
         groups = dict.fromkeys(one.group for one in first.layout if self.has_summary)
-        lengths = {}
-        for dim in _AXIS:
-            lengths[dim] = np.zeros(count, int)
-            for some, places in results:
-                lengths[dim][places] = some.lengths.get(dim, 0)
+        lengths = {
+            dim: _scattered((count,), [(some.lengths.get(dim, 0), places) for some, places in results], 0, int)
+            for dim in GROUPS
+        }
         for group in groups:
             homes = dict.fromkeys(_home(one) for one in first.layout if one.group == group)
             for home in homes:
                 self.scale(under, group, f"{home}run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
                 whole = range(1, max(lengths[dim]) + 1)
-                self.scale(under, group, _AXIS[dim], whole, f"number of the {_word(dim)}, from 1")
+                self.scale(under, group, _axis(dim), whole, f"number of the {_word(dim)}, from 1")
         for one in sorted(first.layout, key=lambda one: not one.is_scale):
             if not one.grows and one.group in groups:
                 create(self.file, one, np.array(texts[one.path], object), under=under)
@@ -403,23 +327,20 @@ class _Writer:
                 )
         if not self.has_summary:
             return
-        for dim, group in COUNTS:
+        for dim, group in GROUPS.items():
             if any(one.grows and one.dims[0] == dim for one in first.layout):
                 counted = Array(f"{group}/rows", ("run",), "1", f"number of {_word(dim)}s of the run", INTEGER)
-                write_column(self.file, counted, lengths[dim], under=under)
-        largest = np.empty((count, first.misalignment_max.shape[1]))
-        for some, places in results:
-            largest[places] = some.misalignment_max
+                tables.write_column(self.file, counted, lengths[dim], under=under)
+        of_joints = [(some.misalignment_max, places) for some, places in results]
+        largest = _scattered((count, first.misalignment_max.shape[1]), of_joints)
         array = Array(
             "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
         )
-        write_column(self.file, array, largest, compress=self.heading.compress, under=under)
+        tables.write_column(self.file, array, largest, compress=self.heading.compress, under=under)
         if first.shared is not None:
-            length = np.full(count, np.nan)
-            for some, places in results:
-                length[places] = some.shared.length if some.shared else np.nan
+            known = [(some.shared.length, places) for some, places in results if some.shared]
             array = Array("joints/characteristic_length", ("run",), "m", "length in the norm of redundant reactions")
-            write_column(self.file, array, length, under=under)
+            tables.write_column(self.file, array, _scattered((count,), known), under=under)
 
     def array(
         self, under: str, one: Array, found: Sequence[tuple[FinishedRuns, np.ndarray]], shape: tuple[int, ...]
@@ -432,12 +353,12 @@ class _Writer:
             values[places, : own.shape[1]] = own
             for run in np.flatnonzero(lengths < own.shape[1]).tolist():
                 values[places[run], lengths[run] :] = empty
-        dims = (f"{_home(one)}run", _AXIS[one.dims[0]], *one.dims[1:])
+        dims = (f"{_home(one)}run", _axis(one.dims[0]), *one.dims[1:])
         stored = Array(one.path, dims, one.units, one.long_name, one.dtype, one.row_units)
         if one.dtype == TEXT:
             create(self.file, stored, values, under=under)
         else:
-            write_column(self.file, stored, values, compress=self.heading.compress, under=under)
+            tables.write_column(self.file, stored, values, compress=self.heading.compress, under=under)
 
 
 def _home(array: Array) -> str:
@@ -446,8 +367,25 @@ def _home(array: Array) -> str:
     return home + slash
 
 
+def _axis(dim: str) -> str:
+    """Return the name in a block of an axis that grows during a run; its scale numbers the rows, because the recorded
+    times differ between runs.
+    """
+    return "row" if dim == "time" else dim
+
+
 def _word(dim: str) -> str:
-    return "setting" if dim == "set/number" else _AXIS[dim]
+    return "setting" if dim == "set/number" else _axis(dim)
+
+
+def _scattered(
+    shape: tuple[int, ...], parts: Iterable[tuple[Any, np.ndarray]], empty: object = np.nan, dtype: Any = float
+) -> np.ndarray:
+    """Return an array of the values of some runs, given with their rows in it, and of `empty` in the other rows."""
+    values = np.full(shape, empty, dtype)
+    for some, rows in parts:
+        values[rows] = some
+    return values
 
 
 def _structure(result: FinishedRuns) -> tuple[str, str, str]:

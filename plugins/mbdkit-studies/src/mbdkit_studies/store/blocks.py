@@ -21,6 +21,7 @@ from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.result_seams import file_problems
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import ArrayContents
+from mbdkit.archive.run_header import plain_attributes
 from mbdkit.archive.run_writer import SharedForces
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.untrusted_file import open_hdf5
@@ -31,15 +32,16 @@ from mbdkit.quantities.registered_kinds import kind_of_group
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.criteria import LEVELS, Judgement, Level
-from mbdkit_studies.folder.columns import read_column
-from mbdkit_studies.store.block_writer import COUNTS, FORMAT, FORMAT_VERSION, STORES, prefix
+from mbdkit_studies.folder import tables
+from mbdkit_studies.spec.measures import Description
+from mbdkit_studies.store.block_writer import FORMAT, FORMAT_VERSION, GROUPS, STORES, prefix
 from mbdkit_studies.texts import ERROR
 
 OBJECTS = 100_000  #: Largest number of groups and arrays in a block, about 60 for each structure.
 
 
 class ForeignBlockError(SpecError):
-    """A block of another study, or of a version that this mbdkit does not read; it is not replaced."""
+    """A block of another study, which is not replaced."""
 
 
 class Block:
@@ -57,9 +59,11 @@ class Block:
     Raises
     ------
     ForeignBlockError
-        If the block belongs to another study, or has another version.
-    SpecError
-        If the file is not a block that this version can read.
+        If the block belongs to another study.
+    FormatVersionError
+        If it has a version that this mbdkit does not read.
+    ArchiveError
+        If the file is not a block, or is damaged.
     ResourceError
         If the file is in use, or the system refuses to read it.
     """
@@ -69,13 +73,7 @@ class Block:
         self.file = open_hdf5(path, "block of a study", objects=OBJECTS)
         try:
             with reading("its header", path, hint=_HINT):
-                if self.file.attrs.get("format") != FORMAT:
-                    raise ArchiveError("this is not a block of a study", file=path)
-                version = str(self.file.attrs["format_version"])
-                if version.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-                    raise ForeignBlockError(
-                        f"this block has format version {version}, but this version of mbdkit reads 1.x", file=path
-                    )
+                tables.check_header(self.file, path, FORMAT, FORMAT_VERSION, "a block of a study")
                 self.study_sha256 = str(self.file.attrs["study_sha256"])
                 self.created_utc = str(self.file.attrs["created_utc"])
                 self.store = next(name for name in STORES if name == str(self.file.attrs["store"]))
@@ -109,7 +107,7 @@ class Block:
         with reading(group, self.path, hint=_HINT):
             members = self.file.get(group, {})
             return {
-                name: read_column(item)
+                name: tables.read_column(item)
                 for name, item in members.items()
                 if name != "run"
                 and (wanted is None or name in wanted)
@@ -118,12 +116,12 @@ class Block:
                 and item.dims[0][0].name.endswith("/run")
             }
 
-    def described(self) -> dict[str, tuple[str, str]]:
+    def described(self) -> dict[str, Description]:
         """Return unit and description of each measure."""
         with reading("measures", self.path, hint=_HINT):
             members = self.file.get("measures", {})
             return {
-                name: (str(item.attrs["units"]), str(item.attrs["long_name"]))
+                name: Description(str(item.attrs["units"]), str(item.attrs["long_name"]))
                 for name, item in members.items()
                 if name != "run"
             }
@@ -141,24 +139,6 @@ class Block:
     def runs(self) -> dict[str, np.ndarray]:
         """Columns of the group ``runs``."""
         return self.columns("runs")
-
-    def spec(self, number: int) -> RunSpec:
-        """Return the spec of a run, rebuilt from its base and its values.
-
-        Raises
-        ------
-        SpecError
-            If the block is damaged or does not contain the run, or if the rebuilt spec does not have the hash of the
-            spec that was run.
-        """
-        spec = RunSpec(**self._spec_data(number))
-        self._check_hash(number, spec)
-        return spec
-
-    def _check_hash(self, number: int, spec: RunSpec) -> None:
-        if spec.sha256() != self.runs["spec_sha256"][self.row(number)]:
-            message = f"the spec of run {number} does not have the hash that was stored with it"
-            raise ArchiveError(message, file=self.path)
 
     def _spec_data(self, number: int) -> dict[str, Any]:
         """Return the spec of a run as plain data."""
@@ -194,7 +174,9 @@ class Block:
             stored = stored or built_mechanism(data)
             hashes = str(self.runs["spec_sha256"][row]), str(self.runs["run_id"][row])
             return PlainSpec(data, *hashes, stored, read), stored
-        self._check_hash(number, spec)
+        if spec.sha256() != self.runs["spec_sha256"][row]:
+            message = f"the spec of run {number} does not have the hash that was stored with it"
+            raise ArchiveError(message, file=self.path)
         return spec, stored
 
     def run(self, number: int) -> Run | None:
@@ -234,12 +216,12 @@ class Block:
         row = self.row(number)
         spec, stored = self._spec_and_mechanism(number, finished.names.bodies)
         with reading(f"run {number}", self.path, hint=_HINT):
-            common = {name: _plain(value) for name, value in self.file["provenance"].attrs.items()}
+            common = plain_attributes(self.file["provenance"])
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
                 {name: float(columns[name][row]) for name in names},
-                {name: described[name][0] for name in names},
+                {name: described[name].units for name in names},
                 errors={name: float(columns[name + ERROR][row]) for name in names if name + ERROR in columns},
             )
             return ArrayContents(
@@ -262,9 +244,9 @@ class Block:
             If the block is damaged or does not contain the run.
         """
         with reading(f"run {number}", self.path, hint=_HINT):
-            return self._read_results(self.row(number))
+            return self._results(self.row(number))
 
-    def _read_results(self, row: int) -> FinishedRun:
+    def _results(self, row: int) -> FinishedRun:
         runs, place = self.runs, int(self.runs["place"][row]) - 1
         number = int(runs["structure"][row]) - 1
         names, recorded, shared = (
@@ -274,7 +256,7 @@ class Block:
         arrays, present = {}, []
         for array in (kind_of_group(path.partition("/")[0]).by_path[path] for path in recorded):
             if array.grows and array.key not in arrays:
-                counts = self.file.get(f"{under}{dict(COUNTS)[array.dims[0]]}/rows")
+                counts = self.file.get(f"{under}{GROUPS[array.dims[0]]}/rows")
                 if counts is None or f"{under}{array.path}" not in self.file:
                     continue
                 item, rows = self.file[f"{under}{array.path}"], int(counts[place])
@@ -284,7 +266,7 @@ class Block:
                     arrays[array.key] = np.asarray((item.asstr() if is_text(item) else item)[place, :rows])
             present.append(array)
         stats = {
-            name: _plain(item[row])
+            name: int(item[row]) if name in COUNTERS else float(item[row])
             for name in (*COUNTERS, *TIMINGS)
             if (item := self.file.get(f"stats/{name}")) is not None
         }
@@ -300,7 +282,7 @@ class Block:
         return FinishedRun(
             str(runs["status"][row]),
             str(runs["status_reason"][row]),
-            {name: int(value) if name in COUNTERS else value for name, value in stats.items()},
+            stats,
             by_joint,
             Judgement(level, reasons),
             warnings,
@@ -361,10 +343,6 @@ def _at(item: h5py.Dataset, row: int) -> Any:
     if "texts" in item.attrs:
         return str(item.parent[str(item.attrs["texts"])].asstr()[int(item[row])])
     return item[row]
-
-
-def _plain(value: object) -> Any:
-    return value.item() if isinstance(value, np.generic) else value
 
 
 @file_problems

@@ -1,26 +1,49 @@
-"""How the runs of a study are read from its folder: from an archive of each run, or from blocks of many runs."""
+"""How the runs of a study are stored in its folder and read from it: an archive of each run, or blocks of many runs."""
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from mbdkit.archive.disk_space import row_bytes
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_contents import NotStoredError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.files_read import only_known
+from mbdkit.engine.compile_mechanism import compile_mechanism
+from mbdkit.quantities.names import archive_names
+from mbdkit.runs.preparation import rows_expected
+from mbdkit.spec.run_spec import RunSpec
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import PlannedPoints
+from mbdkit_studies.points.planned_points import PlannedPoints, number_of_points
+from mbdkit_studies.points.sampled_values import study_in
 from mbdkit_studies.spec.study_loading import load_study_spec
-from mbdkit_studies.spec.study_spec import StudySpec
-from mbdkit_studies.store.block_writer import KEEPING_TIMES
+from mbdkit_studies.spec.study_spec import LARGEST_TABLE, StudySpec
+from mbdkit_studies.store.block_writer import HISTORIES, KEEPING_TIMES, Store
 from mbdkit_studies.store.blocks import Block
-from mbdkit_studies.store.study_blocks import StudyBlocks
 from mbdkit_studies.store.study_point import StudyPoint
+
+MOST_FILES = 500  #: Number of runs above which studies are stored in blocks, unless files are requested.
+
+#: Default of the largest number of runs in a block, in studies of up to `LARGE_BLOCKS` times as many runs and in larger
+#: ones. Writing a block, and reading it for the index, takes 0.1 s whatever its number of runs.
+RUNS, LARGE_BLOCKS, MOST_RUNS = 1000, 32, 4000
+
+#: Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
+#: number of runs in each of them, which vectorized runs need; both are defaults.
+BLOCKS, FEWEST = 8, 64
+
+#: Largest size of the arrays of a block [bytes], which must fit in memory; blocks of large runs have fewer runs.
+BYTES = 1 << 26
+
+ROWS = 1000  #: Assumed number of recorded rows of a run if it depends on step-size control.
+
 
 #: Runs that join the rows of one or more runs of a study, each with the numbers of these runs in the study and the
 #: number of rows of each of them.
@@ -43,7 +66,7 @@ class Storage:
         'The study\'s folder contains an archive of every run, with its spec; the command "mbdkit rerun" repeats a '
         "run. In Python, mbdkit.load_study(folder).run(number=1) opens the archive of run 1."
     )
-    _NAME = re.compile(r"[0-9a-f]{16}\.h5")
+    _FILES = "[0-9a-f]" * 16 + ".h5"
 
     def __init__(self, spec: StudySpec, folder: StudyFolder, planned: PlannedPoints):
         self.spec, self.folder, self.planned = spec, folder, planned
@@ -56,8 +79,7 @@ class Storage:
     @property
     def done(self) -> int:
         """Number of files that exist."""
-        paths = self.folder.runs.iterdir() if self.folder.runs.is_dir() else ()
-        return sum(bool(self._NAME.fullmatch(path.name)) for path in paths)
+        return len([*self.folder.runs.glob(self._FILES)])
 
     def path(self, point: StudyPoint) -> Path | None:
         """Return the file that contains the run of a point; None if there is none."""
@@ -86,7 +108,7 @@ class BlockStorage(Storage):
         "The study's folder contains the runs in blocks. In Python, mbdkit.load_study(folder).run(number=1) returns "
         "what is stored of run 1, and remake(number=1) integrates it again with all arrays."
     )
-    _NAME = re.compile(r"block-[0-9]{6,}\.h5")
+    _FILES = "block-[0-9]*.h5"
 
     @property
     def count(self) -> int:
@@ -95,11 +117,11 @@ class BlockStorage(Storage):
 
     def path(self, point: StudyPoint) -> Path:
         """See `Storage.path`."""
-        return self.folder.block(self._blocks.block_of(point.number - 1))
+        return self.folder.block((point.number - 1) // self._blocks.size)
 
     def open(self, point: StudyPoint) -> Run | None:
         """See `Storage.open`."""
-        if not point.row.data_sha256:
+        if not point.data_sha256:
             return None
         with Block(self.path(point), self._sha256) as block:
             return block.run(point.number)
@@ -143,3 +165,92 @@ def storage_in(folder: Path) -> Storage:
     files = StudyFolder(folder)
     spec = load_study_spec(files.spec)
     return storage_of(spec, files, PlannedPoints(spec))
+
+
+def with_store(spec: StudySpec, folder: StudyFolder, *, overwrite: bool = False) -> StudySpec:
+    """Return a study whose `store` is set if its runs are to be stored in blocks.
+
+    If the study does not set `store`, the value is that of the same study in the folder. Without such a study, the
+    value is ``all`` for a sample, a table of members, or a large study. `store` remains unset for other studies, which
+    store an archive for each run.
+    """
+    if spec.store is not None:
+        return spec
+    if folder.spec.is_file() and not overwrite:
+        there = study_in(folder)
+        is_same = there is not None and there.stored_as(None).sha256() == spec.sha256()
+        return spec.stored_as(there.store) if there is not None and is_same else spec
+    return spec.stored_as("all") if is_for_blocks(spec) else spec
+
+
+def is_for_blocks(spec: StudySpec) -> bool:
+    """Return whether a study is stored in blocks, on request or because it is large."""
+    if spec.store is not None:
+        return spec.in_blocks
+    return spec.has_table or (number_of_points(spec) > MOST_FILES and not spec.needs_files)
+
+
+@dataclass(frozen=True)
+class StudyBlocks:
+    """The division of the runs of a study into blocks.
+
+    Parameters
+    ----------
+    runs
+        Number of runs of the study.
+    size
+        Number of runs in each block but the last.
+    """
+
+    runs: int
+    size: int
+
+    @classmethod
+    def of(cls, spec: StudySpec, points: PlannedPoints) -> StudyBlocks:
+        """Return the blocks of a study.
+
+        Unless the spec sets the size of the blocks, the size depends on the first valid spec among those of the first
+        ten runs, so that all processes that compute the study use the same blocks.
+        """
+        if spec.block is not None:
+            return cls(len(points), min(spec.block, LARGEST_TABLE))
+        for point in points[:10]:
+            if point.lacking:
+                continue
+            try:
+                row = _bytes(point.spec, stored(spec))
+            except MbdkitError:
+                continue
+            return cls(len(points), max(1, min(_most_runs(len(points)), BYTES // max(1, row))))
+        return cls(len(points), _most_runs(len(points)))
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return math.ceil(self.runs / self.size)
+
+    def places(self, block: int) -> range:
+        """Return the indices of the runs of a block; runs and blocks are numbered from 0."""
+        return range(block * self.size, min(self.runs, (block + 1) * self.size))
+
+
+def _most_runs(runs: int) -> int:
+    """Return the largest number of runs in a block of a study with `runs` runs."""
+    largest = min(MOST_RUNS, max(RUNS, math.ceil(runs / LARGE_BLOCKS)))
+    return min(largest, max(FEWEST, math.ceil(runs / BLOCKS)))
+
+
+def stored(spec: StudySpec) -> Store:
+    """Return the value of `store`: which data of each run the blocks of a study contain."""
+    assert spec.store is not None
+    assert spec.store != "files"
+    return spec.store
+
+
+def _bytes(spec: RunSpec, store: Store) -> int:
+    """Return the estimated size of the arrays that are stored for a run [bytes]."""
+    if store in ("hashes", "summary"):
+        return 0
+    names = archive_names(compile_mechanism(spec.mechanism()))
+    row = row_bytes(names, spec.output.recorded, None if store == "all" else HISTORIES)
+    return row * (rows_expected(spec) or ROWS)

@@ -1,7 +1,7 @@
 """The index of a study: columns with one value per run in an HDF5 file, readable as netCDF-4 and written atomically.
 
 Texts are strings in tables of up to `PLAIN` runs. Longer tables, of up to a million runs, store hashes as bytes and
-other texts as indices into an array of the distinct texts, see `mbdkit_studies.folder.columns`.
+other texts as indices into an array of the distinct texts, see `mbdkit_studies.folder.tables`.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, TIMINGS
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.distributions import own_version
-from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
-from mbdkit_studies.folder.columns import file_bytes, hdf5_in_memory, read_column, write_column, write_hashes
+from mbdkit_studies.folder import tables
 from mbdkit_studies.points.planned_points import Label
 from mbdkit_studies.spec.measures import MEASURES, OF_CHECKED_RUNS, SECOND, Description
 from mbdkit_studies.spec.study_spec import StudySpec
@@ -38,25 +38,14 @@ STATUSES = ("complete", "failed", "missing", "left-out")
 #: Columns with the minimum, quartiles and median of repeated timings, and their probabilities.
 QUARTILES = {"wall_min_s": 0.0, "wall_q1_s": 0.25, "wall_median_s": 0.5, "wall_q3_s": 0.75}
 
-TEXTS = {
-    "family": "family of the run",
-    "run_id": "identifier of the run, and name of its file in runs/",
-    "reference_id": "reference run for its errors",
-    "status": "complete, failed, missing or left-out",
-    "status_reason": "why it is not complete",
-    "verdict": "good, unknown, doubtful or bad; empty without an archive",
-    "verdict_reasons": "reasons for the verdict, joined by spaces",
-    "second_run": "complete if a second run for measures was made, or the reason why it has no result; else empty",
-    "worst_joint": "joint with the largest misalignment",
-    "data_sha256": "hash of the recorded data",
-    "file_sha256": "hash of the bytes of the archive",
-}
+TEXTS = tables.described_columns("index")  #: Descriptions of the columns of texts.
 
 #: Units and descriptions of the numeric columns that the index of any study may have, in addition to measures that the
 #: study defines.
 NUMBERS: Mapping[str, Description] = {
-    **{name: Description(one.units, one.long_name) for name, one in {**MEASURES, **OF_CHECKED_RUNS}.items()},
-    **{name: Description(*told) for name, told in SECOND.items()},
+    **MEASURES,
+    **OF_CHECKED_RUNS,
+    **SECOND,
     **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in (*COUNTERS, *SOME_COUNTERS)},
     **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
     **{
@@ -91,7 +80,7 @@ class Row:
     worst_joint, data_sha256
         Joint with the largest misalignment, and hash of the recorded data, from the archive.
     values
-        Measures, counters and timings by column.
+        Measures, counters and timings by column; nan if not available.
     repeats
         Wall times of the repeated timings, each made after those of all other runs [s].
     file_sha256
@@ -173,13 +162,9 @@ class Index:
         """Return the row of a run, or of a reference run, without axis labels, which follow from the study spec."""
         columns = self.references if of_references else self.runs
         texts: dict[str, Any] = {name: str(columns[name][place]) for name in TEXTS if name in columns}
-        return Row(
-            **texts,
-            values={name: float(columns[name][place]) for name in self.described if name in columns},
-            repeats=tuple(float(value) for value in columns[REPEATS][place] if not math.isnan(value))
-            if REPEATS in columns
-            else (),
-        )
+        values = {name: float(columns[name][place]) for name in self.described if name in columns}
+        repeats = columns[REPEATS][place].tolist() if REPEATS in columns else ()
+        return Row(**texts, values=values, repeats=tuple(value for value in repeats if not math.isnan(value)))
 
 
 def _columns(rows: Sequence[Row], numbers: Iterable[str]) -> dict[str, np.ndarray]:
@@ -221,22 +206,17 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
     SpecError
         If the index cannot be written, as on a full disk. The previous index then remains unchanged.
     """
-    with hdf5_in_memory() as file:
-        set_text(file, "format", FORMAT)
-        set_text(file, "format_version", FORMAT_VERSION)
-        set_text(file, "mbdkit", own_version())
-        set_text(file, "study", spec.canonical_json())
-        set_text(file, "study_sha256", spec.sha256())
-        set_text(file, "title", (spec.title or "Study").replace("\0", " "))  # attributes end at a null character
-        set_text(file, "description", "Table of the runs of a study.")
-        set_text(file, "Conventions", f"{FORMAT}-{FORMAT_VERSION}")
+    with tables.hdf5_in_memory() as file:
+        title = (spec.title or "Study").replace("\0", " ")  # attributes end at a null character
+        texts = {"mbdkit": own_version(), "study": spec.canonical_json(), "study_sha256": spec.sha256()}
+        tables.write_header(file, FORMAT, FORMAT_VERSION, title, "Table of the runs of a study.", **texts)
         _write_table(file, "runs", "run", index.runs, index)
         if index.references:
             _write_table(file, "references", "reference", index.references, index)
         if len(index.states):
             _write_states(file, index.states)
         seal(file)
-        image = file_bytes(file)
+        image = tables.file_bytes(file)
     with replacing(path) as temporary:
         temporary.write_bytes(image)
 
@@ -244,36 +224,31 @@ def write(path: Path, spec: StudySpec, index: Index) -> None:
 def _write_states(file: h5py.File, states: np.ndarray) -> None:
     file.create_group("blocks")
     for name, size in zip(("block", "property"), states.shape, strict=True):
-        scale = Array(f"blocks/{name}", (name,), "1", f"number of the {name}", INTEGER)
-        create(file, scale, np.arange(size))
+        tables.write_scale(file, f"blocks/{name}", range(size), f"number of the {name}")
     what = "size, times [ns] and number of the file"
     create(file, Array("blocks/file_state", ("block", "property"), "1", what, INTEGER), states)
 
 
 def _write_table(file: h5py.File, group: str, dim: str, columns: Mapping[str, np.ndarray], index: Index) -> None:
     """Write a group whose columns have one value for each run or reference run."""
-
-    def write_scale(name: str, count: int, what: str) -> None:
-        create(file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.arange(1, count + 1))
-
     file.create_group(group)
-    write_scale(dim, len(columns["status"]), "number of the run")
+    tables.write_scale(file, f"{group}/{dim}", range(1, len(columns["status"]) + 1), "number of the run")
     for place, (name, values) in enumerate(columns.items(), start=1):
         is_axis, is_number = name in index.axes, name in index.described
         what = TEXTS.get(name, f"axis of the study: {name} of the run spec")
         units, what = (index.described[name].units, index.described[name].long_name) if is_number else ("1", what)
         array = Array(f"{group}/{axis_column(name)}", (dim,), units, what)
         if name == REPEATS:
-            write_scale("repeat", values.shape[1], "number of the timing")
+            tables.write_scale(file, f"{group}/repeat", range(1, values.shape[1] + 1), "number of the timing")
             create(file, Array(array.path, (dim, "repeat"), "s", "wall time of each serial timing"), values)
         elif values.dtype != object:
-            write_column(file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
+            tables.write_column(file, replace(array, dtype=INTEGER if values.dtype.kind == "i" else FLOAT), values)
         elif len(values) <= PLAIN:
             create(file, replace(array, dtype=TEXT), np.array(_texts(values), object))
         elif name in HASHES:
-            write_hashes(file, array, _texts(values))
+            tables.write_hashes(file, array, _texts(values))
         else:
-            write_column(file, replace(array, dtype=TEXT), _texts(values))
+            tables.write_column(file, replace(array, dtype=TEXT), _texts(values))
         dataset = file[array.path]
         dataset.attrs["place"] = np.int64(place)
         set_text(dataset, "name", name)
@@ -298,24 +273,20 @@ def read(path: Path) -> Index:
         raise SpecError("there is no index.h5; run `mbdkit study` to write it", file=path.parent)
     hint = "run `mbdkit study` to write it again"
     with reading("the index", path, hint=hint), open_hdf5(path, "study index", hint=hint) as file:
-        if file.attrs.get("format") != FORMAT:
-            raise ArchiveError("this is not the index of a study", file=path)
-        written = str(file.attrs["format_version"])
-        if written.partition(".")[0] != FORMAT_VERSION.partition(".")[0]:
-            raise FormatVersionError(f"this index has format version {written}, this mbdkit reads 1.x", file=path)
+        tables.check_header(file, path, FORMAT, FORMAT_VERSION, "the index of a study")
         StoredHashes(file).verify()
-        tables = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
-        if any(len(set(map(len, table.values()))) > 1 for table in tables):
+        both = [_read_columns(file[group]) if group in file else {} for group in ("runs", "references")]
+        if any(len(set(map(len, table.values()))) > 1 for table in both):
             raise ValueError("its columns have different lengths")
         items = {str(item.attrs["name"]): item for item in file["runs"].values() if "role" in item.attrs}
         return Index(
-            tables[0],
+            both[0],
             {
                 name: Description(str(items[name].attrs["units"]), str(items[name].attrs["long_name"]))
-                for name in tables[0]
+                for name in both[0]
                 if items[name].attrs["role"] == "number"
             },
-            tables[1],
+            both[1],
             axes=frozenset(name for name, item in items.items() if item.attrs["role"] == "axis"),
             states=file["blocks/file_state"][:] if "blocks/file_state" in file else np.zeros((0, 4), np.int64),
             study_sha256=str(file.attrs["study_sha256"]),
@@ -326,4 +297,4 @@ def read(path: Path) -> Index:
 def _read_columns(group: h5py.Group) -> dict[str, np.ndarray]:
     """Return the columns of a table by name, in the order in which they were written."""
     items = sorted((item for item in group.values() if "role" in item.attrs), key=lambda item: int(item.attrs["place"]))
-    return {str(item.attrs["name"]): read_column(item) for item in items}
+    return {str(item.attrs["name"]): tables.read_column(item) for item in items}

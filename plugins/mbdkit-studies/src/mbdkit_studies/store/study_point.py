@@ -7,23 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import overload
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_report import key_unit, key_words
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.points.planned_points import Label, PlannedPoint, PlannedPoints, point_label
+from mbdkit_studies.points.planned_points import PlannedPoint, PlannedPoints, point_label
+from mbdkit_studies.spec.made_items import MadeItems
 from mbdkit_studies.store.study_index import Index, Row
 
 KEPT = 1000  #: Number of points of a study that are kept in memory.
 
 
-@dataclass(frozen=True)
-class StudyPoint:
-    """One run of a study with its entry in the index.
+@dataclass(frozen=True, kw_only=True)
+class StudyPoint(Row):
+    """One run of a study: its entry in the index with its family and the values on the axes, and how to build its spec.
 
     Parameters
     ----------
@@ -33,17 +33,13 @@ class StudyPoint:
         The planned point from which the spec is built.
     folder
         Folder of the study.
-    axes
-        Label of the point's value on each axis, by dotted key; empty for a reference run.
     is_reference
-        Whether this is a reference run, which is not a point of the study.
+        Whether this is a reference run, which is not a point of the study, and has no family and no axes.
     """
 
     number: int
-    row: Row
-    planned: PlannedPoint
-    folder: StudyFolder
-    axes: Mapping[str, Label]
+    planned: PlannedPoint = field(compare=False)
+    folder: StudyFolder = field(compare=False)
     is_reference: bool = False
 
     @property
@@ -53,44 +49,9 @@ class StudyPoint:
         return path if self.run_id and self.status != "missing" and path.exists() else None
 
     @property
-    def family(self) -> str:
-        """Name of the family of the point; empty in a study without families, and for a reference run."""
-        return self.row.family
-
-    @property
-    def run_id(self) -> str:
-        """Identifier of the run."""
-        return self.row.run_id
-
-    @property
-    def reference_id(self) -> str:
-        """Identifier of the reference run against which errors are computed; empty if there is none."""
-        return self.row.reference_id
-
-    @property
-    def status(self) -> str:
-        """``complete``, ``failed``, ``missing``, or ``left-out`` if it needs a distribution that is not installed."""
-        return self.row.status
-
-    @property
     def reason(self) -> str:
         """Reason why the run is not complete, as a code and a sentence; empty if it is complete."""
-        return self.row.status_reason
-
-    @property
-    def verdict(self) -> str:
-        """Verdict on the run: ``good``, ``unknown``, ``doubtful`` or ``bad``; empty without an archive."""
-        return self.row.verdict
-
-    @property
-    def verdict_reasons(self) -> str:
-        """Reasons for the verdict, separated by two spaces; empty if there are none."""
-        return self.row.verdict_reasons
-
-    @property
-    def values(self) -> Mapping[str, float]:
-        """Measures, counters and timings by column; nan if not available."""
-        return self.row.values
+        return self.status_reason
 
     @property
     def label(self) -> str:
@@ -105,7 +66,7 @@ class StudyPoint:
         return spec
 
 
-class Points(Sequence[StudyPoint]):
+class Points(MadeItems[StudyPoint]):
     """Points of a study, each created on access; the first `KEPT` are kept, because their specs are read repeatedly.
 
     Parameters
@@ -119,28 +80,13 @@ class Points(Sequence[StudyPoint]):
     def __init__(self, planned: PlannedPoints, index: Index, folder: StudyFolder, places: Sequence[int] | None = None):
         self._planned, self._index, self._folder = planned, index, folder
         self._places = range(len(planned)) if places is None else places
-        self._kept: dict[int, StudyPoint] = {}
+        super().__init__(len(self._places), self._point, KEPT)
 
-    def __len__(self) -> int:
-        return len(self._places)
-
-    @overload
-    def __getitem__(self, place: int) -> StudyPoint: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> tuple[StudyPoint, ...]: ...
-
-    def __getitem__(self, place: int | slice) -> StudyPoint | tuple[StudyPoint, ...]:
-        if isinstance(place, slice):
-            return tuple(self[index] for index in range(*place.indices(len(self))))
-        place = self._places[place]
-        if place in self._kept:
-            return self._kept[place]
-        planned, row = self._planned[place], self._index.row(place)
-        point = StudyPoint(planned.number, replace(row, family=planned.family), planned, self._folder, planned.axes)
-        if place < KEPT:
-            self._kept[place] = point
-        return point
+    def _point(self, number: int) -> StudyPoint:
+        place = self._places[number]
+        planned = self._planned[place]
+        row = replace(self._index.row(place), family=planned.family, axes=planned.axes)
+        return StudyPoint(**vars(row), number=planned.number, planned=planned, folder=self._folder)
 
     def at(self, places: Sequence[int]) -> Points:
         """Return the points with these indices in the study."""

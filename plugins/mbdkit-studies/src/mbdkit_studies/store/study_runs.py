@@ -1,16 +1,15 @@
-"""The runs of a study: how they are read from its folder, and integrated again."""
+"""The runs of a study: the table of their results, how they are read from its folder, and integrated again."""
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from mbdkit.archive.layout import COUNTERS
 from mbdkit.archive.measured_values import MeasuredValues
 from mbdkit.archive.run import Run
 from mbdkit.base.called_functions import calls_allowed
@@ -20,17 +19,20 @@ from mbdkit.base.files_read import FileRead, only_known
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.runs.simulation import simulate
 from mbdkit_studies.folder.study_folder import StudyFolder
-from mbdkit_studies.spec.listed_measures import expressions_of
-from mbdkit_studies.spec.measures import MEASURES, Description, other_values
-from mbdkit_studies.spec.study_spec import StudySpec
+from mbdkit_studies.points.planned_points import Grid, Label, PlannedPoints
+from mbdkit_studies.spec.measures import MEASURES, Description, numbers_of
+from mbdkit_studies.spec.study_spec import StudySpec, expressions_of
 from mbdkit_studies.store.storage import JoinedRuns, Storage
-from mbdkit_studies.store.study_index import Index
+from mbdkit_studies.store.study_index import NUMBERS, TEXTS, Index
 from mbdkit_studies.store.study_point import Points, StudyPoint
 from mbdkit_studies.texts import ERROR
 
+#: Columns of texts in the index that the tables of a study have at another place, or not at all.
+_NOT_SHOWN = ("family", "data_sha256", "file_sha256")
+
 
 class StudyRuns:
-    """Base class of `Study`: its families of points, and the run of each point."""
+    """Base class of `Study`: its families of points, the table of its results, and the run of each point."""
 
     spec: StudySpec
     points: Points
@@ -38,6 +40,7 @@ class StudyRuns:
     storage: Storage
     _files: StudyFolder
     _index: Index
+    _planned: PlannedPoints
 
     @property
     def folder(self) -> Path:
@@ -69,6 +72,67 @@ class StudyRuns:
             hint = did_you_mean(chosen, self.families)
             raise MbdkitError(f"the study has no family '{chosen}'{hint}; families: {listed(self.families)}")
         return chosen
+
+    def axes(self, family: str | None = None) -> dict[str, list[Label]]:
+        """Return the labels on each axis of a family by dotted key, in the order of the spec.
+
+        Parameters
+        ----------
+        family
+            Name of the family; optional if the study has only one.
+        """
+        grid = self.grid(family)
+        return {key: [value.label for value in values] for axis in grid.axes for key, values in axis}
+
+    def grid(self, family: str | None = None) -> Grid:
+        """Return the plan of a family: its axes and the values of its sample.
+
+        Parameters
+        ----------
+        family
+            Name of the family; optional if the study has only one.
+        """
+        name = self._family(family)
+        return next(grid for grid in self._planned.grids if grid.name == name)
+
+    def described(self, name: str) -> tuple[str, str]:
+        """Return the units and the description of a numeric column of the index, such as a measure.
+
+        Raises
+        ------
+        KeyError
+            If there is no such column.
+        """
+        column = self._index.described.get(name) or NUMBERS[name]
+        return column.units, column.long_name
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each numeric column of `columns` that is not an axis, by name."""
+        return {name: column.units for name, column in self._index.described.items()}
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return the columns of `to_frame` by name, each with one value for each point."""
+        return self._table()
+
+    def _columns(self, places: Sequence[int] | slice) -> dict[str, np.ndarray]:
+        """Return the columns of the index for the points with these indices, without families and axes."""
+        texts = [name for name in TEXTS if name in self._index.runs and name not in _NOT_SHOWN]
+        names = dict.fromkeys((*texts, *self._index.described, "data_sha256"))
+        return {name: self._index.runs[name][places] for name in names}
+
+    def _places(self, family: str) -> list[int]:
+        """Return the indices of the points of a family."""
+        return np.flatnonzero(self._planned.families() == self._family(family)).tolist()
+
+    def _table(self, family: str | None = None) -> dict[str, np.ndarray]:
+        """Return the columns of a table of the points of one family, or of all."""
+        where = {"number": np.arange(1, len(self.points) + 1), "family": self._planned.families()}
+        if family is None:
+            return where | self._planned.labels() | self._columns(slice(None))
+        places = self._places(family)
+        labels = self.grid(family).labels()
+        return {name: column[places] for name, column in where.items()} | labels | self._columns(places)
 
     def run(self, point: StudyPoint | int | None = None, *, number: int | None = None) -> Run | None:
         """Return the run of a point with the arrays that the study stores, or None if it has no results.
@@ -144,7 +208,7 @@ class StudyRuns:
             the index. Timings and measures of second runs are not compared.
         """
         chosen = self._point(point, number)
-        if not chosen.row.data_sha256:
+        if not chosen.data_sha256:
             raise MbdkitError(
                 f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
             )
@@ -236,7 +300,7 @@ def _check_stored(run: Run, point: StudyPoint, path: Path | None) -> None:
     if another:
         message = f"this file contains another run in place of {which} of the study"
         raise SpecError(f"{message}; move it to another folder, and run `mbdkit study` again", file=path)
-    if run.data_sha256 != point.row.data_sha256:
+    if run.data_sha256 != point.data_sha256:
         message = f"the data of {which} are not those that the study has indexed: data_sha256 differs"
         raise SpecError(f"{message}; run `mbdkit study` again to index what is in the folder", file=path)
 
@@ -257,13 +321,16 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
         If data, measures, counters or verdict differ from those in the index.
     """
     run = simulate(point.spec, measures=expressions_of(study.defined_measures()))
-    if run.data_sha256 != point.row.data_sha256:
+    if run.data_sha256 != point.data_sha256:
         message = f"run {point.number}, computed again, has other data than the stored run"
         raise MbdkitError(f"{message}{why}")
+    known = point.values
+    names = [name for name, one in MEASURES.items() if name in known and (reference is not None or not one.needs)]
+    numbers = numbers_of(run, reference, run.run_spec, names, study.defined_measures())
     differing = [
         name
-        for name, value in _numbers_of(study, point, run, reference)
-        if not (value == point.values[name] or (math.isnan(value) and math.isnan(point.values[name])))
+        for name, value in numbers.items()
+        if name in known and not (value == known[name] or (math.isnan(value) and math.isnan(known[name])))
     ]
     if run.verdict != (point.verdict or run.verdict):
         differing.append("verdict")
@@ -271,16 +338,3 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
         message = f"run {point.number}, computed again, has the same data, but the index has other values of"
         raise MbdkitError(f"{message} {listed(differing)}{why}")
     return run
-
-
-def _numbers_of(study: StudySpec, point: StudyPoint, run: Run, reference: Run | None) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in the row of a point that are computed from its run and its reference run."""
-    known: Mapping[str, float] = point.values
-    for name, measure in MEASURES.items():
-        if name in known and (reference is not None or not measure.needs):
-            yield name, measure.of(run, reference)
-    others = other_values(run, run.run_spec, study.defined_measures())
-    yield from ((name, value) for name, value in others.items() if name in known)
-    for name in COUNTERS:
-        if name in known and name in run.stats:
-            yield name, float(run.stats[name])

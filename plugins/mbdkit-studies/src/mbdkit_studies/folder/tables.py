@@ -6,9 +6,11 @@ the attribute `texts` of the numbers names the array of texts. A column of hashe
 
 from __future__ import annotations
 
+import csv
 import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -17,7 +19,8 @@ from h5py import h5p
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.part_file import LIBVER
-from mbdkit.quantities.array import TEXT, Array
+from mbdkit.base.errors import ArchiveError, FormatVersionError
+from mbdkit.quantities.array import INTEGER, TEXT, Array
 
 #: Compression level of deflate; higher levels take longer, but reduce the size by only a few per cent.
 _LEVEL = 4
@@ -26,6 +29,18 @@ SMALL = 4096  #: Arrays with fewer bytes are not compressed.
 
 #: Size of a compressed chunk [bytes]. A chunk holds whole runs, so that reading one run decompresses few others.
 CHUNK = 1 << 18
+
+
+def described_columns(table: str) -> dict[str, str]:
+    """Return the descriptions of the columns of texts in the index (``index``) or in blocks (``block``), by name."""
+    with (Path(__file__).parent / "columns.csv").open(encoding="utf-8", newline="") as file:
+        return {row["name"]: row["long_name"] for row in csv.DictReader(file) if row["table"] == table}
+
+
+def write_scale(file: h5py.File, path: str, numbers: Sequence[int] | np.ndarray, what: str, under: str = "") -> None:
+    """Write a dimension scale of whole numbers, whose name is that of its axis; `under`: see `write_column`."""
+    group, _, name = path.partition("/")
+    create(file, Array(f"{group}/{name}", (name,), "1", what, INTEGER), np.array(numbers, INTEGER), under=under)
 
 
 @contextmanager
@@ -46,6 +61,22 @@ def file_bytes(file: h5py.File) -> bytes:
     file.flush()
     image: bytes = file.id.get_file_image()
     return image
+
+
+def write_header(file: h5py.File, kind: str, version: str, title: str, description: str, **texts: str) -> None:
+    """Write the attributes of a file of a study: those that all kinds of files have, and further `texts`."""
+    texts |= {"format": kind, "format_version": version, "Conventions": f"{kind}-{version}"}
+    for name, text in {"title": title, "description": description, **texts}.items():
+        set_text(file, name, text)
+
+
+def check_header(file: h5py.File, path: Path, kind: str, version: str, what: str) -> None:
+    """Raise ArchiveError unless a file is of a kind, in words ``the index of a study``, and its version is read."""
+    if file.attrs.get("format") != kind:
+        raise ArchiveError(f"this is not {what}", file=path)
+    written = str(file.attrs["format_version"])
+    if written.partition(".")[0] != version.partition(".")[0]:
+        raise FormatVersionError(f"this is {what} with format version {written}, this mbdkit reads 1.x", file=path)
 
 
 def write_column(
@@ -81,9 +112,8 @@ def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compre
     """Write a column of hexadecimal hashes of equal length as bytes; an empty hash is stored as zeros."""
     width = max((len(text) // 2 for text in hashes), default=0) or 1
     values = np.frombuffer(b"".join(bytes.fromhex(text or "00" * width) for text in hashes), np.uint8)
-    scale = Array(f"{array.path}_byte", (f"{array.name}_byte",), "1", f"number of the byte of {array.name}", "<i8")
-    create(file, scale, np.arange(1, width + 1))
-    bytes_ = Array(array.path, (*array.dims, scale.name), "1", array.long_name, "|u1")
+    write_scale(file, f"{array.path}_byte", range(1, width + 1), f"number of the byte of {array.name}")
+    bytes_ = Array(array.path, (*array.dims, f"{array.name}_byte"), "1", array.long_name, "|u1")
     dataset = write_column(file, bytes_, values.reshape(-1, width), compress=compress)
     set_text(dataset, "hash", "sha256")
 

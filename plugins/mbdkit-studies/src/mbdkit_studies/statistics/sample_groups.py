@@ -2,49 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import did_you_mean, listed
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies.points.planned_points import Grid, Label
-    from mbdkit_studies.spec.study_spec import StudySpec
-
-
-class SampledStudy(Protocol):
-    """The interface of `Study` that is needed to evaluate its sample."""
-
-    spec: StudySpec
-
-    @property
-    def families(self) -> dict[str, str]:
-        """Titles of the families by name."""
-        ...
-
-    def grid(self, family: str | None = None) -> Grid:
-        """Return the plan of a family."""
-        ...
-
-    def columns(self) -> dict[str, np.ndarray]:
-        """Return the columns of the table of all points."""
-        ...
-
-    def described(self, name: str) -> tuple[str, str]:
-        """Return the units and the description of a numeric column."""
-        ...
-
-    def rows_of_runs(self) -> Iterator[tuple[Run, Sequence[int], np.ndarray]]:
-        """Yield runs that join the rows of one or more runs of the study.
-
-        Each item is a joined run, the numbers of its runs in the study, and the number of rows of each of its runs.
-        """
-        ...
+from mbdkit_studies.points.planned_points import Label
+from mbdkit_studies.store.study_runs import StudyRuns
 
 
 @dataclass(frozen=True)
@@ -76,7 +42,7 @@ class SampleGroup:
         return ({"family": self.family} if self.family else {}) | dict(self.axes)
 
 
-def sample_groups(study: SampledStudy) -> list[SampleGroup]:
+def sample_groups(study: StudyRuns) -> list[SampleGroup]:
     """Return the groups of a study in the order of its points; a study without axes has a single group."""
     groups: list[SampleGroup] = []
     start = 0
@@ -89,7 +55,7 @@ def sample_groups(study: SampledStudy) -> list[SampleGroup]:
     return groups
 
 
-def groups_where(study: SampledStudy, where: Mapping[str, Label] | None) -> list[SampleGroup]:
+def groups_where(study: StudyRuns, where: Mapping[str, Label] | None) -> list[SampleGroup]:
     """Return the groups with the given family and labels.
 
     Parameters
@@ -120,7 +86,7 @@ def groups_where(study: SampledStudy, where: Mapping[str, Label] | None) -> list
     return results
 
 
-def one_group(study: SampledStudy, where: Mapping[str, Label] | None) -> SampleGroup:
+def one_group(study: StudyRuns, where: Mapping[str, Label] | None) -> SampleGroup:
     """Return the only group with the given family and labels; raise MbdkitError if there is no such group, or
     several.
     """
@@ -137,7 +103,7 @@ def _told(groups: Sequence[SampleGroup]) -> str:
     return "; ".join(group.words for group in groups[:6]) + ("; ..." if len(groups) > 6 else "")
 
 
-def measured(study: SampledStudy, name: str, places: range, *, with_bad: bool = False) -> np.ndarray:
+def measured(study: StudyRuns, name: str, places: range, *, with_bad: bool = False) -> np.ndarray:
     """Return the values of a numeric column for some points; nan where a run is not complete or is rated bad.
 
     Parameters
