@@ -101,9 +101,16 @@ class ContinuousFunctionals:
         self._begun = False
 
     def _new_part(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> _Ends:
-        part = _Ends(begin=beside_stop(self._table, time, 1.0))
+        part = _Ends(begin=self._beside_stop(time, 1.0))
         part.add(np.array([time]), q[None], v[None], z[None])
         return part
+
+    def _beside_stop(self, time: float, side: float) -> float:
+        """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if none."""
+        for stop, margin in zip(self._table.stops, self._table.stop_margins, strict=True):
+            if abs(time - stop) <= SAME_TIME * margin:
+                return stop + side * margin
+        return -side * math.inf
 
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the ends (T,) of further steps. Motions and loads of the run must have no discontinuities."""
@@ -116,7 +123,7 @@ class ContinuousFunctionals:
         for time, q, v, z in steps:
             ends = self._ends
             is_same = np.array_equal(v[0], ends.v[-1]) and np.array_equal(z[0], ends.z[-1])
-            continues = is_same and math.isinf(beside_stop(self._table, time[0], 1.0))
+            continues = is_same and math.isinf(self._beside_stop(time[0], 1.0))
             if not continues and len(ends.time) > 1:
                 self._close()
                 self._ends = self._new_part(time[0], q[0], v[0], z[0])
@@ -127,7 +134,7 @@ class ContinuousFunctionals:
 
     def _close(self) -> None:
         """Evaluate the remaining steps before a discontinuity, at which this part of the motion ends."""
-        self._ends.end = beside_stop(self._table, self._ends.time[-1], -1.0)
+        self._ends.end = self._beside_stop(self._ends.time[-1], -1.0)
         self._take(whole=False)
 
     def _take(self, *, whole: bool) -> None:
@@ -282,11 +289,3 @@ def peak_with(part: MotionPart, functional: Functional, known: Integrals, durati
     if math.isnan(peak.value):
         return Peak(math.nan, float(part.ends.time[0]))
     return peak if begins or sign * peak.value > best else before
-
-
-def beside_stop(table: Timetable, time: float, side: float) -> float:
-    """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if none."""
-    for stop, margin in zip(table.stops, table.stop_margins, strict=True):
-        if abs(time - stop) <= SAME_TIME * margin:
-            return stop + side * margin
-    return -side * math.inf

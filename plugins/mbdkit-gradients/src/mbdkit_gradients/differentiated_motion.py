@@ -16,8 +16,8 @@ import numpy as np
 from mbdkit.engine.native.number_arrays import Duals, new_duals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
+from mbdkit.integrators.interface import SAME_TIME
 from mbdkit.quantities.names import archive_names
-from mbdkit.runs.continuous_functionals import beside_stop
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, joined_states, merged_states
@@ -76,9 +76,20 @@ class DifferentiatedMotion:
         if len(self._parts[-1].time) < 2:
             self._parts.pop()
         law_sides = sides_of(self._stepper) if corner is None else corner.sides
-        part = _Part(corner, law_sides, (beside_stop(self._stepper.timetable, time, 1.0), np.inf))
+        part = _Part(corner, law_sides, (self._beside_stop(time, 1.0), np.inf))
         part.add(time, q, v)
         self._parts.append(part)
+
+    def _beside_stop(self, time: float, side: float) -> float:
+        """Return the time just before (`side` -1) or after (1) the discontinuity of a motion at `time`.
+
+        Without a discontinuity, the result is -side * inf.
+        """
+        table = self._stepper.timetable
+        for stop, margin in zip(table.stops, table.stop_margins, strict=True):
+            if abs(time - stop) <= SAME_TIME * margin:
+                return stop + side * margin
+        return -side * np.inf
 
     def add(self) -> None:
         """Add the corners (discontinuities of force laws) that the last step has passed, and the end of this step."""
@@ -96,7 +107,7 @@ class DifferentiatedMotion:
 
     def _add_end(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
         self._parts[-1].add(time, q, v)
-        end = beside_stop(self._stepper.timetable, time, -1.0)
+        end = self._beside_stop(time, -1.0)
         if np.isfinite(end):
             self._parts[-1].sides = self._parts[-1].sides[0], end
             self._begin_at(time, q, v)

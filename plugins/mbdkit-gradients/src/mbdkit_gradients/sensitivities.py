@@ -250,9 +250,9 @@ class PreparedSensitivities:
             If the run ends before the last time.
         """
         plain, start = self._split(values, initial)
+        names = self.quantities, self.units, tuple(parameter.name for parameter in self.parameters), self.time
         if not self.parameters:
             found = self.values(values, initial)
-            names = self.quantities, self.units, (), self.time
             return Sensitivities(*names, found, np.zeros((*found.shape, 0)), self.differences, np.zeros(0))
         exact, some = None, self._places
         if not self.differences:
@@ -263,7 +263,6 @@ class PreparedSensitivities:
                     raise
                 self.differences = failure.message.rstrip(".")
         found, slopes, error = exact or self._by_differences(plain, start)
-        names = self.quantities, self.units, tuple(parameter.name for parameter in self.parameters), self.time
         return Sensitivities(*names, found[:, some], slopes[:, some], self.differences, error)
 
     def values(self, values: Mapping[str, float], initial: Mapping[str, float] | None = None) -> np.ndarray:

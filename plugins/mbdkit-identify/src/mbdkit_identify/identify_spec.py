@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
@@ -41,6 +41,8 @@ class Prior(Section):
 class Estimated(Section):
     """A parameter to be estimated."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("start", "bounds", "prior")
+
     start: SINumber | None = None
     """Value at which the search begins; by default, the value in the base, or else the middle of the bounds."""
     bounds: SIInterval | None = None
@@ -62,6 +64,8 @@ class Estimated(Section):
 class TimeColumn(Section):
     """The column of a file with times."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit",)
+
     column: str
     """Heading of the column, with or without a unit at its end."""
     unit: str | None = None
@@ -74,6 +78,8 @@ def _column(given: object) -> object:
 
 class Measured(Section):
     """The column of a file with measured values."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("unit", "deviation", "file", "time")
 
     column: str
     """Heading of the column, with or without a unit at its end."""
@@ -91,6 +97,8 @@ class Measured(Section):
 class Signal(Measured):
     """The column of a file with an observed quantity."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (*Measured.ABSENT_BY_DEFAULT, "correlation", "unwrap")
+
     correlation: Literal["none", "ar"] = "ar"
     """Whether the noise may be correlated in time: `ar` estimates an autoregressive model of order 1 from the
     residuals, `none` assumes independent noise."""
@@ -101,6 +109,8 @@ class Signal(Measured):
 
 class Sensor(Section):
     """How a sensor shows a quantity y: ``gain*y(t - delay) + offset``; numbers, or names of parameters."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("gain", "offset", "delay")
 
     gain: NumberOrName = 1.0
     """Factor, such as the counts per radian of an encoder; the column then has no `unit`."""
@@ -118,6 +128,10 @@ def _initial(given: object) -> object:
 
 class Experiment(Section):
     """One record of measured data."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
+        *("separator", "decimal", "inputs", "initial", "overrides", "window", "sensors", "role"),
+    )
 
     file: str
     """File with a table, relative to the folder of the spec: .csv, .tsv, .txt, .dat, .mot, .sto, .trc or .c3d; empty
@@ -169,6 +183,8 @@ class Shooting(Section):
 class Intervals(Section):
     """Intervals of the estimates."""
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("of",)
+
     level: Annotated[float, Field(gt=0.5, lt=1.0)] = 0.95
     """Probability with which an interval contains the true value."""
     method: Literal["profile", "linear"] = "profile"
@@ -180,6 +196,8 @@ class Intervals(Section):
 
 class Candidate(Section):
     """A possible next experiment: other settings of the base of an experiment."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("overrides", "observed", "duration", "like")
 
     overrides: Overrides = Field(default_factory=dict)
     """Dotted keys to set in the base."""
@@ -194,6 +212,8 @@ class Candidate(Section):
 
 class Narrowed(Section):
     """A quantity of a later run, whose interval the next experiment should narrow."""
+
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("overrides",)
 
     quantity: str
     """The quantity, such as ``joints.hip.force_y``; its widest interval in the run counts."""
@@ -225,6 +245,7 @@ class IdentifySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit identification spec", defer_build=True)
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
 
     mbdkit_identify: FormatVersion
     """Version of the spec format."""

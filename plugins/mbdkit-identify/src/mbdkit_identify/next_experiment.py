@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import RunSpec, SpecError, path_text
+from mbdkit.plugin import SpecError, path_text
 from mbdkit.plugin.studies import PreparedSensitivities
 from mbdkit_identify.identification import NextExperiment
 from mbdkit_identify.intervals import Goal, covariance_of
@@ -51,7 +50,7 @@ def _asked(done: _Identification) -> list[Goal]:
     """Return what `narrow` of the spec asks for, if it does, as one goal for each time of its run."""
     if (narrow := done.spec.narrow) is None:
         return []
-    spec = _base_with(done, narrow.overrides, ("narrow",))
+    spec = overridden(done.spec.run_spec, done.base_data(done.fit.x), narrow.overrides, ("narrow",))
     own = [name for name in done.names if name in spec.parameters or name.startswith("model.")]
     times = np.linspace(spec.time.start, spec.time.final, TIMES)
     with SpecError.rekey("narrow.quantity"):
@@ -59,11 +58,6 @@ def _asked(done: _Identification) -> list[Goal]:
     wide = np.zeros((TIMES, len(done.fit.x)))
     wide[:, [done.names.index(name) for name in own]] = slopes
     return [Goal(narrow.quantity, lambda x: np.nan, lambda x, slope=slope: slope) for slope in wide]  # type: ignore[misc]
-
-
-def _base_with(done: _Identification, overrides: Mapping[str, object], place: tuple[str, ...]) -> RunSpec:
-    """Return the base with the estimates and other settings."""
-    return overridden(done.spec.run_spec, done.base_data(done.fit.x), overrides, place)
 
 
 def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
@@ -91,7 +85,7 @@ def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.nd
     if data is None:
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
     own = spec.model_copy()
-    own._base = _base_with(done, candidate.overrides, ("candidates", name))
+    own._base = overridden(spec.run_spec, done.base_data(done.fit.x), candidate.overrides, ("candidates", name))
     time = data.time
     if candidate.duration is not None:
         interval = float(np.median(np.diff(time)))

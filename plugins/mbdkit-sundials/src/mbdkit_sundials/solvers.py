@@ -135,8 +135,8 @@ class Ida(SundialsSolver):
 def _create(solver: type[SundialsSolver]) -> Callable[[SundialsOptions], Method]:
     @integrator_method
     def create(chosen: SundialsOptions) -> SciPySolver:
-        family = {"method": chosen.family} if isinstance(chosen, CvodeOptions) else {}
-        order = {"max_order": chosen.max_order} if family.get("method") != "Adams" else {}
+        family: dict[str, Any] = {"method": chosen.family} if isinstance(chosen, CvodeOptions) else {}
+        order: dict[str, Any] = {"max_order": chosen.max_order} if family.get("method") != "Adams" else {}
         configured: Any = partial(solver, **family, **order)
         return SciPySolver(configured, chosen.rtol, chosen.atol, needs_jacobian=True)
 
