@@ -18,7 +18,6 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Failure, Stepper
 from mbdkit.integrators.run.impulse import ReactingMemory
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import estimate_from_coarser
 from mbdkit.runs.accuracy.companion import Budget, Companion, CompanionRows, run_companion
@@ -27,6 +26,7 @@ from mbdkit.runs.accuracy.error_estimate import ErrorEstimate, Units, estimate_e
 from mbdkit.runs.accuracy.pilot_run import RecordedPilot
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.accuracy.resolved_loads import resolved_until
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
@@ -36,9 +36,7 @@ if TYPE_CHECKING:
 
 
 def check_run(
-    spec: RunSpec,
-    method: Method,
-    workspace: Workspace,
+    setup: RunSetup,
     rows: ObservedRows,
     steps: int,
     budget: Budget,
@@ -51,17 +49,17 @@ def check_run(
     addition there is the guard, a run with another method. If the spec limits wall time, the same limit applies to all
     companions together.
 
-    - `spec`, `method`, `workspace`: the run.
+    - `setup`: the run.
     - `rows`: recorded rows of the run.
     - `steps`: number of steps of the run.
     - `budget`: determines when the comparison runs must stop; the errors are then unknown.
     - `progress`: called with (time reached, end time) [s] of each companion.
     - `memory`: memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
-    begin = time.perf_counter()
+    begin, spec, workspace = time.perf_counter(), setup.spec, setup.workspace
     if len(rows.time) < 2:
         return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
-    chosen = choose_companions(spec, method, workspace, rows.time, steps)
+    chosen = choose_companions(setup, rows.time, steps)
     watch = watch_of(spec)
     runs = [
         run_companion(companion, workspace, rows.time, budget.stopped, progress, watch) for companion in chosen.finer
@@ -99,7 +97,7 @@ def why_unknown(
     )
     for companion, rows in runs:
         if rows.failure and _reached(rows) < following:
-            why = f"the comparison run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}"
+            why = f"the comparison run with {companion.run.name} ended at {_reached(rows):.6g} s: {rows.failure}"
             break
     else:
         why = f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
@@ -178,15 +176,15 @@ def _reached(states: CompanionRows) -> float:
 
 
 def _sentence(chosen: Chosen, runs: list[tuple[Companion, CompanionRows]]) -> str:
-    first, second = (companion.name for companion in chosen.finer)
+    first, second = (companion.run.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
-        f"{runs[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
+        f"{runs[-1][0].run.name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
         f"converge to the last one."
     )
     for companion, rows in runs:
         if rows.failure:
-            text += f" The run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}."
+            text += f" The run with {companion.run.name} ended at {_reached(rows):.6g} s: {rows.failure}."
     return text
 
 
