@@ -38,7 +38,7 @@ from mbdkit.trust.finding import Doubts
 if TYPE_CHECKING:
     from mbdkit.events.watch import Watch
     from mbdkit.runs.accuracy.chosen_method import Choice
-    from mbdkit.runs.accuracy.pilot_run import Replay
+    from mbdkit.runs.accuracy.pilot_run import RecordedPilot
 
 #: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
@@ -84,7 +84,8 @@ class SimulatedRun:
         self.deadline = math.inf
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
-        self.replay: Replay | None = None
+        #: The pilot run that has taken the steps of this run.
+        self.replay: RecordedPilot | None = None
         self.cause: BaseException | None = None
         self.accuracy: Accuracy | None = None
         #: Gradients of the measures as JSON; empty if there are none.
@@ -114,7 +115,7 @@ class SimulatedRun:
         if self.stepper is not None:
             self.advance(self.stepper, reporter, wall, self.checkpoints(wall, cpu))
         self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-        if self.replay is not None:  # the steps have been computed by the pilot, before this run
+        if self.replay is not None:
             self.timings["wall_s"] += self.replay.wall
             self.timings["cpu_s"] += self.replay.cpu
         begin = time.perf_counter()
@@ -158,9 +159,7 @@ class SimulatedRun:
         self.stepper = self.watch = self.replay = None
         table, final = self.record.table, self.choice.final if self.choice is not None else None
         if final is not None and final.is_run and not (table.nodes or table.single):
-            from mbdkit.runs.accuracy.pilot_run import Replay
-
-            self.stepper = self.replay = Replay(final)
+            self.replay, self.stepper = final, final.stepper
             return
         try:
             stepper = self.record.setup.stepper(table)
@@ -252,7 +251,10 @@ class SimulatedRun:
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         self.deadline = math.inf if limit is None else begin + limit
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
-        recorded = self.record.recorder.last_time
+        for stretch in () if self.replay is None else self.replay.stretches:
+            if self.failure is None:
+                before, elapsed = elapsed, time.perf_counter() - begin
+                self.add(Taken(stretch), (before, elapsed))
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             since, done = time.perf_counter(), stepper.counters.steps
             stretch = self.next_stretch(stepper)
@@ -261,8 +263,6 @@ class SimulatedRun:
             now = time.perf_counter() - begin
             self.add(self.taken(stepper, stretch), (elapsed, now))
             self._record_inputs()
-            if len(stretch.time):
-                recorded = float(stretch.time[-1])
             elapsed = now
             if progress is not None:
                 progress(stepper.time, end)
@@ -279,7 +279,7 @@ class SimulatedRun:
             checkpoints.write()
         unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
         self.failure = self.failure or stepper.failure
-        if recorded < stepper.time and not stepper.finished and not unrecordable:
+        if self.record.recorder.last_time < stepper.time and not stepper.finished and not unrecordable:
             self.record.recorder.record(stepper.last_state(), (elapsed, elapsed))
         self._record_inputs(at_end=True)
 

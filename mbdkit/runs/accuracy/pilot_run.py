@@ -7,16 +7,14 @@ compared with other pilots at any time; the last recorded pilot is used as the r
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
+from mbdkit.integrators.interface import Advancing, Failure, Stretch
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
@@ -202,56 +200,3 @@ def can_be_recorded(spec: RunSpec) -> bool:
         and make_method(spec).traits.is_explicit
         and not timetable(spec, None).impacts
     )
-
-
-class Replay:
-    """Implements `Advancing` by returning the stretches of steps of a finished pilot, which serves as the run."""
-
-    def __init__(self, pilot: RecordedPilot):
-        self._pilot = pilot
-        self._left: Sequence[Stretch] = list(pilot.stretches)
-        self.wall, self.cpu = pilot.wall, pilot.cpu
-        self.time = float(pilot.time[0])
-
-    def advance(self) -> Stretch:
-        """See `Advancing.advance`."""
-        first, *self._left = self._left
-        self.time = float(first.time[-1])
-        return first
-
-    @property
-    def finished(self) -> bool:
-        """See `Advancing.finished`."""
-        return not self._left and self._pilot.stepper.finished
-
-    @property
-    def failure(self) -> Failure | None:
-        """See `Advancing.failure`."""
-        return None if self._left else self._pilot.stepper.failure
-
-    @property
-    def counters(self) -> Counters:
-        """See `Advancing.counters`."""
-        return self._pilot.stepper.counters
-
-    @property
-    def worst_pairs(self) -> np.ndarray:
-        """See `Advancing.worst_pairs`."""
-        return self._pilot.stepper.worst_pairs
-
-    @property
-    def evidence(self) -> StepEvidence:
-        """See `Advancing.evidence`."""
-        return self._pilot.stepper.evidence
-
-    def rows_before_error(self) -> Stretch | None:
-        """See `Advancing.rows_before_error`."""
-        return None
-
-    def last_state(self) -> Stretch:
-        """See `Advancing.last_state`."""
-        return self._pilot.stepper.last_state()
-
-    def taken_nodes(self) -> Nodes:
-        """See `Advancing.taken_nodes`; pilots store none."""
-        return self._pilot.stepper.taken_nodes()
