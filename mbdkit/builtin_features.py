@@ -114,15 +114,15 @@ def builtin_features() -> list[Feature]:
         ),
         CriterionItem(
             name="table-ends", summary="Ends of the tables of moving centers.", order=140, stage="rows",
-            find=Target("mbdkit.runs.moving_centers:watch_moving_centers"),
+            find=Target("mbdkit.runs.row_criteria:watch_moving_centers"),
         ),
         CriterionItem(
             name="slow-friction", summary="Dry friction that slips so slowly that it is viscous.", order=150,
-            stage="rows", find=Target("mbdkit.runs.slow_friction:of_joints"),
+            stage="rows", find=Target("mbdkit.runs.row_criteria:watch_joint_friction"),
         ),
         CriterionItem(
             name="coincident-ends", summary="Forces whose ends meet.", order=160, stage="rows",
-            find=Target("mbdkit.runs.coincident_ends:watch_coincident_ends"),
+            find=Target("mbdkit.runs.row_criteria:watch_coincident_ends"),
         ),
         CriterionItem(
             name="coarse-beams", summary="Beams whose elements are too coarse.", order=170, stage="rows",
