@@ -1,6 +1,4 @@
-"""The last step of a method in Python, and the rows that the method records: at the ends of its steps, or at an interval
-by dense output.
-"""
+"""The last step of a method in Python, and the rows that the method records at the ends of its steps or at an interval."""
 
 from __future__ import annotations
 
