@@ -251,10 +251,10 @@ class SimulatedRun:
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         self.deadline = math.inf if limit is None else begin + limit
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
-        for stretch in () if self.replay is None else self.replay.stretches:
+        for taken_before in () if self.replay is None else self.replay.stretches:
             if self.failure is None:
                 before, elapsed = elapsed, time.perf_counter() - begin
-                self.add(Taken(stretch), (before, elapsed))
+                self.add(Taken(taken_before), (before, elapsed))
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             since, done = time.perf_counter(), stepper.counters.steps
             stretch = self.next_stretch(stepper)

@@ -1,4 +1,4 @@
-"""The last step of a method in Python, and the rows that the method records at the ends of its steps or at an interval."""
+"""The last step of a method in Python, and the rows that the method records at ends of steps or at an interval."""
 
 from __future__ import annotations
 

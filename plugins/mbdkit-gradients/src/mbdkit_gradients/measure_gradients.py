@@ -19,7 +19,6 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import plus_minus
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.notes import zero_reactions_in
 from mbdkit.runs.preparation import RunSetup, make_method
@@ -29,6 +28,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import open_doubts
+from mbdkit.trust.measure_error import natural_scales, natural_size
 from mbdkit_gradients.adjoint_gradient import AdjointRun, is_ready, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.derivative_doubts import start_doubts
