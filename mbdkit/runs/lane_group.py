@@ -125,54 +125,94 @@ class Watch:
         return (*self._member.findings, *self._watchers.findings(EnergyRecord.of(energies), {}), *ranges)
 
 
+@dataclass(eq=False)
 class PreparedRuns:
-    """Prepared runs that can share a loop.
+    """Prepared runs that can share a loop, and that differ in numbers only.
 
-    Parameters
-    ----------
-    members
-        The runs.
-
-    Attributes
-    ----------
-    first : LaneMember
-        One of the runs.
-    size, extent, limit, seconds : (R,) arrays
-        See `LaneMember`; smallest limit of misalignments.
-    tables : list of Timetable
-        The timetable of each run.
+    - `first`: one of the runs.
+    - `starts`: the mechanisms and their starts.
+    - `tables`, `assembled`, `findings`: the timetable of each run, how its start was made consistent, and what was
+      found about its spec and its start.
+    - `size`, `extent`, `seconds`: (R,) arrays; see `LaneMember`.
+    - `tolerance`: (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the
+      start is known to be consistent.
+    - `indices`, `spec`: index of each run among those that were asked for, and function that returns the spec of the
+      run with an index.
     """
 
-    def __init__(self, members: Sequence[LaneMember]):
-        self.members, self.first, self.tables = members, members[0], [member.table for member in members]
-        self.size, self.extent, self.seconds = (
+    first: LaneMember
+    starts: VariedStarts
+    tables: Sequence[Timetable]
+    assembled: Sequence[AssembledState]
+    findings: Sequence[tuple[Finding, ...]]
+    size: np.ndarray
+    extent: np.ndarray
+    seconds: np.ndarray
+    tolerance: np.ndarray
+    indices: Sequence[int]
+    spec: Callable[[int], RunSpec]
+
+    @classmethod
+    def of_members(cls, members: Sequence[LaneMember]) -> PreparedRuns:
+        """Return runs that were prepared one by one."""
+        size, extent, seconds = (
             np.array([getattr(member, name) for member in members]) for name in ("size", "extent", "seconds")
         )
-        guards = [table.guards for table in self.tables]
-        self.limit = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
+        return cls(
+            first=members[0],
+            starts=VariedStarts.of_starts([one.start for one in members], [one.pivots for one in members]),
+            tables=[member.table for member in members],
+            assembled=[member.start.assembled for member in members],
+            findings=[member.findings for member in members],
+            size=size, extent=extent, seconds=seconds, tolerance=np.full(len(members), np.inf),
+            indices=range(len(members)), spec=lambda index: members[index].spec,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.tables)
 
     def member(self, run: int) -> LaneMember:
         """Return one of the runs."""
-        return self.members[run]
+        mechanism, q, v = self.starts.mechanism_of(run), self.starts.q[run], self.starts.v[run]
+        return replace(
+            self.first,
+            varied=partial(self.spec, self.indices[run]),
+            start=MechanismAtStart(mechanism, q, v, self.assembled[run]),
+            table=self.tables[run], size=float(self.size[run]), extent=float(self.extent[run]),
+            findings=self.findings[run],
+        )  # fmt: skip
 
     def of(self, runs: Sequence[int]) -> PreparedRuns:
         """Return some of the runs."""
-        return PreparedRuns([self.members[run] for run in runs])
+        places, kept = [*runs], ("first", "starts", "spec")
+        own: dict[str, Any] = {name: values for name, values in vars(self).items() if name not in kept}
+        for name, values in own.items():
+            own[name] = values[places] if isinstance(values, np.ndarray) else [values[run] for run in places]
+        return replace(self, starts=self.starts.of(places), **own)
 
     def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
         """Advance some of the runs, at most `WIDTH`."""
-        some = [self.members[run] for run in runs]
-        return stepper.advance([one.start for one in some], [one.table for one in some], [one.pivots for one in some])
+        return stepper.advance(self.starts.of([*runs]), self.tables[runs.start : runs.stop])
+
+    def is_consistent(self, results: LaneResults) -> np.ndarray:
+        """Return whether assembly certainly changes nothing, (R,)."""
+        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
+        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
+        return np.asarray((gap <= self.tolerance) & (rate <= self.tolerance))
 
     def sound(self, results: LaneResults) -> np.ndarray:
-        """Return the indices of the runs that need not be repeated alone."""
+        """Return the indices of the runs that need not be repeated alone: because of a limit or a finding, or because
+        assembly may change their starts.
+        """
+        guards = [table.guards for table in self.tables]
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         # Joints whose states may exceed a limit of misalignment must be checked one by one. The residual of a joint,
         # which has at most three rows, is below 4 times that of its largest row.
-        return np.flatnonzero(~results.lost & (largest <= self.limit / 4))
+        sound = np.flatnonzero(~results.lost & (largest <= smallest / 4))
+        for watcher in self.first.watchers:
+            sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
+        return np.asarray(sound[self.is_consistent(results)[sound]])
 
     def watched(self, results: LaneResults) -> list[Watch] | None:
         """Return what watches the recorded states of each run; None if nothing does."""
@@ -182,12 +222,13 @@ class PreparedRuns:
         """Return the arrays of the settings of inputs."""
         if not self.first.start.mechanism.inputs:
             return {}
-        own = [start_settings(self.member(run).start.mechanism, self.tables[run].start) for run in range(len(self))]
+        own = [start_settings(self.starts.mechanism_of(run), table.start) for run, table in enumerate(self.tables)]
         return {key: np.stack([one[key] for one in own]) for key in own[0]}
 
     def assembly(self) -> list[str]:
         """Return sentences on how the starts were made consistent."""
-        return [member.start.assembled.describe() for member in self.members]
+        texts = {id(one): one.describe() for one in {id(one): one for one in self.assembled}.values()}
+        return [texts[id(one)] for one in self.assembled]
 
     def integrals(self, results: LaneResults, measures: Sequence[str]) -> list[Integrals]:
         """Return the extrema and values that the measures of the runs need; nothing if they need none.
@@ -206,76 +247,6 @@ class PreparedRuns:
             own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
             integrals.append(own.totals())
         return integrals
-
-
-class VariedLanes(PreparedRuns):
-    """Prepared runs that differ in some numbers of their mechanisms only, and have no objects of their own.
-
-    Parameters
-    ----------
-    first
-        A run with the same loop.
-    starts
-        The mechanisms and their starts.
-    assembled
-        How each start was made consistent.
-    size, extent, seconds
-        (R,) arrays; see `LaneMember`.
-    tolerance
-        (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the start is
-        known to be consistent.
-    indices
-        Index of each run among those that were asked for.
-    spec
-        Function that returns the spec of the run with an index.
-    """
-
-    def __init__(
-        self, first: LaneMember, starts: VariedStarts, assembled: Sequence[AssembledState], size: np.ndarray,
-        extent: np.ndarray, seconds: np.ndarray, tolerance: np.ndarray, indices: Sequence[int],
-        spec: Callable[[int], RunSpec],
-    ):  # fmt: skip
-        self.first, self.starts, self.assembled, self.size, self.extent = first, starts, assembled, size, extent
-        self.seconds, self.tolerance, self.indices, self.spec = seconds, tolerance, indices, spec
-        self.limit = np.minimum(starts.limits, first.table.guards.angle_misalignment)
-        self.tables = [first.table] * len(size)
-
-    def member(self, run: int) -> LaneMember:
-        """See `PreparedRuns.member`."""
-        guards = replace(self.first.table.guards, misalignment=float(self.starts.limits[run]))
-        table, size, extent = replace(self.first.table, guards=guards), float(self.size[run]), float(self.extent[run])
-        mechanism, q, v = self.starts.mechanism_of(run), self.starts.q[run], self.starts.v[run]
-        start, spec = MechanismAtStart(mechanism, q, v, self.assembled[run]), partial(self.spec, self.indices[run])
-        return replace(self.first, varied=spec, start=start, table=table, size=size, extent=extent)
-
-    def of(self, runs: Sequence[int]) -> VariedLanes:
-        """See `PreparedRuns.of`."""
-        places, starts = [*runs], self.starts.of([*runs])
-        size, extent, seconds, tolerance = (x[places] for x in (self.size, self.extent, self.seconds, self.tolerance))
-        assembled, indices = [self.assembled[run] for run in places], [self.indices[run] for run in places]
-        return VariedLanes(self.first, starts, assembled, size, extent, seconds, tolerance, indices, self.spec)
-
-    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
-        """See `PreparedRuns.advance`."""
-        return stepper.advance_varied(self.starts.of([*runs]), self.first.table)
-
-    def is_consistent(self, results: LaneResults) -> np.ndarray:
-        """Return whether assembly certainly changes nothing, (R,)."""
-        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
-        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
-        return np.asarray((gap <= self.tolerance) & (rate <= self.tolerance))
-
-    def sound(self, results: LaneResults) -> np.ndarray:
-        """See `PreparedRuns.sound`; runs with findings, and those whose starts assembly may change, are repeated."""
-        sound = super().sound(results)
-        for watcher in self.first.watchers:
-            sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
-        return np.asarray(sound[self.is_consistent(results)[sound]])
-
-    def assembly(self) -> list[str]:
-        """See `PreparedRuns.assembly`."""
-        texts = {id(one): one.describe() for one in {id(one): one for one in self.assembled}.values()}
-        return [texts[id(one)] for one in self.assembled]
 
 
 class Advanced(NamedTuple):
@@ -364,7 +335,7 @@ class LaneGroup:
             arrays = {key: self._by_run(one.take(states), key, count) for key, one in self.recorded.items()}
         arrays |= self._intervals(runs, results)
         extremes = _Extremes(self, results, states)
-        found = [first.findings] * count
+        found = runs.findings
         if watches is not None:
             found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
         begin = time.perf_counter()
