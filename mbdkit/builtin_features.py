@@ -67,11 +67,11 @@ def builtin_features() -> list[Feature]:
         ),
         CriterionItem(
             name="short-runs", summary="Tables that change long after the end of the run.", order=40, stage="spec",
-            find=Target("mbdkit.runs.notes:short_runs"), level=None,
+            find=Target("mbdkit.runs.run_criteria:short_runs"), level=None,
         ),
         CriterionItem(
             name="zero-reactions", summary="Measures of reactions that are always zero.", order=50, stage="spec",
-            find=Target("mbdkit.runs.notes:zero_reactions_of_run"), level=None,
+            find=Target("mbdkit.runs.run_criteria:zero_reactions_of_run"), level=None,
         ),
         CriterionItem(
             name="left-out", summary="Effects of a file that the mechanism lacks.", order=60, stage="spec",

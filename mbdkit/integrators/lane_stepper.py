@@ -59,13 +59,13 @@ class LaneResults:
     #: steps; None if the steps are fixed.
     work: np.ndarray | None
     counters: Mapping[str, np.ndarray]  #: (W,) counters of the runs, by the names of `Counters`.
-    #: (3, W) largest kinetic energy [J], largest change of the energy balance in a step [J], and its time [s].
+    #: (W, 3) largest kinetic energy [J], largest change of the energy balance in a step [J], and its time [s].
     guards: np.ndarray
     turns: Sequence[list[list[float]]]  #: Sharp turns of each run; see `BranchSuspicion`.
 
     def evidence_of(self, run: int) -> StepEvidence:
         """Return the quantities observed over all steps of a run."""
-        kinetic, jump, jump_time = self.guards[:, run].tolist()
+        kinetic, jump, jump_time = self.guards[run].tolist()
         return StepEvidence(jump, jump_time, kinetic, tuple(BranchSuspicion(*turn) for turn in self.turns[run]))
 
     def of(self, runs: np.ndarray) -> LaneResults:
@@ -77,7 +77,6 @@ class LaneResults:
             observed=Observed(*(values[runs] for values in self.observed)),
             work=None if self.work is None else self.work[runs],
             counters={name: values[runs] for name, values in self.counters.items()},
-            guards=self.guards[:, runs],
             turns=[self.turns[run] for run in runs.tolist()],
         )
 
@@ -103,13 +102,12 @@ class LaneResults:
             observed=Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
             work=join(works) if works else None,
             counters={name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
-            guards=np.hstack([part.guards for part in parts]),
             turns=[turns for part in parts for turns in part.turns],
         )
 
 
-_BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows")
-_SINGLE = ("lost", "worst", "rows")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
+_BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows", "guards")
+_SINGLE = ("lost", "worst", "rows", "guards")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
 
 
 AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
@@ -255,14 +253,14 @@ class LaneStepper:
         arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
         worst, last = by_run(c.worst, count), int(rows.max())
         time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
-        guards = np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time])[:, :count]
+        guards = by_run(np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time]), count)
         turns = [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
         counts = {name: c.counts[place, :count].astype(int) for name, place in _COUNTED.items()}
         none = dict.fromkeys((one.name for one in fields(Counters)), np.zeros(count, int))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
             lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work,
-            {**none, **counts, **steps}, np.array(guards), turns,
+            {**none, **counts, **steps}, guards, turns,
         )  # fmt: skip
 
 

@@ -427,7 +427,7 @@ class _Extremes:
         """Return the verdicts on the runs; those whose numbers give a reason are judged one by one."""
         sizes = runs.size
         gap, angle = (values.max(axis=1, initial=0.0) for values in (self.misalignment, self.angles))
-        kinetic, jump, _ = self.results.guards
+        kinetic, jump, _ = self.results.guards.T
         errors = [jump, self.energies[2]] if not self.mechanism.is_locked else [0.0 * jump] * 2
         with np.errstate(all="ignore"):
             share = np.where(sizes > 0.0, gap / sizes, gap)

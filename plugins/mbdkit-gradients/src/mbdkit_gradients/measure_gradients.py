@@ -20,8 +20,8 @@ from mbdkit.base.text import plus_minus
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.notes import zero_reactions_in
 from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.run_criteria import zero_reactions_in
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.run_spec import RunSpec
