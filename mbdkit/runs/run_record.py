@@ -140,7 +140,7 @@ class Taken(NamedTuple):
 
 
 class RunRecord:
-    """What a run records, from its start or anew.
+    """What a run records.
 
     - `setup`, `request`: the run, and what is asked of it.
     - `writer`: receives the rows and writes them to an open archive, or to arrays in memory.
@@ -164,12 +164,6 @@ class RunRecord:
         except BaseException:
             self.writer.abandon()
             raise
-
-    def begin_again(self) -> None:
-        """Discard what was recorded, and begin anew."""
-        self.writer.abandon()
-        self.writer = self.request.begin(self.setup)
-        self._begin()
 
     def _begin(self) -> None:
         setup, spec, workspace = self.setup, self.setup.spec, self.setup.workspace
