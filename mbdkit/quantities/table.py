@@ -72,7 +72,8 @@ def _written_array(entry: str | dict[str, Any]) -> Array:
         return {"body": BODY, "coordinate": COORDINATE, "joint": JOINT, "axis": AXIS}[entry]
     if "units_of" in entry:
         return coordinate_units(entry["path"], entry["units_of"])
-    return Array(**{key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()})
+    fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+    return Array(**fields)
 
 
 # fmt: off

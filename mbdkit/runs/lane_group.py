@@ -26,11 +26,11 @@ from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
 from mbdkit.runs.coarse_steps import coarse_step
 from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end, logs_ends
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import recorded_arrays
 from mbdkit.runs.recorded_states import recorded_states
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.trust.criteria import Evidence, Judgement, is_inconspicuous, judge
 from mbdkit.trust.energy_record import EnergyRecord, largest_energies
 from mbdkit.trust.finding import Doubts
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from mbdkit.integrators.interface import Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
-    from mbdkit.runs.state_watchers import WatcherOfMany
+    from mbdkit.runs.findings import WatcherOfMany
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
@@ -271,7 +271,7 @@ class LaneGroup:
     Attributes
     ----------
     size : int
-        Largest number of runs that `finished` takes.
+        Largest number of runs that are advanced together.
     """
 
     def __init__(self, first: LaneMember):
@@ -289,15 +289,8 @@ class LaneGroup:
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
 
-    def finished(self, runs: PreparedRuns, measures: Sequence[str]) -> tuple[list[int], FinishedRuns | None]:
-        """Carry out at most `size` runs of the group together.
-
-        Returns the indices of the runs that have ended, and their results; the others must be repeated alone.
-        """
-        return self.concluded(runs, self.advanced(runs), measures)
-
     def advanced(self, runs: PreparedRuns) -> Advanced:
-        """Take the steps of runs of the group."""
+        """Take the steps of at most `size` runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
         begin, vectors = _clocks(), range(0, len(runs), WIDTH)
         parts = [runs.advance(self.stepper, range(len(runs))[one : one + WIDTH]) for one in vectors]
@@ -306,7 +299,7 @@ class LaneGroup:
     def concluded(
         self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
     ) -> tuple[list[int], FinishedRuns | None]:
-        """Return the indices of the runs that have ended, and what they have recorded.
+        """Return the indices of the runs that have ended, and what they have recorded, None if there are none.
 
         The others must be repeated alone.
         """

@@ -23,9 +23,9 @@ from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.conclusion import Extremes
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
 

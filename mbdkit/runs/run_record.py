@@ -24,13 +24,13 @@ from mbdkit.mechanism.motion_pieces import share_of_integrals
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.corners import stops_of
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, compared_loads, expressions_of, functionals_of, largest_loads_of
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
 from mbdkit.runs.preparation import RunSetup, recorded_arrays
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder, shared_forces
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 

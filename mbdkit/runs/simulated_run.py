@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.run import Run
+from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.counters import Counters
@@ -36,6 +37,7 @@ from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.events.watch import Watch
     from mbdkit.runs.accuracy.chosen_method import Choice
     from mbdkit.runs.accuracy.pilot_run import RecordedPilot
@@ -233,16 +235,20 @@ class SimulatedRun:
         return Parts(self.workspace, stepper, self.watch, self.record)
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
-        """Return the object that writes the checkpoints of the run; None if the run has no checkpoints.
+        """Return the object that writes the checkpoints of the run; None if its writer keeps none, or parts of it
+        cannot be stored.
 
         The arguments are the wall time and the processor time at which its steps began [s].
         """
+        writer, parts = self.record.writer, self.parts()
+        if parts is None or not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+            return None
 
-        def times() -> dict[str, float]:
+        def state() -> StoredState:
             spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-            return {**self.timings, "integrals_s": self.record.integrals_s, **spent}
+            return {**parts.stored(), "times": {**self.timings, "integrals_s": self.record.integrals_s, **spent}}
 
-        return Checkpoints.of(self.record.writer, self.parts(), times)
+        return Checkpoints(writer, state)
 
     def advance(
         self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None

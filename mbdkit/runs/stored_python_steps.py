@@ -11,8 +11,8 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.run.impulse import DriverImpulse
-from mbdkit.integrators.run.kept_state import kept
 from mbdkit.integrators.run.reached import IntervalSoFar, Reached
+from mbdkit.integrators.run.step_results import kept
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
 #: Fields of a point of a run that are stored as they are.

@@ -33,12 +33,11 @@ from mbdkit.integrators.lane_stepper import VariedStarts
 from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.runs.findings import criteria, findings
+from mbdkit.runs.findings import StateWatchers, criteria, findings
 from mbdkit.runs.finish import run_in_memory
 from mbdkit.runs.lane_group import Advanced, LaneGroup, LaneMember, PreparedRuns
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.preparation import guards_of
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.runs.varied_numbers import Stacks, Variant, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 
@@ -226,20 +225,13 @@ class _Base:
                     made.append((at_start, pivots))
         if not kept:
             return None
-        tops, base = [start.mechanism.topology for start, _ in made], first.start.mechanism.topology
-        numbers = {
-            name: np.stack([getattr(top, name) for top in tops])
-            for name in self._own
-            if any(getattr(top, name).tobytes() != getattr(base, name).tobytes() for top in tops)
-        }
         runs = runs.of(kept)
-        q, v = (np.stack([getattr(start, name) for start, _ in made]) for name in ("q0", "v0"))
-        chosen = [pivots for _, pivots in made if pivots is not None]
-        runs.starts = replace(runs.starts, numbers=numbers, q=q, v=v, pivots=chosen)
+        runs.starts = VariedStarts.of_starts(*zip(*made, strict=True))
         runs.assembled = [start.assembled for start, _ in made]
         if stacks is not None:
             runs.tolerance[:] = np.inf
-            for run in np.flatnonzero((q != stacks.q[kept]).any(axis=1)).tolist():  # only masses and forces differ
+            moved = (runs.starts.q != stacks.q[kept]).any(axis=1)  # where only masses and forces differ
+            for run in np.flatnonzero(moved).tolist():
                 runs.extent[run] = mechanism_size(first.settings.mechanism(), runs.assembled[run].q)
                 runs.size[run] = runs.extent[run] or runs.size[run]
             runs.tables = self._tables(runs.size)

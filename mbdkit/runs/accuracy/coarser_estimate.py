@@ -8,7 +8,7 @@ too large.
 
 This evidence is weaker than that of `error_estimate`, but costs nothing, because the coarser runs were needed to choose
 the tolerance. An error that all runs share, such as a pulse between two evaluations, is detected in the loads
-themselves (`resolved_loads`).
+themselves (`check_run.resolved_until`).
 """
 
 from __future__ import annotations

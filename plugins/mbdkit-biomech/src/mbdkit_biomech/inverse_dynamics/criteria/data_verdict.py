@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 
 from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
-from mbdkit.trust.finding import Doubts, Finding, open_doubts
+from mbdkit.trust.finding import Doubts, Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.column_criteria import column_doubts, doubts_before_fit
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import data_criterion
@@ -95,4 +95,4 @@ def doubts_before_computation(problem: InverseProblem) -> tuple[str, ...]:
     found = [*shared_columns(problem), *columns, *units_of_loads(problem), *missing_points(problem)]
     found += person_findings(problem)
     found += spec_doubts(problem.spec)
-    return open_doubts(found, problem.spec.accept)
+    return Doubts.of(found, problem.spec.accept).open
