@@ -93,11 +93,17 @@ class RunExpression:
             _check_crossing(program, compiler.quantities)
         return RunExpression(text, program, tuple(compiler.quantities))
 
-    def compiled(self, places: Mapping[Quantity, int], *, of_arrays: bool = False) -> CompiledExpression:
-        """Return the expression, with the parts that determine how densely it must be sampled.
+    def function(self, places: Mapping[Quantity, int]) -> Callable[[Sequence[float]], float]:
+        """Return a function that evaluates the expression; it returns nan where the expression is undefined.
 
-        The functions return nan where the expression is undefined. `places`: index of each quantity in their argument;
-        index 0 is the time. If `of_arrays`, they receive and return arrays, except that constants return numbers.
+        `places`: index of each quantity in the argument of the function; index 0 is the time.
+        """
+        return self.compiled(places).value
+
+    def compiled(self, places: Mapping[Quantity, int], *, of_arrays: bool = False) -> CompiledExpression:
+        """Return the expression, with the parts that determine how densely it must be sampled; see `function`.
+
+        If `of_arrays`, the functions receive and return arrays, except that constants return numbers.
         """
         phases: list[Function] = []
         breaks: list[Function] = []

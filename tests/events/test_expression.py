@@ -32,7 +32,7 @@ def value(text: str, **values: float) -> float:
     expression = RunExpression.parse(text, mechanism())
     places = {quantity: place for place, quantity in enumerate(expression.quantities, start=1)}
     row = [values.get("t", 0.0), *(values[quantity.attribute] for quantity in expression.quantities)]
-    return expression.compiled(places).value(row)
+    return expression.function(places)(row)
 
 
 def test_operators_and_functions_mean_what_they_mean_in_motions() -> None:

@@ -102,7 +102,7 @@ class PresentValues:
             else:
                 self._taken.append((place, quantity.taker(names), quantity.is_vector))
         self._observed = _ObservedNow(own, self._now) if self._taken else None
-        self._functions = [expression.compiled(places).value for expression in expressions]
+        self._functions = [expression.function(places) for expression in expressions]
 
     def __call__(self, t: float) -> np.ndarray:
         """Return the values (n,) in SI units at time `t` [s]; nan where an expression is undefined."""
