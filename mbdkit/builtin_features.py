@@ -67,11 +67,11 @@ def builtin_features() -> list[Feature]:
         ),
         CriterionItem(
             name="short-runs", summary="Tables that change long after the end of the run.", order=40, stage="spec",
-            find=Target("mbdkit.runs.notes:short_runs"), level=None,
+            find=Target("mbdkit.runs.run_criteria:short_runs"), level=None,
         ),
         CriterionItem(
             name="zero-reactions", summary="Measures of reactions that are always zero.", order=50, stage="spec",
-            find=Target("mbdkit.runs.notes:zero_reactions_of_run"), level=None,
+            find=Target("mbdkit.runs.run_criteria:zero_reactions_of_run"), level=None,
         ),
         CriterionItem(
             name="left-out", summary="Effects of a file that the mechanism lacks.", order=60, stage="spec",
@@ -114,15 +114,15 @@ def builtin_features() -> list[Feature]:
         ),
         CriterionItem(
             name="table-ends", summary="Ends of the tables of moving centers.", order=140, stage="rows",
-            find=Target("mbdkit.runs.moving_centers:watch_moving_centers"),
+            find=Target("mbdkit.runs.row_criteria:watch_moving_centers"),
         ),
         CriterionItem(
             name="slow-friction", summary="Dry friction that slips so slowly that it is viscous.", order=150,
-            stage="rows", find=Target("mbdkit.runs.slow_friction:of_joints"),
+            stage="rows", find=Target("mbdkit.runs.row_criteria:watch_joint_friction"),
         ),
         CriterionItem(
             name="coincident-ends", summary="Forces whose ends meet.", order=160, stage="rows",
-            find=Target("mbdkit.runs.coincident_ends:watch_coincident_ends"),
+            find=Target("mbdkit.runs.row_criteria:watch_coincident_ends"),
         ),
         CriterionItem(
             name="coarse-beams", summary="Beams whose elements are too coarse.", order=170, stage="rows",

@@ -100,4 +100,4 @@ def test_most_answers_are_not_found_without_the_maps() -> None:
 def test_a_folder_of_many_files_leads_to_none() -> None:
     core = PACKAGES["mbdkit"]
     assert not of_map("| any | `runs/` |", core)
-    assert of_map("| any | `runs/coincident_*.py` |", core) == {core / "runs" / "coincident_ends.py"}
+    assert of_map("| any | `runs/row_*.py` |", core) == {core / "runs" / "row_criteria.py"}

@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import groupby
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.consistent_start import MechanismAtStart
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
@@ -28,7 +26,7 @@ from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
 from mbdkit.integrators.lanes.lane_run import BY_LANE, new_lane_run
-from mbdkit.integrators.run.run_plan import GuardLimits, guard_limits, smallest_step
+from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
 from mbdkit.integrators.run.step_guards import new_guard_state
@@ -61,13 +59,13 @@ class LaneResults:
     #: steps; None if the steps are fixed.
     work: np.ndarray | None
     counters: Mapping[str, np.ndarray]  #: (W,) counters of the runs, by the names of `Counters`.
-    #: (3, W) largest kinetic energy [J], largest change of the energy balance in a step [J], and its time [s].
+    #: (W, 3) largest kinetic energy [J], largest change of the energy balance in a step [J], and its time [s].
     guards: np.ndarray
     turns: Sequence[list[list[float]]]  #: Sharp turns of each run; see `BranchSuspicion`.
 
     def evidence_of(self, run: int) -> StepEvidence:
         """Return the quantities observed over all steps of a run."""
-        kinetic, jump, jump_time = self.guards[:, run].tolist()
+        kinetic, jump, jump_time = self.guards[run].tolist()
         return StepEvidence(jump, jump_time, kinetic, tuple(BranchSuspicion(*turn) for turn in self.turns[run]))
 
     def of(self, runs: np.ndarray) -> LaneResults:
@@ -79,7 +77,6 @@ class LaneResults:
             observed=Observed(*(values[runs] for values in self.observed)),
             work=None if self.work is None else self.work[runs],
             counters={name: values[runs] for name, values in self.counters.items()},
-            guards=self.guards[:, runs],
             turns=[self.turns[run] for run in runs.tolist()],
         )
 
@@ -105,13 +102,15 @@ class LaneResults:
             observed=Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
             work=join(works) if works else None,
             counters={name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
-            guards=np.hstack([part.guards for part in parts]),
             turns=[turns for part in parts for turns in part.turns],
         )
 
 
-_BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows")
-_SINGLE = ("lost", "worst", "rows")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
+_BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows", "guards")
+_SINGLE = ("lost", "worst", "rows", "guards")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
+
+
+AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +121,8 @@ class VariedStarts:
     - `numbers`: arrays (R, ...) of those fields of its topology that differ.
     - `lengths`: (R,) characteristic lengths [m].
     - `q`, `v`: (R, 3 (B + 1)) consistent positions and velocities.
-    - `limits`: (R,) largest misalignments at which the runs stop [m]; other limits are those of a common timetable.
     - `pivots`: pivots of each run, with equal keys; none if the method is explicit.
+    - `mechanisms`: the mechanism of each run, if they exist.
     """
 
     mechanism: CompiledMechanism
@@ -131,23 +130,36 @@ class VariedStarts:
     lengths: np.ndarray
     q: np.ndarray
     v: np.ndarray
-    limits: np.ndarray
     pivots: Sequence[StagePivots] = ()
+    mechanisms: Sequence[CompiledMechanism] = ()
+
+    @classmethod
+    def of_starts(cls, starts: Sequence[AtStart], pivots: Sequence[StagePivots | None] = ()) -> VariedStarts:
+        """Return runs of mechanisms for which `topology_of` is equal, with the pivots of each."""
+        mechanisms = [start.mechanism for start in starts]
+        numbers = {}
+        for name, first in mechanisms[0].topology._asdict().items():
+            arrays = [getattr(one.topology, name) for one in mechanisms]
+            if any(array is not first and array.tobytes() != first.tobytes() for array in arrays):
+                numbers[name] = np.stack(arrays)
+        q, v = (np.stack([getattr(start, name) for start in starts]) for name in ("q0", "v0"))
+        own = [one for one in pivots if one is not None]
+        return cls(mechanisms[0], numbers, np.array([one.length for one in mechanisms]), q, v, own, mechanisms)
 
     def of(self, runs: Sequence[int]) -> VariedStarts:
         """Return some of the runs."""
         numbers = {name: values[runs] for name, values in self.numbers.items()}
+        lengths, q, v = (x[runs] for x in (self.lengths, self.q, self.v))
         pivots = [self.pivots[run] for run in runs] if self.pivots else ()
-        lengths, q, v, limits = (x[runs] for x in (self.lengths, self.q, self.v, self.limits))
-        return VariedStarts(self.mechanism, numbers, lengths, q, v, limits, pivots)
+        mechanisms = [self.mechanisms[run] for run in runs] if self.mechanisms else ()
+        return VariedStarts(self.mechanism, numbers, lengths, q, v, pivots, mechanisms)
 
     def mechanism_of(self, run: int) -> CompiledMechanism:
         """Return the mechanism of a run."""
+        if self.mechanisms:
+            return self.mechanisms[run]
         own = {name: values[run] for name, values in self.numbers.items()}
         return self.mechanism.with_numbers(own, float(self.lengths[run]))
-
-
-AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
 
 
 class LaneStepper:
@@ -156,59 +168,40 @@ class LaneStepper:
     `topology_of` must be equal for the mechanisms of all runs.
     """
 
+    tolerances_by_size: ClassVar[bool] = False  #: Whether tolerances depend on the lengths of the mechanisms.
+
     def __init__(self, method: Method, workspace: Workspace, rows: int, pivots: StagePivots | None = None):
         assert method.traits.lanes is not None
         self._in_lanes = method.traits.lanes()
         control = step_control(method.traits, workspace.mechanism)
         self.run = new_lane_run(self._in_lanes.bundle(method, workspace, pivots, control), workspace, rows)
         self._pinned = PinnedBundle(self.run)
-        self._topologies: list[Topology | None] = [None] * WIDTH
-        #: Mechanism, names of numbers, pairs that may have an angle, and other limits of runs of `advance_varied`.
-        self._varied: tuple[CompiledMechanism, list[str], list[int], GuardLimits] | None = None
+        #: The mechanism whose numbers are in the lanes, and the names of those that are replaced for each run.
+        self._loaded: tuple[CompiledMechanism, list[str]] | None = None
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
         self.run.watch.guards[:] = [pinned_guard.address for pinned_guard in self._pinned_guards]
 
-    def advance(
-        self, starts: Sequence[AtStart], tables: Sequence[Timetable], pivots: Sequence[StagePivots | None] = ()
-    ) -> LaneResults:
-        """Return the results of the runs.
-
-        Parameters
-        ----------
-        starts, tables
-            At most `WIDTH` mechanisms at their starts, and the timetables of the runs, with equal numbers of steps.
-        pivots
-            Pivots of each run, with equal keys; none if the method is explicit.
-        """
-        lanes = _filled(len(starts))
-        chosen, planned = [starts[lane] for lane in lanes], [tables[lane] for lane in lanes]
-        self.load(chosen, planned)
-        own = [pivot for pivot in pivots if pivot is not None]
-        mechanisms = [start.mechanism for start in chosen]
-        return self._drive(mechanisms, planned, [own[lane] for lane in lanes if own], len(starts))
-
-    def advance_varied(self, varied: VariedStarts, table: Timetable) -> LaneResults:
-        """Return the results of at most `WIDTH` runs whose timetables differ in limits only."""
+    def advance(self, varied: VariedStarts, tables: Sequence[Timetable]) -> LaneResults:
+        """Return the results of at most `WIDTH` runs, whose timetables have equal numbers of steps."""
         lanes, c, mechanism = _filled(len(varied.q)), self.run, varied.mechanism
-        if self._varied is None or self._varied[0] is not mechanism or self._varied[1] != [*varied.numbers]:
+        if self._loaded is None or self._loaded[0] is not mechanism or self._loaded[1] != [*varied.numbers]:
             fill_lanes(c.top, slice(None), mechanism.topology)
-            angles = [row.pair for row in mechanism.rows if row.unit == "rad"]
-            limits = guard_limits(mechanism, table.guards)
-            self._topologies, self._varied = [None] * WIDTH, (mechanism, [*varied.numbers], angles, limits)
+            self._loaded = mechanism, [*varied.numbers]
         for name, values in varied.numbers.items():
             own, chosen = getattr(c.top, name), values[lanes]
             own[...] = chosen if name in BY_LANE else chosen.transpose(*range(1, chosen.ndim), 0)
         c.q[...], c.v[...] = varied.q[lanes].T, varied.v[lanes].T
-        _, _, angles, limits = self._varied
-        c.squared_misalignment[...] = varied.limits[lanes] ** 2
-        c.squared_misalignment[angles] = limits.squared_misalignment[angles, None]
-        c.energy_share[0] = limits.energy_jump
-        has_own = (self._guards[0].has_loops[0] or mechanism.states) and varied.numbers
+        planned = [tables[lane] for lane in lanes]
+        limits_of = {guards: guard_limits(mechanism, guards) for guards in dict.fromkeys(one.guards for one in planned)}
+        limits = [limits_of[one.guards] for one in planned]
+        c.squared_misalignment[...] = np.stack([limit.squared_misalignment for limit in limits], axis=-1)
+        c.energy_share[...] = np.stack([limit.energy_jump for limit in limits], axis=-1)
+        is_needed = self._guards[0].has_loops[0] or mechanism.states or self.tolerances_by_size
+        has_own = varied.mechanisms or (is_needed and varied.numbers)
         mechanisms = [varied.mechanism_of(lane) for lane in lanes] if has_own else [mechanism] * WIDTH
-        tables = [table] * WIDTH
-        self._reset(mechanisms, tables)
-        return self._drive(mechanisms, tables, [varied.pivots[lane] for lane in lanes if varied.pivots], len(varied.q))
+        self._reset(mechanisms, planned)
+        return self._drive(mechanisms, planned, [varied.pivots[lane] for lane in lanes if varied.pivots], len(varied.q))
 
     def _drive(
         self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots], count: int
@@ -224,36 +217,13 @@ class LaneStepper:
         made = np.full(count, tables[0].steps)
         return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
 
-    def load(self, starts: list[AtStart], tables: list[Timetable]) -> None:
-        """Copy the mechanisms, states and limits of `WIDTH` runs into the lanes."""
-        c = self.run
-        mechanisms = [start.mechanism for start in starts]
-        topologies = [one.topology for one in mechanisms]
-        if any(new is not loaded for new, loaded in zip(topologies, self._topologies, strict=True)):
-            before, self._topologies, lane = self._topologies, [None] * WIDTH, 0  # until all are copied
-            for _, alike in groupby(topologies, key=id):  # idle lanes repeat the first run
-                count = len(same := [*alike])
-                loaded = before[lane : lane + count]
-                known = loaded[0] if all(one is loaded[0] for one in loaded) else None
-                fill_lanes(c.top, slice(lane, lane + count), same[0], known)
-                lane += count
-            self._topologies, self._varied = [*topologies], None
-        _put(c.q, [start.q0 for start in starts])
-        _put(c.v, [start.v0 for start in starts])
-        pairs = [(start.mechanism, table.guards) for start, table in zip(starts, tables, strict=True)]
-        limits_of = {pair: guard_limits(*pair) for pair in dict.fromkeys(pairs)}
-        limits = [limits_of[pair] for pair in pairs]
-        _put(c.squared_misalignment, [limit.squared_misalignment for limit in limits])
-        _put(c.energy_share, [limit.energy_jump for limit in limits])
-        self._reset(mechanisms, tables)
-
     def _reset(self, mechanisms: list[CompiledMechanism], tables: list[Timetable]) -> None:
         """Begin the runs of `WIDTH` mechanisms, whose numbers are in the lanes."""
         c = self.run
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.every[0] = tables[0].every
-        _put(c.z, [one.initial_states for one in mechanisms])
+        c.z[...] = np.stack([one.initial_states for one in mechanisms], axis=-1)
         c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
         for array in (*zeros, *c.guards):
@@ -283,14 +253,14 @@ class LaneStepper:
         arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
         worst, last = by_run(c.worst, count), int(rows.max())
         time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
-        guards = np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time])[:, :count]
+        guards = by_run(np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time]), count)
         turns = [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
         counts = {name: c.counts[place, :count].astype(int) for name, place in _COUNTED.items()}
         none = dict.fromkeys((one.name for one in fields(Counters)), np.zeros(count, int))
         lost = np.asarray(c.lost[0, :count] != 0.0)
         return LaneResults(
             lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work,
-            {**none, **counts, **steps}, np.array(guards), turns,
+            {**none, **counts, **steps}, guards, turns,
         )  # fmt: skip
 
 
@@ -343,15 +313,6 @@ def _filled(count: int) -> list[int]:
     return [*range(count), *[0] * (WIDTH - count)]
 
 
-def _put(lanes: np.ndarray, arrays: list[np.ndarray]) -> None:
-    """Copy one array for each lane into an array of lanes."""
-    if all(array is arrays[0] for array in arrays):
-        lanes[...] = arrays[0][..., None]
-        return
-    for lane, array in enumerate(arrays):  # faster than `stack`, which checks the shapes
-        lanes[..., lane] = array
-
-
 FEW_ROWS = 64  #: Initial number of rows of the buffer of recorded states; it is doubled when it is full.
 
 
@@ -365,6 +326,8 @@ class ControlledLaneStepper(LaneStepper):
 
     `topology_of` must be equal for the mechanisms of all runs.
     """
+
+    tolerances_by_size: ClassVar[bool] = True
 
     def __init__(self, method: Method, workspace: Workspace, pivots: StagePivots | None = None):
         super().__init__(method, workspace, FEW_ROWS, pivots)

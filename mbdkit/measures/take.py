@@ -13,12 +13,11 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import listed, message_of
 from mbdkit.engine.compile_mechanism import characteristic_length
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.registry.items import MeasurePlugin
 from mbdkit.registry.seam import Seam
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure
-from mbdkit.trust.measure_error import measure_error
+from mbdkit.trust.measure_error import measure_error, natural_scales, natural_size
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run

@@ -2,18 +2,21 @@
 
 The layout of archives, the histories of `Run`, tables for export, expressions of events and measures, their derivatives
 and charts of reports follow from it. To add a quantity, add a line to its kind; values that the engine does not compute
-yet are computed in `mbdkit.quantities.states`, or by `mbdkit.engine.kernels.observe`. Plugins add groups of their own,
-see `mbdkit.quantities.registered_kinds`.
+yet are computed in `mbdkit.quantities.states`, or by `mbdkit.engine.kernels.observe`. `written_groups.json` has the
+groups that are not computed from states, such as the statistics of steps. Plugins add groups of their own, see
+`mbdkit.quantities.registered_kinds`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from mbdkit.base.text import listed
-from mbdkit.quantities.array import INTEGER, MIXED, TEXT, Array, Chart
+from mbdkit.quantities.array import INTEGER, MIXED, TEXT, Array, Chart, Kind
 from mbdkit.quantities.entries import (
     AXIS,
     BODY,
@@ -31,8 +34,7 @@ if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.quantities.states import States
 
-_T, _N, _E, _I, _S, _P = ("time",), ("interval",), ("event",), ("impact",), ("set/number",), ("sample",)
-_TBC, _EBC = ("time", "body", "coordinate"), ("event", "body", "coordinate")
+_T, _S, _TBC = ("time",), ("set/number",), ("time", "body", "coordinate")
 _TJ, _TJA, _TF, _TKA = ("time", "joint"), ("time", "joint", "axis"), ("time", "force"), ("time", "marker", "axis")
 _TE, _TM = ("time", "element"), ("time", "constraint")
 
@@ -57,6 +59,21 @@ def _states_of(states: States) -> int:
 def _length_unit(mechanism: Mechanism, name: str) -> str:
     force = mechanism.forces[name]
     return force.load.length_unit if hasattr(force, "load") else force.pathway.length_unit
+
+
+def _written_kinds() -> Iterator[Kind]:
+    """Yield the kinds of the groups that are not computed from states."""
+    for group in json.loads(Path(__file__).with_name("written_groups.json").read_bytes()):
+        yield quantity_group(group.pop("group"), *map(_written_array, group.pop("arrays")), **group)
+
+
+def _written_array(entry: str | dict[str, Any]) -> Array:
+    if isinstance(entry, str):
+        return {"body": BODY, "coordinate": COORDINATE, "joint": JOINT, "axis": AXIS}[entry]
+    if "units_of" in entry:
+        return coordinate_units(entry["path"], entry["units_of"])
+    fields: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in entry.items()}
+    return Array(**fields)
 
 
 # fmt: off
@@ -254,82 +271,7 @@ KINDS = (
             lambda s: s.balance, accumulates=True),
         word="energy", example="total",
     ),
-    quantity_group(
-        "steps",
-        Array("interval", _N, "1", "number of the recorded interval, from 1: it ends at that row", INTEGER),
-        Array("time", _N, "s", "time at the end of the interval"),
-        Array("steps", _N, "1", "steps taken in the interval", INTEGER),
-        Array("size", _N, "s", "size of the last step of the interval"),
-        Array("iterations", _N, "1", "stage iterations in the interval, summed over its steps", INTEGER),
-        Array("iterations_max", _N, "1", "most stage iterations of a step of the interval", INTEGER),
-        Array("rejected", _N, "1", "steps rejected in the interval", INTEGER),
-        Array("projections", _N, "1", "projections of positions and velocities onto the constraints in the interval",
-            INTEGER, optional=True),
-        Array("position_correction", _N, "m",
-            "largest change of positions by a projection in the interval: sqrt(dq^T M dq / total mass)", optional=True),
-        Array("velocity_correction", _N, "m/s",
-            "largest change of velocities by a projection in the interval: sqrt(dv^T M dv / total mass)",
-            optional=True),
-        Array("acceleration_correction", _N, "m/s^2",
-            "largest of Baumgarte's terms 2 alpha Phi' + beta^2 Phi at a step of the interval (rows of angles: "
-            "rad/s^2)",
-            optional=True),
-    ),
-    quantity_group(
-        "events",
-        Array("event", _E, "1", "number of the crossing, from 1, in order of time", INTEGER),
-        BODY, COORDINATE, coordinate_units("row_units", "position"), coordinate_units("velocity_row_units", "velocity"),
-        Array("name", _E, "1", "name of the event, as in the spec", TEXT),
-        Array("time", _E, "s", "time at which its expression crossed zero"),
-        Array("direction", _E, "1", "1 where it crossed zero upwards, -1 downwards", INTEGER),
-        Array("position", _EBC, MIXED, "position and angle of the body then", row_units="row_units",
-            components=_POSITION),
-        Array("velocity", _EBC, MIXED, "velocity and angular velocity then", row_units="velocity_row_units",
-            components=_VELOCITY),
-        optional=True, word="events", one="event", example="time",
-    ),
-    quantity_group(
-        "samples",
-        Array("sample", _P, "1", "number of the entry, from 1: one for each output of a sample", INTEGER),
-        Array("time", _P, "s", "time of the sample"),
-        Array("output", _P, "1", "name of the output of a controller in Python: controller.output", TEXT),
-        Array("row_units", _P, "1", "units of value, row by row", TEXT),
-        Array("value", _P, MIXED, "value that the function of the controller has returned", row_units="row_units"),
-        optional=True,
-    ),
-    quantity_group(
-        "impacts",
-        Array("impact", _I, "1", "number of the impact, from 1, in order of time", INTEGER),
-        Array("time", _I, "s", "time of the impact, or of the end of a geometric sequence of impacts that is left out"),
-        Array("contact", _I, "1", "name of the contact, or of the driver whose velocity jumps", TEXT),
-        Array("normal_impulse", _I, "N s",
-            "impulse that pushes the bodies apart; 0 at the end of a sequence and for drivers"),
-        Array("tangential_impulse", _I, "N s",
-            "impulse of friction on the second body, along the normal turned by -90 degrees"),
-        Array("energy_lost", _I, "J",
-            "energy that all contacts dissipate at this time, or that drivers take; negative if drivers add it"),
-        JOINT, AXIS,
-        Array("reaction_impulse", ("impact", "joint", "axis"), "N s",
-            "impulse of the first body of the joint on the second in all impacts at this time, global frame"),
-        Array("reaction_torque_impulse", ("impact", "joint"), "N m s",
-            "impulse of the torque of the first body on the second, at the second's joint point"),
-        optional=True, word="impacts", one="impact", example="time",
-    ),
-    quantity_group(
-        "accuracy",
-        Array("time", _T, "s", "time of the recorded row"),
-        BODY, COORDINATE, coordinate_units("row_units", "position_error"),
-        coordinate_units("velocity_row_units", "velocity_error"), JOINT,
-        Array("position_error", _TBC, MIXED, "estimated error of position and angle so far, nan where unknown",
-            row_units="row_units", components=tuple(f"{name}_error" for name in _POSITION)),
-        Array("velocity_error", _TBC, MIXED,
-            "estimated error of velocity and angular velocity so far, nan where unknown",
-            row_units="velocity_row_units", components=tuple(f"{name}_error" for name in _VELOCITY)),
-        Array("reaction_error", _TJ, "N", "estimated norm of the error of reaction_force so far, nan where unknown",
-            components=("force_error",)),
-        Array("torque_error", _TJ, "N m", "estimated error of reaction_torque so far, nan where unknown"),
-        optional=True, may_be_unknown=True,
-    ),
+    *_written_kinds(),
 )
 # fmt: on
 

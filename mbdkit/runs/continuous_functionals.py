@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -80,21 +81,7 @@ class ContinuousFunctionals:
         self._workspace, self._table, self._uses_accelerations = workspace, timetable, uses_accelerations
         self._observer = StateObserver(workspace.with_own_pivots())
         self._names = archive_names(workspace.mechanism)
-        self._direct = [functional for functional in functionals if not functional.is_nested]
-        self._sums = {
-            functional.text: np.zeros(1)
-            for functional in self._direct
-            if not (functional.is_extremum or functional.is_value)
-        }
-        self._values = {functional.text: np.full(1, np.nan) for functional in self._direct if functional.is_value}
-        self._times = {
-            functional.text: functional.time({}, (np.nan, np.nan), no_events)
-            for functional in self._direct
-            if functional.is_value
-        }
-        self._peaks = {
-            functional.text: Peak(math.nan, math.nan) for functional in self._direct if functional.is_extremum
-        }
+        self._direct = [_Total(functional) for functional in functionals if not functional.is_nested]
         self._keeps = len(self._direct) < len(functionals)
         self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0, states_at_start(workspace))
         self._parts: list[_Ends] = [self._ends] if self._keeps else []
@@ -149,13 +136,11 @@ class ContinuousFunctionals:
                 return
             first, count = ends.done, min(BLOCK, left)
             span = ends.time[first], ends.time[first + count]
-            wanted = [
-                functional for functional in self._direct if not functional.is_value or self._gives(functional, span)
-            ]
+            wanted = [total for total in self._direct if total.is_changed_by(*span)]
             part = self._part(ends, first, count) if wanted else None
-            for functional in wanted:
+            for total in wanted:
                 assert part is not None
-                self._add(functional, part)
+                total.add(part)
             ends.done += count
             if not self._keeps and ends.done > BESIDE:
                 ends.drop(ends.done - BESIDE)
@@ -177,25 +162,10 @@ class ContinuousFunctionals:
         states = StepEnds(time, q, v, accelerations, held, is_linear=is_linear)
         return MotionPart(self._observer, self._names, states, steps, sides)
 
-    def _gives(self, functional: Functional, span: tuple[float, float]) -> bool:
-        """Return whether a value is that of the motion over a span: of several, ``at`` is the first, ``after`` the
-        last.
-        """
-        is_new = functional.reduction == "after" or bool(np.isnan(self._values[functional.text]).any())
-        return is_new and functional.is_given_by(self._times[functional.text], *span)
-
-    def _add(self, functional: Functional, part: MotionPart) -> None:
-        if functional.is_value:
-            self._values[functional.text] = value_at(part, functional, {}, 0.0, self._times[functional.text])
-        elif functional.is_extremum:
-            self._peaks[functional.text] = peak_with(part, functional, {}, 0.0, self._peaks[functional.text])
-        else:
-            self._sums[functional.text] = self._sums[functional.text] + sampled(part, functional, {}, 0.0).integral()
-
     def totals(self) -> dict[str, np.ndarray]:
         """Return the values of the functionals that are not nested, by their source text; nan where undefined."""
         self._take(whole=False)
-        return self._sums | self._values | {text: np.array([peak.value]) for text, peak in self._peaks.items()}
+        return {total.functional.text: total.value for total in self._direct}
 
     def nested(self, functional: Functional, known: Integrals, events: EventTimes, deadline: float) -> np.ndarray:
         """Return the value of a nested functional from the values of its inner functionals.
@@ -205,36 +175,21 @@ class ContinuousFunctionals:
         """
         whole = [part for part in self._parts if len(part.time) > 1]
         span = (whole[0].time[0], whole[-1].time[-1]) if whole else (math.nan, math.nan)
-        duration = span[1] - span[0] if whole else 0.0
-        total, value, peak = np.zeros(1), np.full(1, np.nan), Peak(math.nan, math.nan)
-        time = functional.time(known, span, events) if functional.is_value else math.nan
+        total = _Total(functional, known, span, events)
         for ends in whole:
             for first in range(0, len(ends.time) - 1, BLOCK):
                 last = min(first + BLOCK, len(ends.time) - 1)
                 if perf_counter() > deadline:
                     return np.full(1, np.nan)
-                if functional.is_value and not functional.is_given_by(time, ends.time[first], ends.time[last]):
-                    continue
-                part = self._part(ends, first, last - first)
-                if functional.is_value:
-                    value = value_at(part, functional, known, duration, time)
-                    if functional.reduction == "at":
-                        return value
-                elif functional.is_extremum:
-                    peak = peak_with(part, functional, known, duration, peak)
-                else:
-                    total = total + sampled(part, functional, known, duration).integral()
-        if functional.is_value:
-            return value
-        return np.array([peak.value]) if functional.is_extremum else total
+                if total.is_changed_by(ends.time[first], ends.time[last]):
+                    total.add(self._part(ends, first, last - first))
+        return total.value
 
     def stored(self) -> StoredState:
         """Return the state as plain values, for a checkpoint."""
         parts = self._parts or [self._ends]
         return {
-            "sums": self._sums,
-            "values": self._values,
-            "peaks": {text: [peak.value, peak.time] for text, peak in self._peaks.items()},
+            "totals": {total.functional.text: [total.value, total.peak_time] for total in self._direct},
             "parts": [
                 [*(np.array(values) for values in (x.time, x.q, x.v, x.z)), [x.begin, x.end, float(x.done)]]
                 for x in parts
@@ -243,8 +198,7 @@ class ContinuousFunctionals:
 
     def restore(self, state: StoredState) -> None:
         """Continue from a checkpoint; raise ValueError if it is not valid for this run."""
-        own: dict[str, Mapping[str, object]] = {"sums": self._sums, "values": self._values, "peaks": self._peaks}
-        if any(state[name].keys() != entries.keys() for name, entries in own.items()):
+        if [*state["totals"]] != [total.functional.text for total in self._direct]:
             raise ValueError("it has other integrals")
         size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []
         for time, q, v, z, (begin, end, done) in state["parts"]:
@@ -254,10 +208,8 @@ class ContinuousFunctionals:
             parts.append(_Ends(time.tolist(), list(q), list(v), list(z), float(begin), float(end), int(done)))
         if not parts or (len(parts) > 1 and not self._keeps):
             raise ValueError("its steps have other shapes")
-        self._sums, self._values = (
-            {text: np.asarray(values) for text, values in state[name].items()} for name in ("sums", "values")
-        )
-        self._peaks = {text: Peak(float(value), float(time)) for text, (value, time) in state["peaks"].items()}
+        for total, (value, peak_time) in zip(self._direct, state["totals"].values(), strict=True):
+            total.value, total.peak_time = np.asarray(value), float(peak_time)
         self._ends, self._parts = parts[-1], parts if self._keeps else []
 
 
@@ -266,26 +218,59 @@ def no_events(quantity: Quantity) -> float:
     return math.nan
 
 
-def value_at(part: MotionPart, functional: Functional, known: Integrals, duration: float, time: float) -> np.ndarray:
-    """Return a value at a time within a part of the motion, (1,), or (2,) of a vector."""
-    values = functional.values(part.series(np.array([time])), known, duration)
-    return np.atleast_1d(values.reshape(-1))
+class _Total:
+    """The value of a functional over the motion so far: an integral, an extremum, or the value at a time.
 
-
-def peak_with(part: MotionPart, functional: Functional, known: Integrals, duration: float, before: Peak) -> Peak:
-    """Return the extremum over a part of the motion and all motion before it.
-
-    `before` is the extremum over the motion before the part; its time is nan if there is none.
+    `known`, `span`, `events`: see `Functional.time`; only nested functionals need them. `value`: the value, (1,), or
+    (2,) of a vector. `peak_time`: time of the extremum [s]; nan if there is none yet.
     """
-    sign = -1.0 if functional.reduction == "min" else 1.0
-    begins = math.isnan(before.time)
-    if not begins and math.isnan(before.value):
-        return before
-    best = -math.inf if begins else sign * before.value
-    steps, reached = steps_of_extremum(part, functional, known, duration, best)
-    if not len(steps):
-        return before
-    peak = sampled(part, functional, known, duration, steps).peak(reached)
-    if math.isnan(peak.value):
-        return Peak(math.nan, float(part.ends.time[0]))
-    return peak if begins or sign * peak.value > best else before
+
+    def __init__(
+        self,
+        functional: Functional,
+        known: Integrals = MappingProxyType({}),
+        span: tuple[float, float] = (math.nan, math.nan),
+        events: EventTimes = no_events,
+    ):
+        self.functional, self._known = functional, known
+        self._duration = 0.0 if math.isnan(span[0]) else span[1] - span[0]
+        is_sum = not (functional.is_extremum or functional.is_value)
+        self.value, self.peak_time = np.zeros(1) if is_sum else np.full(1, np.nan), math.nan
+        self._time = functional.time(known, span, events) if functional.is_value else math.nan
+
+    def is_changed_by(self, begin: float, end: float) -> bool:
+        """Return whether the motion from `begin` to `end` [s] changes the value: of several values at a time, ``at`` is
+        the first, ``after`` the last.
+        """
+        if not self.functional.is_value:
+            return True
+        is_new = self.functional.reduction == "after" or bool(np.isnan(self.value).any())
+        return is_new and self.functional.is_given_by(self._time, begin, end)
+
+    def add(self, part: MotionPart) -> None:
+        """Take a further part of the motion into account."""
+        functional, known, duration = self.functional, self._known, self._duration
+        if functional.is_value:
+            self.value = np.atleast_1d(
+                functional.values(part.series(np.array([self._time])), known, duration).reshape(-1)
+            )
+        elif functional.is_extremum:
+            self._add_peak(part)
+        else:
+            self.value = self.value + sampled(part, functional, known, duration).integral()
+
+    def _add_peak(self, part: MotionPart) -> None:
+        sign = -1.0 if self.functional.reduction == "min" else 1.0
+        begins, before = math.isnan(self.peak_time), float(self.value[0])
+        if not begins and math.isnan(before):
+            return
+        best = -math.inf if begins else sign * before
+        steps, reached = steps_of_extremum(part, self.functional, self._known, self._duration, best)
+        if not len(steps):
+            return
+        peak = sampled(part, self.functional, self._known, self._duration, steps).peak(reached)
+        if math.isnan(peak.value):
+            peak = Peak(math.nan, float(part.ends.time[0]))
+        elif not (begins or sign * peak.value > best):
+            return
+        self.value, self.peak_time = np.array([peak.value]), peak.time

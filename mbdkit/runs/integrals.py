@@ -30,6 +30,7 @@ from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.registered_kinds import Peaks
 from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
+from mbdkit.runs.continuous_motion import observed_at
 from mbdkit.runs.law_ranges import steps_are_rows
 
 if TYPE_CHECKING:
@@ -219,26 +220,25 @@ class RunIntegrals:
 
     def _joined_kept(self) -> list[np.ndarray]:
         if not self._kept:
-            return [np.zeros(0), np.zeros(0), *(self._unknown(quantity, 0) for quantity in self._read)]
+            return [np.zeros(0), np.zeros(0), *map(self._none_of, self._read)]
         return [np.concatenate(x, axis=-1) for x in zip(*self._kept, strict=True)]
 
-    def _unknown(self, quantity: Quantity, count: int) -> np.ndarray:
-        """Return nan as the values of a quantity at `count` nodes, with the shape of the quantity."""
+    def _none_of(self, quantity: Quantity) -> np.ndarray:
+        """Return the values of a quantity at no nodes, with the shape of the quantity."""
         if quantity.beam:
             elements = self._workspace.mechanism.beam_elements(quantity.beam)
-            return np.full((elements.stop - elements.start, count), np.nan)
-        return np.full((2, count) if quantity.is_vector else count, np.nan)
+            return np.zeros((elements.stop - elements.start, 0))
+        return np.zeros((2, 0) if quantity.is_vector else 0)
 
     def _add_block(self, nodes: Nodes) -> None:
-        states, count = self._states_at(nodes), len(nodes.time)
-        values = [np.full(count, np.nan)] * len(self._direct)
-        kept = [self._unknown(quantity, count) for quantity in self._read]
-        if states is not None:
-            series = Series(nodes.time, lambda quantity: quantity.taker(self._names)(states).T)
-            values = [np.broadcast_to(x, (*x.shape[:-1], count)) for x in self._values(series)]
-            kept = [series.of(quantity) for quantity in self._read]
+        time, q, v = (np.ascontiguousarray(x) for x in (nodes.time, nodes.q, nodes.v))
+        mechanism, none = self._workspace.mechanism, np.zeros((len(time), 0))
+        states = States(mechanism, time, q, v, lambda: observed_at(self._observer, time, q, v, none))
+        series = Series(time, lambda quantity: quantity.taker(self._names)(states).T)
+        values = [functional.values(series, {}, 0.0) for functional in self._direct]
+        values = [np.broadcast_to(x, (*x.shape[:-1], len(time))) for x in values]
         if self._nested:
-            self._kept.append([nodes.time, nodes.weight, *kept])
+            self._kept.append([time, nodes.weight, *map(series.of, self._read)])
         gains = [np.atleast_1d(np.sum(x * nodes.weight, axis=-1)) for x in values]
         if self._sums is None:
             self._sums, self._low = ([np.zeros_like(x) for x in gains] for _ in range(2))
@@ -246,17 +246,6 @@ class RunIntegrals:
             y = gain + self._low[index]
             total = self._sums[index] + y
             self._low[index], self._sums[index] = y - (total - self._sums[index]), total
-
-    def _values(self, series: Series) -> list[np.ndarray]:
-        return [functional.values(series, {}, 0.0) for functional in self._direct]
-
-    def _states_at(self, nodes: Nodes) -> States | None:
-        """Return the states at nodes; None if one of them has no unique accelerations."""
-        observed = self._observer.arrays(len(nodes.time))
-        q, v = np.ascontiguousarray(nodes.q), np.ascontiguousarray(nodes.v)
-        if self._observer.observe(nodes.time, q, v, observed) is not None:
-            return None
-        return States(self._workspace.mechanism, nodes.time, q, v, lambda: observed)
 
 
 def _plain(total: np.ndarray) -> float | tuple[float, ...]:

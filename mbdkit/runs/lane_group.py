@@ -26,11 +26,11 @@ from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
 from mbdkit.runs.coarse_steps import coarse_step
 from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end, logs_ends
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.preparation import recorded_arrays
 from mbdkit.runs.recorded_states import recorded_states
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.trust.criteria import Evidence, Judgement, is_inconspicuous, judge
 from mbdkit.trust.energy_record import EnergyRecord, largest_energies
 from mbdkit.trust.finding import Doubts
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from mbdkit.integrators.interface import Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
-    from mbdkit.runs.state_watchers import WatcherOfMany
+    from mbdkit.runs.findings import WatcherOfMany
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
@@ -125,54 +125,94 @@ class Watch:
         return (*self._member.findings, *self._watchers.findings(EnergyRecord.of(energies), {}), *ranges)
 
 
+@dataclass(eq=False)
 class PreparedRuns:
-    """Prepared runs that can share a loop.
+    """Prepared runs that can share a loop, and that differ in numbers only.
 
-    Parameters
-    ----------
-    members
-        The runs.
-
-    Attributes
-    ----------
-    first : LaneMember
-        One of the runs.
-    size, extent, limit, seconds : (R,) arrays
-        See `LaneMember`; smallest limit of misalignments.
-    tables : list of Timetable
-        The timetable of each run.
+    - `first`: one of the runs.
+    - `starts`: the mechanisms and their starts.
+    - `tables`, `assembled`, `findings`: the timetable of each run, how its start was made consistent, and what was
+      found about its spec and its start.
+    - `size`, `extent`, `seconds`: (R,) arrays; see `LaneMember`.
+    - `tolerance`: (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the
+      start is known to be consistent.
+    - `indices`, `spec`: index of each run among those that were asked for, and function that returns the spec of the
+      run with an index.
     """
 
-    def __init__(self, members: Sequence[LaneMember]):
-        self.members, self.first, self.tables = members, members[0], [member.table for member in members]
-        self.size, self.extent, self.seconds = (
+    first: LaneMember
+    starts: VariedStarts
+    tables: Sequence[Timetable]
+    assembled: Sequence[AssembledState]
+    findings: Sequence[tuple[Finding, ...]]
+    size: np.ndarray
+    extent: np.ndarray
+    seconds: np.ndarray
+    tolerance: np.ndarray
+    indices: Sequence[int]
+    spec: Callable[[int], RunSpec]
+
+    @classmethod
+    def of_members(cls, members: Sequence[LaneMember]) -> PreparedRuns:
+        """Return runs that were prepared one by one."""
+        size, extent, seconds = (
             np.array([getattr(member, name) for member in members]) for name in ("size", "extent", "seconds")
         )
-        guards = [table.guards for table in self.tables]
-        self.limit = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
+        return cls(
+            first=members[0],
+            starts=VariedStarts.of_starts([one.start for one in members], [one.pivots for one in members]),
+            tables=[member.table for member in members],
+            assembled=[member.start.assembled for member in members],
+            findings=[member.findings for member in members],
+            size=size, extent=extent, seconds=seconds, tolerance=np.full(len(members), np.inf),
+            indices=range(len(members)), spec=lambda index: members[index].spec,
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.tables)
 
     def member(self, run: int) -> LaneMember:
         """Return one of the runs."""
-        return self.members[run]
+        mechanism, q, v = self.starts.mechanism_of(run), self.starts.q[run], self.starts.v[run]
+        return replace(
+            self.first,
+            varied=partial(self.spec, self.indices[run]),
+            start=MechanismAtStart(mechanism, q, v, self.assembled[run]),
+            table=self.tables[run], size=float(self.size[run]), extent=float(self.extent[run]),
+            findings=self.findings[run],
+        )  # fmt: skip
 
     def of(self, runs: Sequence[int]) -> PreparedRuns:
         """Return some of the runs."""
-        return PreparedRuns([self.members[run] for run in runs])
+        places, kept = [*runs], ("first", "starts", "spec")
+        own: dict[str, Any] = {name: values for name, values in vars(self).items() if name not in kept}
+        for name, values in own.items():
+            own[name] = values[places] if isinstance(values, np.ndarray) else [values[run] for run in places]
+        return replace(self, starts=self.starts.of(places), **own)
 
     def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
         """Advance some of the runs, at most `WIDTH`."""
-        some = [self.members[run] for run in runs]
-        return stepper.advance([one.start for one in some], [one.table for one in some], [one.pivots for one in some])
+        return stepper.advance(self.starts.of([*runs]), self.tables[runs.start : runs.stop])
+
+    def is_consistent(self, results: LaneResults) -> np.ndarray:
+        """Return whether assembly certainly changes nothing, (R,)."""
+        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
+        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
+        return np.asarray((gap <= self.tolerance) & (rate <= self.tolerance))
 
     def sound(self, results: LaneResults) -> np.ndarray:
-        """Return the indices of the runs that need not be repeated alone."""
+        """Return the indices of the runs that need not be repeated alone: because of a limit or a finding, or because
+        assembly may change their starts.
+        """
+        guards = [table.guards for table in self.tables]
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         # Joints whose states may exceed a limit of misalignment must be checked one by one. The residual of a joint,
         # which has at most three rows, is below 4 times that of its largest row.
-        return np.flatnonzero(~results.lost & (largest <= self.limit / 4))
+        sound = np.flatnonzero(~results.lost & (largest <= smallest / 4))
+        for watcher in self.first.watchers:
+            sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
+        return np.asarray(sound[self.is_consistent(results)[sound]])
 
     def watched(self, results: LaneResults) -> list[Watch] | None:
         """Return what watches the recorded states of each run; None if nothing does."""
@@ -182,12 +222,13 @@ class PreparedRuns:
         """Return the arrays of the settings of inputs."""
         if not self.first.start.mechanism.inputs:
             return {}
-        own = [start_settings(self.member(run).start.mechanism, self.tables[run].start) for run in range(len(self))]
+        own = [start_settings(self.starts.mechanism_of(run), table.start) for run, table in enumerate(self.tables)]
         return {key: np.stack([one[key] for one in own]) for key in own[0]}
 
     def assembly(self) -> list[str]:
         """Return sentences on how the starts were made consistent."""
-        return [member.start.assembled.describe() for member in self.members]
+        texts = {id(one): one.describe() for one in {id(one): one for one in self.assembled}.values()}
+        return [texts[id(one)] for one in self.assembled]
 
     def integrals(self, results: LaneResults, measures: Sequence[str]) -> list[Integrals]:
         """Return the extrema and values that the measures of the runs need; nothing if they need none.
@@ -206,76 +247,6 @@ class PreparedRuns:
             own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
             integrals.append(own.totals())
         return integrals
-
-
-class VariedLanes(PreparedRuns):
-    """Prepared runs that differ in some numbers of their mechanisms only, and have no objects of their own.
-
-    Parameters
-    ----------
-    first
-        A run with the same loop.
-    starts
-        The mechanisms and their starts.
-    assembled
-        How each start was made consistent.
-    size, extent, seconds
-        (R,) arrays; see `LaneMember`.
-    tolerance
-        (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the start is
-        known to be consistent.
-    indices
-        Index of each run among those that were asked for.
-    spec
-        Function that returns the spec of the run with an index.
-    """
-
-    def __init__(
-        self, first: LaneMember, starts: VariedStarts, assembled: Sequence[AssembledState], size: np.ndarray,
-        extent: np.ndarray, seconds: np.ndarray, tolerance: np.ndarray, indices: Sequence[int],
-        spec: Callable[[int], RunSpec],
-    ):  # fmt: skip
-        self.first, self.starts, self.assembled, self.size, self.extent = first, starts, assembled, size, extent
-        self.seconds, self.tolerance, self.indices, self.spec = seconds, tolerance, indices, spec
-        self.limit = np.minimum(starts.limits, first.table.guards.angle_misalignment)
-        self.tables = [first.table] * len(size)
-
-    def member(self, run: int) -> LaneMember:
-        """See `PreparedRuns.member`."""
-        guards = replace(self.first.table.guards, misalignment=float(self.starts.limits[run]))
-        table, size, extent = replace(self.first.table, guards=guards), float(self.size[run]), float(self.extent[run])
-        mechanism, q, v = self.starts.mechanism_of(run), self.starts.q[run], self.starts.v[run]
-        start, spec = MechanismAtStart(mechanism, q, v, self.assembled[run]), partial(self.spec, self.indices[run])
-        return replace(self.first, varied=spec, start=start, table=table, size=size, extent=extent)
-
-    def of(self, runs: Sequence[int]) -> VariedLanes:
-        """See `PreparedRuns.of`."""
-        places, starts = [*runs], self.starts.of([*runs])
-        size, extent, seconds, tolerance = (x[places] for x in (self.size, self.extent, self.seconds, self.tolerance))
-        assembled, indices = [self.assembled[run] for run in places], [self.indices[run] for run in places]
-        return VariedLanes(self.first, starts, assembled, size, extent, seconds, tolerance, indices, self.spec)
-
-    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
-        """See `PreparedRuns.advance`."""
-        return stepper.advance_varied(self.starts.of([*runs]), self.first.table)
-
-    def is_consistent(self, results: LaneResults) -> np.ndarray:
-        """Return whether assembly certainly changes nothing, (R,)."""
-        residuals = results.observed.phi[:, 0], results.observed.phi_rate[:, 0]
-        gap, rate = (np.abs(x).max(axis=(1, 2), initial=0.0) for x in residuals)
-        return np.asarray((gap <= self.tolerance) & (rate <= self.tolerance))
-
-    def sound(self, results: LaneResults) -> np.ndarray:
-        """See `PreparedRuns.sound`; runs with findings, and those whose starts assembly may change, are repeated."""
-        sound = super().sound(results)
-        for watcher in self.first.watchers:
-            sound = sound[~watcher.found_in(results.time, results.observed.forces)[sound]]
-        return np.asarray(sound[self.is_consistent(results)[sound]])
-
-    def assembly(self) -> list[str]:
-        """See `PreparedRuns.assembly`."""
-        texts = {id(one): one.describe() for one in {id(one): one for one in self.assembled}.values()}
-        return [texts[id(one)] for one in self.assembled]
 
 
 class Advanced(NamedTuple):
@@ -300,7 +271,7 @@ class LaneGroup:
     Attributes
     ----------
     size : int
-        Largest number of runs that `finished` takes.
+        Largest number of runs that are advanced together.
     """
 
     def __init__(self, first: LaneMember):
@@ -318,15 +289,8 @@ class LaneGroup:
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
 
-    def finished(self, runs: PreparedRuns, measures: Sequence[str]) -> tuple[list[int], FinishedRuns | None]:
-        """Carry out at most `size` runs of the group together.
-
-        Returns the indices of the runs that have ended, and their results; the others must be repeated alone.
-        """
-        return self.concluded(runs, self.advanced(runs), measures)
-
     def advanced(self, runs: PreparedRuns) -> Advanced:
-        """Take the steps of runs of the group."""
+        """Take the steps of at most `size` runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
         begin, vectors = _clocks(), range(0, len(runs), WIDTH)
         parts = [runs.advance(self.stepper, range(len(runs))[one : one + WIDTH]) for one in vectors]
@@ -335,7 +299,7 @@ class LaneGroup:
     def concluded(
         self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
     ) -> tuple[list[int], FinishedRuns | None]:
-        """Return the indices of the runs that have ended, and what they have recorded.
+        """Return the indices of the runs that have ended, and what they have recorded, None if there are none.
 
         The others must be repeated alone.
         """
@@ -364,7 +328,7 @@ class LaneGroup:
             arrays = {key: self._by_run(one.take(states), key, count) for key, one in self.recorded.items()}
         arrays |= self._intervals(runs, results)
         extremes = _Extremes(self, results, states)
-        found = [first.findings] * count
+        found = runs.findings
         if watches is not None:
             found = [watch.findings(extremes.energies[:, run]) for run, watch in enumerate(watches)]
         begin = time.perf_counter()
@@ -456,7 +420,7 @@ class _Extremes:
         """Return the verdicts on the runs; those whose numbers give a reason are judged one by one."""
         sizes = runs.size
         gap, angle = (values.max(axis=1, initial=0.0) for values in (self.misalignment, self.angles))
-        kinetic, jump, _ = self.results.guards
+        kinetic, jump, _ = self.results.guards.T
         errors = [jump, self.energies[2]] if not self.mechanism.is_locked else [0.0 * jump] * 2
         with np.errstate(all="ignore"):
             share = np.where(sizes > 0.0, gap / sizes, gap)

@@ -193,7 +193,8 @@ class LaneRuns:
                 places = _by_cost(members, places)
             for first in range(0, len(places), group.size):
                 some = places[first : first + group.size]
-                ended, runs = group.finished(PreparedRuns([members[place] for place in some]), self.measures)
+                prepared = PreparedRuns.of_members([members[place] for place in some])
+                ended, runs = group.concluded(prepared, group.advanced(prepared), self.measures)
                 if runs is not None:
                     yield [some[number] for number in ended], runs
                 if len(ended) < len(some):

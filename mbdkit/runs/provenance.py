@@ -117,12 +117,7 @@ def _is_of(spec: RunSpec, kind: Registered) -> bool:
 def _plugins(items: dict[str, Registered], spec: ModelSpec) -> dict[str, str]:
     versions: dict[str, str] = {}
     for kind, item in items.items():
-        versions[kind] = item.id
-        versions[f"{kind}_distribution"] = item.origin.distribution
-        versions[f"{kind}_version"] = item.origin.version
-        versions[f"{kind}_entry_point"] = item.origin.entry_point
-        if item.origin.distribution != MBDKIT:  # versions of mbdkit and its machine code are known
-            versions[f"{kind}_digest"] = code_digest(item.origin)
+        versions |= _entries(kind, [item])
     return versions | _entries("force_laws", spec.force_law_items)
 
 
@@ -131,6 +126,7 @@ def _entries(key: str, items: Sequence[Registered]) -> dict[str, str]:
     names = {key: ", ".join(item.id for item in items)}
     for part in ("distribution", "version", "entry_point"):
         names[f"{key}_{part}"] = ", ".join(getattr(item.origin, part) for item in items)
+    # versions of mbdkit and its machine code are known
     if others := [item for item in items if item.origin.distribution != MBDKIT]:
         names[f"{key}_digest"] = ", ".join(dict.fromkeys(code_digest(item.origin) for item in others))
     return names if items else {}

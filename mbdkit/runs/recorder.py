@@ -23,9 +23,9 @@ from mbdkit.measures.measured_quantities import of_event
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.conclusion import Extremes
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.law_ranges import LawRanges
 from mbdkit.runs.recorded_states import ObservedRows, recorded_states
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
 
@@ -48,6 +48,11 @@ APART = 1e-6
 #: consistent, residuals stay below 0.1 of the uncertainty, near singular positions below 0.3; for drivers whose motions
 #: diverge, they exceed five times the uncertainty.
 SECOND_ORDER = 1.0
+
+#: Columns of `Stretch.intervals` and of `Stretch.corrections`, and those that are integers.
+INTERVALS = ("time", "steps", "size", "iterations", "iterations_max", "rejected")
+CORRECTIONS = ("projections", "position_correction", "velocity_correction", "acceleration_correction")
+COUNTS = ("steps", "iterations", "iterations_max", "rejected", "projections")
 
 
 def shared_forces(mechanism: CompiledMechanism) -> SharedForces | None:
@@ -241,24 +246,11 @@ class Recorder:
             self.kept.append(ObservedRows.of(states))
 
     def _write_intervals(self, stretch: Stretch) -> None:
-        time, steps, size, iterations, iterations_max, rejected = stretch.intervals.T
-        rows = {
-            "time": time,
-            "steps": steps.astype(np.int64),
-            "size": size,
-            "iterations": iterations.astype(np.int64),
-            "iterations_max": iterations_max.astype(np.int64),
-            "rejected": rejected.astype(np.int64),
-        }
+        columns = dict(zip(INTERVALS, stretch.intervals.T, strict=True))
         if stretch.corrections is not None:  # the layout selects the columns that the stabilization fills
-            projections, position, velocity, acceleration = stretch.corrections.T
-            rows |= {
-                "projections": projections.astype(np.int64),
-                "position_correction": position,
-                "velocity_correction": velocity,
-                "acceleration_correction": acceleration,
-            }
-        self.writer.append_numbered("steps", rows)
+            columns |= zip(CORRECTIONS, stretch.corrections.T, strict=True)
+        counts = {name: column.astype(np.int64) for name, column in columns.items() if name in COUNTS}
+        self.writer.append_numbered("steps", columns | counts)
 
     def record_events(self, crossings: Sequence[Found]) -> None:
         """Write the crossings found since the last call."""

@@ -9,12 +9,11 @@ event detection.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.checkpoint import StoredState
-from mbdkit.archive.run_writer import RunWriter
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
@@ -117,16 +116,6 @@ class Checkpoints:
     def __init__(self, writer: ArchiveWriter, state: Callable[[], StoredState]):
         self._writer, self._state = writer, state
         self._due, self._is_told = time.monotonic() + INTERVAL, False
-
-    @classmethod
-    def of(cls, writer: RunWriter, parts: Parts | None, times: Callable[[], Mapping[str, float]]) -> Checkpoints | None:
-        """Return those of a run; None if its writer keeps none, or parts of it cannot be stored.
-
-        `times`: function that returns the times in `TIMES` so far [s].
-        """
-        if parts is None or not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
-            return None
-        return cls(writer, lambda: {**parts.stored(), "times": times()})
 
     def write(self) -> None:
         """Write a checkpoint; if the memory of the method cannot be stored, say so once."""

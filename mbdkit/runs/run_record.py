@@ -24,13 +24,13 @@ from mbdkit.mechanism.motion_pieces import share_of_integrals
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.registered_kinds import peaks_of
 from mbdkit.runs.corners import stops_of
+from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, compared_loads, expressions_of, functionals_of, largest_loads_of
 from mbdkit.runs.law_ranges import LawRanges, steps_are_rows
 from mbdkit.runs.preparation import RunSetup, recorded_arrays
 from mbdkit.runs.provenance import provenance
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.recorder import Recorder, shared_forces
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
 
@@ -140,7 +140,7 @@ class Taken(NamedTuple):
 
 
 class RunRecord:
-    """What a run records, from its start or anew.
+    """What a run records.
 
     - `setup`, `request`: the run, and what is asked of it.
     - `writer`: receives the rows and writes them to an open archive, or to arrays in memory.
@@ -164,12 +164,6 @@ class RunRecord:
         except BaseException:
             self.writer.abandon()
             raise
-
-    def begin_again(self) -> None:
-        """Discard what was recorded, and begin anew."""
-        self.writer.abandon()
-        self.writer = self.request.begin(self.setup)
-        self._begin()
 
     def _begin(self) -> None:
         setup, spec, workspace = self.setup, self.setup.spec, self.setup.workspace

@@ -16,6 +16,7 @@ import numpy as np
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.finished_run import ArrayWriter, FinishedRun
 from mbdkit.archive.run import Run
+from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.text import listed, shown
 from mbdkit.engine.counters import Counters
@@ -36,9 +37,10 @@ from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Doubts
 
 if TYPE_CHECKING:
+    from mbdkit.archive.checkpoint import StoredState
     from mbdkit.events.watch import Watch
     from mbdkit.runs.accuracy.chosen_method import Choice
-    from mbdkit.runs.accuracy.pilot_run import Replay
+    from mbdkit.runs.accuracy.pilot_run import RecordedPilot
 
 #: Failures that smaller steps cannot avoid.
 _FINAL = ("wall-time", "max-steps", "plugin-error", "controller-error")
@@ -84,7 +86,8 @@ class SimulatedRun:
         self.deadline = math.inf
         self.stepper: Advancing | None = None
         self.watch: Watch | None = None
-        self.replay: Replay | None = None
+        #: The pilot run that has taken the steps of this run.
+        self.replay: RecordedPilot | None = None
         self.cause: BaseException | None = None
         self.accuracy: Accuracy | None = None
         #: Gradients of the measures as JSON; empty if there are none.
@@ -114,7 +117,7 @@ class SimulatedRun:
         if self.stepper is not None:
             self.advance(self.stepper, reporter, wall, self.checkpoints(wall, cpu))
         self.timings |= {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-        if self.replay is not None:  # the steps have been computed by the pilot, before this run
+        if self.replay is not None:
             self.timings["wall_s"] += self.replay.wall
             self.timings["cpu_s"] += self.replay.cpu
         begin = time.perf_counter()
@@ -158,9 +161,7 @@ class SimulatedRun:
         self.stepper = self.watch = self.replay = None
         table, final = self.record.table, self.choice.final if self.choice is not None else None
         if final is not None and final.is_run and not (table.nodes or table.single):
-            from mbdkit.runs.accuracy.pilot_run import Replay
-
-            self.stepper = self.replay = Replay(final)
+            self.replay, self.stepper = final, final.stepper
             return
         try:
             stepper = self.record.setup.stepper(table)
@@ -234,16 +235,20 @@ class SimulatedRun:
         return Parts(self.workspace, stepper, self.watch, self.record)
 
     def checkpoints(self, wall: float, cpu: float) -> Checkpoints | None:
-        """Return the object that writes the checkpoints of the run; None if the run has no checkpoints.
+        """Return the object that writes the checkpoints of the run; None if its writer keeps none, or parts of it
+        cannot be stored.
 
         The arguments are the wall time and the processor time at which its steps began [s].
         """
+        writer, parts = self.record.writer, self.parts()
+        if parts is None or not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+            return None
 
-        def times() -> dict[str, float]:
+        def state() -> StoredState:
             spent = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
-            return {**self.timings, "integrals_s": self.record.integrals_s, **spent}
+            return {**parts.stored(), "times": {**self.timings, "integrals_s": self.record.integrals_s, **spent}}
 
-        return Checkpoints.of(self.record.writer, self.parts(), times)
+        return Checkpoints(writer, state)
 
     def advance(
         self, stepper: Advancing, progress: Progress | None, begin: float, checkpoints: Checkpoints | None
@@ -252,7 +257,10 @@ class SimulatedRun:
         limit, end = self.spec.limits.wall_time, self.spec.time.final
         self.deadline = math.inf if limit is None else begin + limit
         elapsed = time.perf_counter() - begin if self.request.continuation is not None else 0.0
-        recorded = self.record.recorder.last_time
+        for taken_before in () if self.replay is None else self.replay.stretches:
+            if self.failure is None:
+                before, elapsed = elapsed, time.perf_counter() - begin
+                self.add(Taken(taken_before), (before, elapsed))
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             since, done = time.perf_counter(), stepper.counters.steps
             stretch = self.next_stretch(stepper)
@@ -261,8 +269,6 @@ class SimulatedRun:
             now = time.perf_counter() - begin
             self.add(self.taken(stepper, stretch), (elapsed, now))
             self._record_inputs()
-            if len(stretch.time):
-                recorded = float(stretch.time[-1])
             elapsed = now
             if progress is not None:
                 progress(stepper.time, end)
@@ -279,7 +285,7 @@ class SimulatedRun:
             checkpoints.write()
         unrecordable = self.failure is not None and self.failure.code not in ("wall-time", "plugin-error")
         self.failure = self.failure or stepper.failure
-        if recorded < stepper.time and not stepper.finished and not unrecordable:
+        if self.record.recorder.last_time < stepper.time and not stepper.finished and not unrecordable:
             self.record.recorder.record(stepper.last_state(), (elapsed, elapsed))
         self._record_inputs(at_end=True)
 

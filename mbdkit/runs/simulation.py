@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
@@ -209,7 +209,7 @@ def start_run(spec: RunSpec, request: Request, choice: Choice | None = None) -> 
     if not request.is_open:
         check_disk_space(spec, mechanism, request.path)
     noted: list[bool] = []
-    noting = _not_noted if request.begin is begin_arrays else interrupts_noted
+    noting = nullcontext if request.begin is begin_arrays else interrupts_noted
     with noting(lambda: noted.append(True)):  # otherwise the archive could not be removed after Ctrl-C
         simulation = SimulatedRun(RunRecord(setup, request, (*cautions, *moves)), choice)
     if noted:
@@ -225,8 +225,7 @@ def _integrate(spec: RunSpec, request: Request, progress: Progress | None) -> Ru
     with one_thread_of_linear_algebra():
         if spec.is_to_be_chosen:
             return _integrate_accurately(spec, request, progress)
-        with _abandoning_failures(start_run(spec, request)) as simulation:
-            simulation.integrate(progress)
+        with _integrated(start_run(spec, request), progress) as simulation:
             return simulation.conclude()
 
 
@@ -243,8 +242,7 @@ def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | 
     choice = choose_method(spec, workspace, progress)
     tried: list[tuple[tuple[float, float], Choice]] = []
     while True:
-        with _abandoning_failures(start_run(choice.applied_to(spec), request, choice)) as simulation:
-            simulation.integrate(progress)
+        with _integrated(start_run(choice.applied_to(spec), request, choice), progress) as simulation:
             tried.append((simulation.merit(), choice))
             best = max(tried, key=lambda attempt: attempt[0])[1]
             following = None if simulation.is_final else _following(spec, workspace, simulation, len(tried))
@@ -254,8 +252,7 @@ def _integrate_accurately(spec: RunSpec, request: Request, progress: Progress | 
         if following is None:
             # Only one archive is written at a time, so that the best attempt has to be repeated. Equal settings give
             # equal results.
-            with _abandoning_failures(start_run(best.applied_to(spec), request, best)) as simulation:
-                simulation.integrate(progress)
+            with _integrated(start_run(best.applied_to(spec), request, best), progress) as simulation:
                 simulation.tried = [attempted for _, attempted in tried]
                 return simulation.conclude()
         choice = following
@@ -287,20 +284,16 @@ def _log(found: Iterable[Finding]) -> None:
         _LOG.warning("%s", shown(warning))
 
 
-def _not_noted(note: Callable[[], None]) -> AbstractContextManager[None]:
-    """Return a context that does nothing, for runs whose rows are useless if Ctrl-C interrupts the run.
-
-    Ctrl-C then raises KeyboardInterrupt.
-    """
-    return nullcontext()
-
-
 @contextmanager
-def _abandoning_failures(simulation: SimulatedRun) -> Iterator[SimulatedRun]:
-    """Remove the archive of a simulation that is not finished; handle Ctrl-C by ending the run."""
+def _integrated(simulation: SimulatedRun, progress: Progress | None) -> Iterator[SimulatedRun]:
+    """Integrate a simulation, and remove its archive if it is not finished; handle Ctrl-C by ending the run.
+
+    Without a run, whose rows would be of use, Ctrl-C raises KeyboardInterrupt.
+    """
     try:
-        noting = interrupts_noted if simulation.request.becomes_run else _not_noted
+        noting = interrupts_noted if simulation.request.becomes_run else nullcontext
         with noting(simulation.interrupt):
+            simulation.integrate(progress)
             yield simulation
     except BaseException as error:
         _LOG.warning("run %s is abandoned: %s", simulation.spec.run_id(), one_line(error))

@@ -11,15 +11,12 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.stored_arrays import restore, stored
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.run.impulse import DriverImpulse
-from mbdkit.integrators.run.kept_state import kept
 from mbdkit.integrators.run.reached import IntervalSoFar, Reached
+from mbdkit.integrators.run.step_results import kept
 from mbdkit.methods.step_methods import ExternalMethod, StepState
 
-_REACHED = (
-    "done", "whole", "passed", "restart", "time", "is_event", "energy", "energy_low", "why", "size", "history",
-    "order",
-)  # fmt: skip
-_INTERVAL = ("steps", "size", "iterations", "most_iterations", "correction", "rejected")
+#: Fields of a point of a run that are stored as they are.
+_REACHED = tuple(name for name in Reached._fields if name not in ("state", "interval", "event"))
 
 
 class MemoryNotStoredError(Exception):
@@ -42,7 +39,7 @@ def stored_stepper(stepper: StepHost) -> StoredState:
         raise MemoryNotStoredError("the library of the method does not give its state")
     return {
         "reached": {name: getattr(now, name) for name in _REACHED},
-        "interval": {name: getattr(now.interval, name) for name in _INTERVAL},
+        "interval": now.interval._asdict(),
         "q": state.q,
         "v": state.v,
         "energies": [state.work, state.dissipated],
@@ -72,7 +69,7 @@ def copy_state(stepper: StepHost, other: StepHost) -> None:
 def restore_stepper(stepper: StepHost, state: StoredState) -> None:
     """Restore a stored state to the stepper of the same run at its start; raise ValueError if it is not valid."""
     n, m, reached, interval = stepper.equations.n, stepper.equations.m, dict(state["reached"]), dict(state["interval"])
-    if reached.keys() != set(_REACHED) or interval.keys() != set(_INTERVAL):
+    if reached.keys() != set(_REACHED) or interval.keys() != set(IntervalSoFar._fields):
         raise ValueError("it has other parts")
     if not 0 <= reached["passed"] <= len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")

@@ -29,10 +29,9 @@ from mbdkit.mechanism.parameters import names_in, parameter_values
 from mbdkit.mechanism.size import size_at_given_positions
 from mbdkit.mechanism.traced_elements import with_numbers
 from mbdkit.runs.corners import check_jumps
-from mbdkit.runs.findings import criteria, findings
+from mbdkit.runs.findings import StateWatchers, criteria, findings
 from mbdkit.runs.law_ranges import has_ranges
 from mbdkit.runs.preparation import timetable
-from mbdkit.runs.state_watchers import StateWatchers
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding

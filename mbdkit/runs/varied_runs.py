@@ -28,15 +28,16 @@ from mbdkit.engine.consistent_start import (
 )
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.self_stress import looped_rows
+from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lane_stepper import VariedStarts
 from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.mechanism.size import mechanism_size
-from mbdkit.runs.findings import criteria, findings
+from mbdkit.runs.findings import StateWatchers, criteria, findings
 from mbdkit.runs.finish import run_in_memory
-from mbdkit.runs.lane_group import Advanced, LaneGroup, LaneMember, VariedLanes
+from mbdkit.runs.lane_group import Advanced, LaneGroup, LaneMember, PreparedRuns
 from mbdkit.runs.lane_runs import LaneRuns
-from mbdkit.runs.state_watchers import StateWatchers
+from mbdkit.runs.preparation import guards_of
 from mbdkit.runs.varied_numbers import Stacks, Variant, VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 
@@ -115,7 +116,7 @@ class VariedRuns:
         finished = concluded() if runs.first.watched else concluded
         return None if finished is None else run_in_memory(finished, runs.first.settings, created, spec=spec)  # type: ignore[arg-type]
 
-    def _prepared(self, values: np.ndarray, spec: Callable[[int], RunSpec]) -> tuple[VariedLanes, LaneGroup] | None:
+    def _prepared(self, values: np.ndarray, spec: Callable[[int], RunSpec]) -> tuple[PreparedRuns, LaneGroup] | None:
         """Return runs at their starts, and their group; None if no run suits the lanes."""
         begin = time.perf_counter()
         if self._failed >= TRIES or (stacks := self._numbers.stacks(values)) is None:
@@ -134,7 +135,7 @@ class VariedRuns:
         runs.seconds[:] = (time.perf_counter() - begin) / len(runs)
         return runs, self._lanes.group(runs.first)
 
-    def _advanced(self, group: LaneGroup, runs: VariedLanes) -> Advanced:
+    def _advanced(self, group: LaneGroup, runs: PreparedRuns) -> Advanced:
         advanced = group.advanced(runs)
         self._failed = 0 if len(runs.sound(advanced.results)) else self._failed + 1
         assert self._base is not None
@@ -173,12 +174,12 @@ class _Base:
         member = replace(member, watched=variant.watched, watchers=watchers or ())
         return cls(member, variant, (stacks.q[0], stacks.v[0]))
 
-    def runs(self, stacks: Stacks, spec: Callable[[int], RunSpec], lanes: LaneRuns) -> VariedLanes | None:
+    def runs(self, stacks: Stacks, spec: Callable[[int], RunSpec], lanes: LaneRuns) -> PreparedRuns | None:
         """Return the runs whose starts suit the lanes, None if there are none; `spec` returns that of a member."""
         first, count, varying = self.member, len(stacks.members), stacks.topology.keys()
         start, longest = first.start, stacks.longest.ravel()
         moved = start.assembled.changed and "spring_points" in varying
-        starts = VariedStarts(start.mechanism, stacks.topology, longest, stacks.q, stacks.v, np.zeros(count))
+        starts = VariedStarts(start.mechanism, stacks.topology, longest, stacks.q, stacks.v)
         if varying <= self._of_forces and not moved and self._is_given(stacks):
             starts = replace(starts, q=np.tile(start.q0, (count, 1)), v=np.tile(start.v0, (count, 1)))
             extent, size, tolerance = (np.full(count, x) for x in (first.extent, first.size, np.inf))
@@ -189,22 +190,26 @@ class _Base:
             size = np.where(extent == 0.0, longest, extent)
             # Residuals are computed in another order than by assembly.
             tolerance = stacks.tolerance.ravel() * (1.0 - 1e-6)
-        starts = replace(starts, limits=first.settings.limits.misalignment * size)
-        runs = VariedLanes(
-            first, starts, [start.assembled] * count, size, extent, np.zeros(count), tolerance,
-            stacks.members.tolist(), spec,
+        runs = PreparedRuns(
+            first, starts, self._tables(size), [start.assembled] * count, [first.findings] * count, size, extent,
+            np.zeros(count), tolerance, stacks.members.tolist(), spec,
         )  # fmt: skip
         is_shared = np.isinf(tolerance[0])
         if (is_shared or not self.is_assembled) and first.pivots is None:
             return runs
         return self._assembled(runs, stacks if self.is_assembled and not is_shared else None, lanes)
 
+    def _tables(self, size: np.ndarray) -> list[Timetable]:
+        """Return the timetables of runs of mechanisms with these sizes [m]."""
+        spec, table = self.member.settings, self.member.table
+        return [replace(table, guards=guards_of(spec, one)) for one in size.tolist()]
+
     def _is_given(self, stacks: Stacks) -> bool:
         """Return whether all runs have the same initial state before assembly as this one, to the bit."""
         states = zip((stacks.q, stacks.v), self._given, strict=True)
         return all((x.view(np.int64) == own.view(np.int64)).all() for x, own in states)
 
-    def _assembled(self, runs: VariedLanes, stacks: Stacks | None, lanes: LaneRuns) -> VariedLanes | None:
+    def _assembled(self, runs: PreparedRuns, stacks: Stacks | None, lanes: LaneRuns) -> PreparedRuns | None:
         """Return those runs that have starts and pivots like `first`; starts are assembled if `stacks` are given."""
         first, kept, made = self.member, [], list[tuple[MechanismAtStart, StagePivots | None]]()
         for run in range(len(runs)):
@@ -220,24 +225,16 @@ class _Base:
                     made.append((at_start, pivots))
         if not kept:
             return None
-        tops, base = [start.mechanism.topology for start, _ in made], first.start.mechanism.topology
-        numbers = {
-            name: np.stack([getattr(top, name) for top in tops])
-            for name in self._own
-            if any(getattr(top, name).tobytes() != getattr(base, name).tobytes() for top in tops)
-        }
         runs = runs.of(kept)
-        q, v = (np.stack([getattr(start, name) for start, _ in made]) for name in ("q0", "v0"))
-        chosen = [pivots for _, pivots in made if pivots is not None]
-        runs.starts = replace(runs.starts, numbers=numbers, q=q, v=v, pivots=chosen)
+        runs.starts = VariedStarts.of_starts(*zip(*made, strict=True))
         runs.assembled = [start.assembled for start, _ in made]
         if stacks is not None:
             runs.tolerance[:] = np.inf
-            for run in np.flatnonzero((q != stacks.q[kept]).any(axis=1)).tolist():  # only masses and forces differ
+            moved = (runs.starts.q != stacks.q[kept]).any(axis=1)  # where only masses and forces differ
+            for run in np.flatnonzero(moved).tolist():
                 runs.extent[run] = mechanism_size(first.settings.mechanism(), runs.assembled[run].q)
                 runs.size[run] = runs.extent[run] or runs.size[run]
-            runs.starts.limits[:] = first.settings.limits.misalignment * runs.size
-            runs.limit = np.minimum(runs.starts.limits, first.table.guards.angle_misalignment)
+            runs.tables = self._tables(runs.size)
         return runs
 
     def _start(self, stacks: Stacks, run: int) -> MechanismAtStart | None:

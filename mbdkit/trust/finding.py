@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -28,18 +28,6 @@ class Finding:
         return f"{self.criterion}: {self.sentence}" if self.is_named else self.sentence
 
 
-def open_doubts(
-    findings: Iterable[Finding], accepted: Collection[str], level: Literal["doubtful", "bad"] = "doubtful"
-) -> tuple[str, ...]:
-    """Return the texts of those findings that lower the verdict to a level: those of criteria that are not accepted."""
-    return tuple(str(finding) for finding in findings if finding.level == level and finding.criterion not in accepted)
-
-
-def accepted_doubts(findings: Iterable[Finding], accepted: Collection[str]) -> tuple[str, ...]:
-    """Return the texts of the doubts of accepted criteria."""
-    return tuple(str(finding) for finding in findings if finding.level is not None and finding.criterion in accepted)
-
-
 class Doubts(NamedTuple):
     """What findings mean for the verdict on a result, as sentences.
 
@@ -56,9 +44,9 @@ class Doubts(NamedTuple):
     @classmethod
     def of(cls, findings: Collection[Finding], accepted: Collection[str]) -> Doubts:
         """Return those of findings, of which the spec accepts some criteria."""
-        return cls(
-            open_doubts(findings, accepted),
-            accepted_doubts(findings, accepted),
-            tuple(str(finding) for finding in findings if finding.level is None),
-            open_doubts(findings, accepted, "bad"),
+        open_, faults = (
+            tuple(str(one) for one in findings if one.level == level and one.criterion not in accepted)
+            for level in ("doubtful", "bad")
         )
+        known = tuple(str(one) for one in findings if one.level is not None and one.criterion in accepted)
+        return cls(open_, known, tuple(str(one) for one in findings if one.level is None), faults)

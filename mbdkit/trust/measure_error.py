@@ -11,6 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from mbdkit.base import elementary
+from mbdkit.base.units import Unit
+
 #: Largest ratio of two differences that count as decreasing: a little above 0.5, the value of a method of order 1.
 LARGEST_RATIO = 0.6
 #: Without an observed order, an error is known if the distance of the most accurate run from the guard is at most this
@@ -34,7 +37,7 @@ def measure_error(value: float, compared: Sequence[float], natural: float = 0.0)
     """Return the estimated error of a measure; nan where it is unknown.
 
     `value`: the measure of the run. `compared`: the measure in two runs of increasing accuracy, and in a run of another
-    method. `natural`: natural size of numbers with the unit of the measure; see `mbdkit.measures.natural_size`.
+    method. `natural`: natural size of numbers with the unit of the measure; see `natural_size`.
     """
     every = value, *compared
     if len(compared) != 3 or not all(map(math.isfinite, every)):
@@ -53,3 +56,25 @@ def measure_error(value: float, compared: Sequence[float], natural: float = 0.0)
     else:
         return math.nan
     return max(error, ROUND_OFF * size)
+
+
+def natural_scales(length: float, mass: float, gravity: Sequence[float], duration: float) -> tuple[float, float, float]:
+    """Return length [m], mass [kg] and time [s] of a mechanism, from which `natural_size` is computed.
+
+    The time is about that of a free fall by the length, or the duration of the run [s] if that is shorter; 1 s if there
+    is no gravity and no duration.
+    """
+    pull = elementary.hypot(*gravity)
+    fall = math.sqrt(length / pull) if pull > 0.0 else math.inf
+    time = min(fall, duration) if duration > 0.0 else fall
+    return length, mass, time if math.isfinite(time) else 1.0
+
+
+def natural_size(unit: Unit, length: float, mass: float, time: float) -> float:
+    """Return the natural size of quantities with a unit, in this unit.
+
+    It distinguishes rounding errors from results: numbers that differ from zero by rounding errors only, such as the
+    height of a rod that lies still, have no digits to compare.
+    """
+    powers = [float(elementary.pow(x, power)) for x, power in zip((length, mass, time), unit.exponents, strict=True)]
+    return math.prod(powers) / unit.factor

@@ -25,7 +25,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.start import start_method
 from mbdkit.runs import preparation, recorded_states, step_interpolation
 from mbdkit.runs.accuracy import companion, pilot_run
-from mbdkit.runs.accuracy.pilot_run import run_pilot, work_of
+from mbdkit.runs.accuracy.pilot_run import SampledPilot, work_of
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.preparation import build, make_method, timetable
 from mbdkit.spec import load_spec
@@ -129,7 +129,7 @@ def grid(known: Known) -> list[Tuned]:
         plain = {"mbdkit": 1, "model": known.model, "integrator": method, "time": time}
         spec = load_spec(plain)
         workspace, _ = build(spec)
-        pilot = run_pilot(spec, x, workspace, MOST_STEPS)
+        pilot = SampledPilot(spec, x, workspace, MOST_STEPS)
         if pilot.failure:
             continue
         error = float(np.max(PositionMeasure.of(spec, workspace).share(pilot.position - true)))

@@ -28,7 +28,7 @@ from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Timetable
-from mbdkit.integrators.lane_stepper import LaneStepper, PivotsAtStart
+from mbdkit.integrators.lane_stepper import LaneStepper, PivotsAtStart, VariedStarts
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.preparation import build, make_method
@@ -94,7 +94,7 @@ def by_lanes(method: str, steps: int) -> Outcome:
     pivots = [PivotsAtStart().of(chosen, *one) for one in zip(starts, tables, strict=True)]
     stepper = LaneStepper(chosen, starts[0], 2, pivots[0])
     begin = time.perf_counter()
-    results = stepper.advance(starts, tables, pivots)
+    results = stepper.advance(VariedStarts.of_starts(starts, pivots), tables)
     taken = time.perf_counter() - begin
     return taken / WIDTH, miss_of(float(results.q[0, -1, 2]), float(results.q[0, -1, 5]))
 
@@ -295,7 +295,7 @@ def _two_threads(console: Console) -> None:
 
     def work(stepper: LaneStepper) -> None:
         for _ in range(rounds):
-            stepper.advance(starts, [table_of(STEPS)] * WIDTH)
+            stepper.advance(VariedStarts.of_starts(starts), [table_of(STEPS)] * WIDTH)
 
     for threads in (1, 2):
         with ThreadPoolExecutor(threads) as pool:

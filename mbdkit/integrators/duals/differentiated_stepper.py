@@ -20,8 +20,7 @@ from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.number_arrays import Duals
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.duals.differentiated_laws import DifferentiatedLaws
-from mbdkit.integrators.duals.differentiated_sampling import DifferentiatedSampler
+from mbdkit.integrators.duals.differentiated_laws import DifferentiatedLaws, DifferentiatedSampler
 from mbdkit.integrators.duals.dual_loop import drive_explicit_duals
 from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_states, new_dual_run
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable

@@ -11,11 +11,10 @@ import numpy as np
 from mbdkit.base.errors import StepError
 from mbdkit.integrators.host.python_projection import StabilizedSteps, Taken
 from mbdkit.integrators.interface import SAME_INSTANT, SAME_TIME, Timetable
-from mbdkit.integrators.run.kept_state import kept, protect
 from mbdkit.integrators.run.reached import Planned, Reached, RejectedError
 from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_control import SOLVER_FAILURE_FACTOR, fitted_size
-from mbdkit.integrators.run.step_results import Inside, StepResults, called
+from mbdkit.integrators.run.step_results import Inside, StepResults, called, kept, protect
 from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState, Why
 
 if TYPE_CHECKING:

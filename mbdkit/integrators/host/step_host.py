@@ -20,8 +20,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators import interface
 from mbdkit.integrators.host.host_control import HostControl
 from mbdkit.integrators.host.host_energies import HostEnergies, HostNodes
-from mbdkit.integrators.host.host_last_step import LastStep
-from mbdkit.integrators.host.host_rows import HostRows
+from mbdkit.integrators.host.host_rows import HostRows, LastStep
 from mbdkit.integrators.host.step_attempts import Attempt, StepAttempts
 from mbdkit.integrators.interface import (
     ENDLESS,

@@ -44,15 +44,10 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
     )
 
 
-def fill_lanes(top: Topology, lanes: slice, topology: Topology, loaded: Topology | None = None) -> None:
-    """Copy the numbers of a mechanism into some lanes; integers are the same for all lanes.
-
-    Arrays that are those of `loaded`, which is in all of these lanes, are not copied again.
-    """
-    for number, (values, own) in enumerate(zip(top, topology, strict=True)):
-        if loaded is not None and own is loaded[number]:
-            continue
-        if Topology._fields[number] in BY_LANE:
+def fill_lanes(top: Topology, lanes: slice, topology: Topology) -> None:
+    """Copy the numbers of a mechanism into some lanes; integers are the same for all lanes."""
+    for name, values, own in zip(Topology._fields, top, topology, strict=True):
+        if name in BY_LANE:
             values[lanes] = own
         elif isinstance(values, Lanes):
             values[..., lanes] = own[..., None]

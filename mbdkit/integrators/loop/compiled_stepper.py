@@ -245,16 +245,12 @@ class CompiledStepper:
         Returns False if something else has to be done before the goal is reached, for which `advance` is to be called.
         The counters are not updated.
         """
-        c, whole, method = self.pinned_state.bundle, self.goal.whole, self.method
+        c, whole = self.pinned_state.bundle, self.goal.whole
         progress = c.progress
         steps = min(whole - progress.whole.item(), self.timetable.max_steps - progress.accepted.item())
-        if steps <= 0 or progress.after_stop[0] or method.is_extended:
+        if steps <= 0 or progress.after_stop[0] or self.method.is_extended:
             return False
-        status, rows = step_loop.drive(
-            self.pinned_state.address, method.pinned.address, method.attempt.address, self._dense,
-            self.pinned_plan.address, steps, 0,
-        )  # fmt: skip
-        c.first_row[0] = rows
+        status, c.first_row[0] = self.drive(self.pinned_plan, steps)
         if status not in (OK, step_loop.AT_STOP):
             self._unhandled = status
             return False

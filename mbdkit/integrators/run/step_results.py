@@ -1,4 +1,4 @@
-"""Steps of methods in Python as the framework uses them: checked, with copies of their arrays."""
+"""Steps of methods in Python as the framework uses them: checked, with copies of their arrays that are not modified."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError, StepError, in_this_process
 from mbdkit.base.text import message_of, one_line
 from mbdkit.engine.iteration_matrix import vector
-from mbdkit.integrators.run.kept_state import kept
 from mbdkit.methods.step_methods import Step, StepState
 
 if TYPE_CHECKING:
@@ -42,6 +41,35 @@ def called(name: str, function: Callable[P, T], *given: P.args, **more: P.kwargs
         if isinstance(error, Exception) and not isinstance(error, MbdkitError):
             raise
         raise RuntimeError(one_line(error)) from error
+
+
+def kept(value: object) -> Any:
+    """Return a value of `StepState.memory` with read-only copies of its arrays, also inside lists, tuples and dicts.
+
+    Other objects are returned as they are.
+    """
+    if value is None or type(value) is float:  # most values of most methods
+        return value
+    match value:
+        case np.ndarray():
+            copy = value.copy()
+            copy.setflags(write=False)
+            return copy
+        case tuple():
+            items = [kept(item) for item in value]
+            return type(value)._make(items) if hasattr(value, "_make") else tuple(items)
+        case list():
+            return [kept(item) for item in value]
+        case dict():
+            return {key: kept(item) for key, item in value.items()}
+    return value
+
+
+def protect(state: StepState) -> None:
+    """Make the arrays of a state that is passed to a method read-only."""
+    for array in (state.q, state.v, state.z, state.multipliers, *state.low):
+        if isinstance(array, np.ndarray):
+            array.setflags(write=False)
 
 
 class StepResults:

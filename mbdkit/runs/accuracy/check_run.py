@@ -15,10 +15,12 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.headlines import MESH_ERROR
 from mbdkit.base.text import listed
 from mbdkit.engine.workspace import Workspace
+from mbdkit.expressions.jets import EPS
 from mbdkit.integrators.interface import Failure, Stepper
 from mbdkit.integrators.run.impulse import ReactingMemory
 from mbdkit.mechanism.mechanism import Mechanism
-from mbdkit.methods.kinds import Method
+from mbdkit.mechanism.motion_corners import jet_of
+from mbdkit.mechanism.values import Motion
 from mbdkit.runs.accuracy.chosen_method import Candidate, Choice
 from mbdkit.runs.accuracy.coarser_estimate import estimate_from_coarser
 from mbdkit.runs.accuracy.companion import Budget, Companion, CompanionRows, run_companion
@@ -26,7 +28,8 @@ from mbdkit.runs.accuracy.companion_choice import Chosen, choose_companions
 from mbdkit.runs.accuracy.error_estimate import ErrorEstimate, Units, estimate_errors
 from mbdkit.runs.accuracy.pilot_run import RecordedPilot
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
-from mbdkit.runs.accuracy.resolved_loads import resolved_until
+from mbdkit.runs.corners import stops_of
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_seams import Progress
 from mbdkit.spec import RunSpec
@@ -36,9 +39,7 @@ if TYPE_CHECKING:
 
 
 def check_run(
-    spec: RunSpec,
-    method: Method,
-    workspace: Workspace,
+    setup: RunSetup,
     rows: ObservedRows,
     steps: int,
     budget: Budget,
@@ -51,17 +52,17 @@ def check_run(
     addition there is the guard, a run with another method. If the spec limits wall time, the same limit applies to all
     companions together.
 
-    - `spec`, `method`, `workspace`: the run.
+    - `setup`: the run.
     - `rows`: recorded rows of the run.
     - `steps`: number of steps of the run.
     - `budget`: determines when the comparison runs must stop; the errors are then unknown.
     - `progress`: called with (time reached, end time) [s] of each companion.
     - `memory`: memory of the reactions of elements at the end of the run, with their impacts; None if the run has none.
     """
-    begin = time.perf_counter()
+    begin, spec, workspace = time.perf_counter(), setup.spec, setup.workspace
     if len(rows.time) < 2:
         return as_accuracy(rows, _no_errors(rows), "The run recorded only its start, which has no error.", begin)
-    chosen = choose_companions(spec, method, workspace, rows.time, steps)
+    chosen = choose_companions(setup, rows.time, steps)
     watch = watch_of(spec)
     runs = [
         run_companion(companion, workspace, rows.time, budget.stopped, progress, watch) for companion in chosen.finer
@@ -99,7 +100,7 @@ def why_unknown(
     )
     for companion, rows in runs:
         if rows.failure and _reached(rows) < following:
-            why = f"the comparison run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}"
+            why = f"the comparison run with {companion.run.name} ended at {_reached(rows):.6g} s: {rows.failure}"
             break
     else:
         why = f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
@@ -178,15 +179,15 @@ def _reached(states: CompanionRows) -> float:
 
 
 def _sentence(chosen: Chosen, runs: list[tuple[Companion, CompanionRows]]) -> str:
-    first, second = (companion.name for companion in chosen.finer)
+    first, second = (companion.run.name for companion in chosen.finer)
     text = (
         f"Richardson extrapolation from comparison runs with {first} and {second}, confirmed by a run with "
-        f"{runs[-1][0].name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
+        f"{runs[-1][0].run.name}; nan where the differences do not decrease with the {chosen.what} and the runs do not "
         f"converge to the last one."
     )
     for companion, rows in runs:
         if rows.failure:
-            text += f" The run with {companion.name} ended at {_reached(rows):.6g} s: {rows.failure}."
+            text += f" The run with {companion.run.name} ended at {_reached(rows):.6g} s: {rows.failure}."
     return text
 
 
@@ -194,6 +195,16 @@ def _no_errors(rows: ObservedRows) -> ErrorEstimate:
     position, velocity, torque = (np.zeros_like(x) for x in (rows.position, rows.velocity, rows.torque))
     return ErrorEstimate(position, velocity, torque, torque.copy(), float(rows.time[0]), math.nan)
 
+
+#: Number of times in a step at which a motion is assumed to be evaluated.
+#:
+#: DOP853 has this number of distinct stage times.
+NODES = 8
+
+#: Approximate number of samples over a run, and smallest number of samples in one step.
+LOOKS, LOOKS_OF_STEP = 20_000, 16
+
+UNRESOLVED = 1e-3  #: Largest deviation from the polynomial, as a share of the range of the motion over the run.
 
 #: Runs with different tolerances are assumed to differ only after this many steps.
 #:
@@ -229,6 +240,40 @@ def check_by_pilots(
         errors = _cut(errors, rows.time, until)
         method += why
     return as_accuracy(rows, errors, method + _excluded(spec.mechanism()), begin, unknown)
+
+
+def resolved_until(spec: RunSpec, time: np.ndarray) -> float:
+    """Return the time until which steps resolve all motions and loads, which are given functions of time [s]; inf if
+    they do so to the end.
+
+    All runs of one method can miss the same short pulse. A pulse between the evaluations of a step can be detected
+    without integration: the polynomial through the values of a motion at `NODES` times of a step must agree with the
+    motion between these times.
+
+    `time`: (N,) ends of all steps, with the start [s].
+    """
+    varying = [motion for _, motion in spec.mechanism().motions() if not isinstance(motion, int | float)]
+    if not varying or len(time) < 2:
+        return math.inf
+    margin = 4.0 * max(stops_of(spec).margins, default=4.0 * EPS * float(np.max(np.abs(time))))
+    begin, end = time[:-1] + margin, time[1:] - margin  # a motion may be discontinuous at the ends of a step
+    nodes = 0.5 - 0.5 * np.cos(np.pi * np.arange(NODES) / (NODES - 1))
+    samples = (np.arange(max(LOOKS_OF_STEP, LOOKS // len(begin))) + 0.5) / max(LOOKS_OF_STEP, LOOKS // len(begin))
+    through = np.linalg.solve(np.vander(2 * nodes - 1, NODES).T, np.vander(2 * samples - 1, NODES).T)  # (NODES, M)
+    first = math.inf
+    for motion in varying:
+        seen, sampled = (_values(motion, begin, end, at) for at in (nodes, samples))
+        deviation = np.max(np.abs(seen @ through - sampled), axis=1)
+        unresolved = np.flatnonzero(deviation > UNRESOLVED * float(np.ptp(sampled)))
+        if len(unresolved):
+            first = min(first, float(time[unresolved[0]]))
+    return first
+
+
+def _values(motion: Motion, begin: np.ndarray, end: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return a motion at the shares `at` (M,) of every step, (N, M)."""
+    times = begin[:, None] + (end - begin)[:, None] * at
+    return np.asarray(jet_of(motion, times.ravel()).value).reshape(times.shape)
 
 
 def _cut(errors: ErrorEstimate, times: np.ndarray, until: float) -> ErrorEstimate:

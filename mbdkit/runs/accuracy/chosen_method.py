@@ -24,18 +24,16 @@ import numpy as np
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import canonical
-from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.runs.accuracy.coarser_estimate import error_share
 from mbdkit.runs.accuracy.pilot_run import (
     IMPLICIT_WORK,
     SAMPLES,
-    PilotRun,
     RecordedPilot,
+    SampledPilot,
     can_be_recorded,
     difference,
-    run_pilot,
 )
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
 from mbdkit.runs.run_seams import Progress
@@ -242,10 +240,10 @@ class _Search:
         self.asked = spec.accuracy
         self.work = 0.0
 
-    def pilot(self, candidate: Candidate, setting: float, most_steps: int | None = None) -> PilotRun:
+    def pilot(self, candidate: Candidate, setting: float, most_steps: int | None = None) -> SampledPilot:
         """Run a pilot."""
         spec = candidate.applied_to(self.spec, setting, self.measure.size)
-        pilot = run_pilot(spec, setting, self.workspace, most_steps or self.spec.limits.max_steps)
+        pilot = SampledPilot(spec, setting, self.workspace, most_steps or self.spec.limits.max_steps)
         self.work += pilot.work
         return pilot
 
@@ -259,9 +257,8 @@ class _Search:
         setting = min(max(_rounded(self.asked), APART * TIGHTEST), LOOSEST)
         while True:
             spec = candidate.applied_to(self.spec, setting, self.measure.size)
-            try:
-                run = RecordedPilot(spec, setting, self.workspace, FIRST_STEPS, self.progress)
-            except SingularSystemError:
+            run = RecordedPilot(spec, setting, self.workspace, FIRST_STEPS, self.progress)
+            if run.stepper is None:
                 return None
             self.work += run.work
             if run.failure == "max-steps" or (run.failure and setting <= TIGHTEST):
@@ -341,7 +338,7 @@ class _Search:
         more = " or more" if pilots[-1].failure == "max-steps" else ""
         return self.of(implicit, None, f"Stability limits the steps of {name}; with {rival}, {costs}{more}. ")
 
-    def two(self, candidate: Candidate, most_steps: int | None = None) -> list[PilotRun]:
+    def two(self, candidate: Candidate, most_steps: int | None = None) -> list[SampledPilot]:
         """Return the first two pilots of a candidate."""
         coarse, factor = self.first(candidate)
         runs = [self.pilot(candidate, coarse, most_steps)]
@@ -360,7 +357,7 @@ class _Search:
         steps = span / spec.time.step if spec.time.step is not None else 2 * SAMPLES
         return span / _dividing(steps), 2.0
 
-    def of(self, candidate: Candidate, runs: list[PilotRun] | None = None, told: str = "") -> Choice:
+    def of(self, candidate: Candidate, runs: list[SampledPilot] | None = None, told: str = "") -> Choice:
         """Return the choice of a candidate with a setting predicted from pilots.
 
         `runs` are the first two pilots; by default, they are run here. `told` is put before the reason for the choice.
@@ -401,14 +398,14 @@ class _Search:
         factor = elementary.pow(MARGIN * self.asked / max(min(error, 1.0), 1e-15), 1 / order)
         return setting * min(factor, TENTH if candidate.adaptive else 2.0)
 
-    def observed(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> float:
+    def observed(self, candidate: Candidate, runs: list[SampledPilot], differences: list[float]) -> float:
         """Return the order observed in the last three pilots, limited to 0.6 to 1.2 times the expected order."""
         (e0, e1), (x0, x1) = differences[-2:], (runs[-3].setting, runs[-2].setting)
         if not (e0 > 0 and e1 > 0 and e0 < math.inf):
             return candidate.order
         return min(max(elementary.log(e0 / e1) / elementary.log(x0 / x1), 0.6 * candidate.order), 1.2 * candidate.order)
 
-    def why(self, candidate: Candidate, runs: list[PilotRun], differences: list[float]) -> str:
+    def why(self, candidate: Candidate, runs: list[SampledPilot], differences: list[float]) -> str:
         """Return the sentence on the last two pilots and on what they mean for the choice."""
         unit = "tolerances" if candidate.adaptive else "steps"
         end = "" if candidate.adaptive else " s"

@@ -8,13 +8,13 @@ too large.
 
 This evidence is weaker than that of `error_estimate`, but costs nothing, because the coarser runs were needed to choose
 the tolerance. An error that all runs share, such as a pulse between two evaluations, is detected in the loads
-themselves (`resolved_loads`).
+themselves (`check_run.resolved_until`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -136,14 +136,8 @@ class _Quantity(Estimated):
         self._factor = np.broadcast_to(np.take_along_axis(factor, last, axis=0), factor.shape)
         self._equal_until = equal_until
 
-    def errors(self) -> np.ndarray:
-        return self._estimates(np.abs(self._values[-1] - self._values[-2]), np.s_[:, :, None])
-
-    def norm_errors(self, part: slice) -> np.ndarray:
-        difference = (self._values[-1] - self._values[-2])[..., part]
-        return self._estimates(np.linalg.norm(difference, axis=-1), np.s_[:, :])
-
-    def _estimates(self, difference: np.ndarray, axes: tuple[slice | None, ...]) -> np.ndarray:
+    def estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
+        difference = size(self._values[-1] - self._values[-2])
         estimate = self._factor[axes] * np.maximum.accumulate(difference, axis=0)
         estimate[1 : self._equal_until] = np.fmax(estimate[1 : self._equal_until], estimate[self._equal_until])
         return np.where(self.seen[axes], np.maximum.accumulate(np.nan_to_num(estimate), axis=0), np.nan)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
+from pydantic import BaseModel
 
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import one_line
@@ -20,6 +21,10 @@ from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.start import start_method
 from mbdkit.mechanism.element_kinds import ChosenTreatment
 from mbdkit.methods.kinds import Method
+from mbdkit.methods.step_controls import controlled
+from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.items import IntegratorPlugin
+from mbdkit.registry.manager import registry
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_seams import Progress
 
@@ -31,26 +36,59 @@ NEVER = 2**53
 
 
 @dataclass(frozen=True)
-class Companion:
-    """A comparison run of a main run: its method, times and settings.
+class Comparison:
+    """How a comparison run differs from the run.
 
     - `name`: description for the user, such as ``step 0.005 s``.
-    - `create`: creates the method.
-    - `timetable`: times of the companion. If `within_steps`, the companion is evaluated at the times of the main run by
-      a shortened step from the start of the step in which each time lies. Otherwise, the timetable records rows at
-      these times.
-    - `formulation`, `stabilization`: formulation and stabilization of the equations.
-    - `within_steps`: see `timetable`.
+    - `item`, `options`: the integrator and its options.
+    - `formulation`, `stabilization`: those of the equations; empty and None if they are those of the run.
+    - `factor`: factor by which steps or tolerances are smaller.
     - `treatment`: treatment of elements whose reactions the steps determine; None for that of the run.
     """
 
     name: str
-    create: Callable[[], Method]
-    timetable: Timetable
-    formulation: str
-    stabilization: Stabilization
-    within_steps: bool
+    item: Registered
+    options: BaseModel
+    formulation: str = ""
+    stabilization: Stabilization | None = None
+    factor: int = 1
     treatment: ChosenTreatment | None = None
+
+    @property
+    def plugin(self) -> IntegratorPlugin:
+        """The integrator plugin."""
+        return cast(IntegratorPlugin, self.item.plugin)
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether the step size is controlled."""
+        return self.plugin.claims(self.options).adaptive
+
+    def method(self) -> Method:
+        """Create the method."""
+        return controlled(cast(Method, self.plugin.create(self.options)), self.options, self.item.name)
+
+    @classmethod
+    def of_other(
+        cls, integrator: str, name: str, formulation: str, stabilization: Stabilization, **options: object
+    ) -> Comparison:
+        """Return a run with a built-in method."""
+        item = registry().get("integrator", integrator)
+        return cls(name, item, cast(IntegratorPlugin, item.plugin).options(**options), formulation, stabilization)
+
+
+@dataclass(frozen=True)
+class Companion:
+    """A comparison run that is evaluated at the times of the main run.
+
+    `run`: method and settings. `timetable`: times of the companion. If `within_steps`, the companion is evaluated by a
+    shortened step from the start of the step in which each time lies. Otherwise, the timetable records rows at these
+    times.
+    """
+
+    run: Comparison
+    timetable: Timetable
+    within_steps: bool
 
 
 @dataclass(frozen=True)
@@ -84,14 +122,17 @@ def run_companion(
 
     Returns rows of the companion. An exception of a plugin is reported as a failure.
     """
-    if companion.treatment is not None:
-        workspace = replace(workspace, mechanism=replace(workspace.mechanism, treatments=(companion.treatment,)))
-    own = workspace.for_another_run(companion.formulation, companion.stabilization)
+    run = companion.run
+    if run.treatment is not None:
+        workspace = replace(workspace, mechanism=replace(workspace.mechanism, treatments=(run.treatment,)))
+    own = workspace.for_another_run(
+        run.formulation or workspace.formulation, run.stabilization or workspace.stabilization
+    )
     states = _States(times, own, companion)
     stepper: Stepper | None = None
     try:
         table = companion.timetable
-        stepper = start_method(companion.create(), own, table if watch is None else replace(table, single=True))
+        stepper = start_method(run.method(), own, table if watch is None else replace(table, single=True))
         watched = None if watch is None else watch(own, stepper)
         failure = _advance(stepper, watched, companion, states, stopped, progress)
     except SingularSystemError:

@@ -121,13 +121,17 @@ class Estimated(ABC):
         """(T,) whether the errors of all bodies or joints are known."""
         return np.asarray(np.all(self.seen, axis=1))
 
-    @abstractmethod
     def errors(self) -> np.ndarray:
         """Return the errors of the components, (T, U, K)."""
+        return self.estimates(np.abs, np.s_[:, :, None])
 
-    @abstractmethod
     def norm_errors(self, part: slice) -> np.ndarray:
         """Return the errors of the norm of the components in a slice, (T, U)."""
+        return self.estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
+
+    @abstractmethod
+    def estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
+        """Return the errors by which a size of the components differs; `axes` of that size, from those of `seen`."""
 
     @abstractmethod
     def order(self, count: int) -> float:
@@ -221,13 +225,7 @@ class _Quantity(Estimated):
         self.seen = np.minimum.accumulate(seen, axis=0)
         self._all = (all01, all12, floor)
 
-    def errors(self) -> np.ndarray:
-        return self._estimates(np.abs, np.s_[:, :, None])
-
-    def norm_errors(self, part: slice) -> np.ndarray:
-        return self._estimates(lambda difference: np.linalg.norm(difference[..., part], axis=-1), np.s_[:, :])
-
-    def _estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
+    def estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
         first, second, third, guard = self._values
         d01, d12, d02, d0g = (
             np.maximum.accumulate(size(difference), axis=0)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -18,15 +17,13 @@ from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.result_table import TableColumn
 from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
-from mbdkit.methods.kinds import Method
 from mbdkit.quantities.array import MIXED
 from mbdkit.runs.accuracy.check_run import watch_of
 from mbdkit.runs.accuracy.companion import Budget, run_companion
 from mbdkit.runs.accuracy.companion_choice import choose_companions
-from mbdkit.runs.accuracy.compared_measures import Measure, limited
-from mbdkit.runs.preparation import build
+from mbdkit.runs.accuracy.compared_measures import Measure, limited, with_sections
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.runs.run_seams import Progress
-from mbdkit.spec import RunSpec
 
 #: Ratio of errors to standard deviations. The error of a number holds with a probability of 95 %; that of the norm of a
 #: vector with 95 to 98 %, because the deviation of a norm is that of the whole vector.
@@ -35,8 +32,7 @@ COVERAGE = 1.959964
 
 def with_parameter_errors(
     accuracy: Accuracy,
-    spec: RunSpec,
-    method: Method,
+    setup: RunSetup,
     steps: int,
     expressions: Sequence[str],
     measure: Measure,
@@ -46,21 +42,23 @@ def with_parameter_errors(
     """Return the errors of a run with those by its estimated parameters added, if it has any.
 
     - `accuracy`: errors of the integration.
-    - `spec`, `method`, `steps`: the run, its method and the number of its steps.
+    - `setup`, `steps`: the run, and the number of its steps.
     - `expressions`, `measure`: expressions of measures, and the function that evaluates them in another run.
     - `budget`: determines when the other runs must stop; the errors are then unknown.
     - `progress`: called with (time reached, end time) [s] of each run.
     """
-    if (estimated := spec.estimated) is None or len(accuracy.time) < 2:
+    if (estimated := setup.spec.estimated) is None or len(accuracy.time) < 2:
         return accuracy
     begin = time.perf_counter()
 
     def results(values: np.ndarray) -> list[np.ndarray]:
-        other = _with_parameters(spec, dict(zip(estimated.names, values.tolist(), strict=True)))
-        workspace, _ = build(other)
-        companion = choose_companions(other, method, workspace, accuracy.time, steps).finer[0]
-        rows = run_companion(companion, workspace, accuracy.time, budget.stopped, progress, watch_of(other)).rows
-        measured = measure(limited(other, budget)) if expressions and not budget.stopped() else None
+        parameters = setup.spec.parameters | dict(zip(estimated.names, values.tolist(), strict=True))
+        varied = with_sections(setup.spec, check=False, accuracy=None, choose=None, gradients=[], parameters=parameters)
+        other = RunSetup.of(varied, method=setup.method)
+        companion = choose_companions(other, accuracy.time, steps).finer[0]
+        watch = watch_of(other.spec)
+        rows = run_companion(companion, other.workspace, accuracy.time, budget.stopped, progress, watch).rows
+        measured = measure(limited(other.spec, budget)) if expressions and not budget.stopped() else None
         return [rows.position, rows.force, np.array(measured or [math.nan] * len(expressions))]
 
     shapes = accuracy.position_error.shape, accuracy.reaction_error.shape, (len(expressions),)
@@ -91,12 +89,3 @@ def with_parameter_errors(
         method=f"{accuracy.method} {how}",
         check_s=accuracy.check_s + time.perf_counter() - begin,
     )
-
-
-def _with_parameters(spec: RunSpec, values: Mapping[str, float]) -> RunSpec:
-    """Return the spec of the run with other values of some parameters, without checks and gradients."""
-    parameters = {**spec.parameters, **values}
-    plain_run: dict[str, Any] = {"check": False, "accuracy": None, "choose": None, "gradients": []}
-    varied = type(spec)(**spec.sections() | plain_run | {"parameters": parameters})
-    varied._document = spec._document
-    return varied

@@ -1,22 +1,20 @@
 """Pilot runs: trial runs of a spec with candidate methods.
 
-A `PilotRun` stores positions at a few times only. A `RecordedPilot` stores the ends of all steps, so that it can be
+A `SampledPilot` stores positions at a few times only. A `RecordedPilot` stores the ends of all steps, so that it can be
 compared with other pilots at any time; the last recorded pilot is used as the run.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from mbdkit.engine.counters import Counters
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import Advancing, Failure, Nodes, StepEvidence, Stretch
+from mbdkit.integrators.interface import Advancing, Stretch, Timetable
 from mbdkit.integrators.start import start_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.accuracy.position_measure import PositionMeasure
@@ -26,7 +24,7 @@ from mbdkit.runs.run_seams import Progress
 from mbdkit.runs.step_interpolation import StepStates
 from mbdkit.spec import RunSpec
 
-#: Number of equal intervals between the times at which a `PilotRun` stores positions, called samples.
+#: Number of equal intervals between the times at which a `SampledPilot` stores positions, called samples.
 #:
 #: The number of fixed steps of a pilot is a multiple or a divisor of it. More samples are not worth their cost,
 #: because dense output takes further evaluations in every adaptive step with a sample.
@@ -38,78 +36,86 @@ SAMPLES = 16
 IMPLICIT_WORK = 2.0
 
 
-@dataclass(frozen=True)
 class PilotRun:
-    """The result of a pilot run.
+    """A trial run of a spec with the method and setting of a candidate; see `RunSpec.with_choice`.
 
-    - `setting`: tolerance or step [s] of the pilot.
-    - `position`: (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
-    - `steps`: number of accepted steps.
-    - `work`: evaluations of the right-hand side, multiplied by `IMPLICIT_WORK` for implicit methods.
+    - `setting`: tolerance or step [s] of the candidate.
+    - `workspace`: workspace of the run. Its mechanism and start are shared; working arrays are not.
+    - `table`: timetable of the pilot.
+    - `progress`: called with (time reached, end time) [s].
+    - `stepper`: None if the pilot could not start.
+    - `steps`, `work`: number of accepted steps, and evaluations of the right-hand side, multiplied by `IMPLICIT_WORK`
+      for implicit methods.
     - `failure`: code of the failure; empty if the pilot reached the end.
+    - `wall`, `cpu`: wall time and processor time of the steps [s].
     """
 
-    setting: float
-    position: np.ndarray
-    steps: int
-    work: float
-    failure: str
-
-
-def run_pilot(spec: RunSpec, setting: float, workspace: Workspace, most_steps: int) -> PilotRun:
-    """Run a pilot.
-
-    `spec`: the spec with the method and setting of a candidate; see `RunSpec.with_choice`. `setting`: tolerance or step
-    [s] of the candidate, which is stored as `PilotRun.setting`. `workspace`: workspace of the run. Its mechanism and
-    start are shared; working arrays are not. `most_steps`: steps after which the pilot stops with the failure
-    ``max-steps``.
-    """
-    own = workspace.for_another_run(spec.formulated.name, spec.stabilized)
-    method = make_method(spec)
-    start, end = spec.time.start, spec.time.final
-    samples = np.linspace(start, end, SAMPLES + 1)
-    adaptive = spec.claims.adaptive
-    dense = adaptive and spec.integrator_plugin.dense_output
-    steps = spec.time.count or 0
-    table = replace(
-        timetable(spec, size_at_start(spec, workspace)),
-        interval=(end - start) / SAMPLES if dense else None,
-        every=1 if adaptive else max(1, steps // SAMPLES),
-        single=False,
-        max_steps=min(most_steps, spec.limits.max_steps),
-    )
-    position = np.full((SAMPLES + 1, len(workspace.mechanism.bodies), 3), np.nan)
-    position[0] = workspace.q0[:-3].reshape(-1, 3)
-    try:
-        stepper = start_method(method, own, table)
-    except SingularSystemError:
-        return PilotRun(setting, position, 0, 0.0, "singular")
-    except (Exception, SystemExit) as error:
-        return PilotRun(setting, position, 0, 0.0, plugin_failure(spec, error).code)
-    failure: Failure | None = None
-    while not (stepper.finished or stepper.failure or failure):
-        stretch: Stretch | None
+    def __init__(
+        self, spec: RunSpec, setting: float, workspace: Workspace, table: Timetable, progress: Progress | None = None
+    ):
+        self.setting, self.timetable = setting, table
+        self.workspace = workspace.for_another_run(spec.formulated.name, spec.stabilized)
+        self.stretches: list[Stretch] = []
+        self.stepper: Advancing | None = None
+        self.steps, self.work, self.failure = 0, 0.0, ""
+        method, begin, busy = make_method(spec), time.perf_counter(), time.process_time()
         try:
-            stretch = stepper.advance()
+            self.stepper = start_method(method, self.workspace, table)
+            self._advance(self.stepper, progress)
+        except SingularSystemError:
+            self.failure = "singular"
         except (Exception, SystemExit) as error:  # the run itself will fail in the same way and report this
-            failure, stretch = plugin_failure(spec, error), stepper.rows_before_error()
-        if stretch is None or not len(stretch.time):
-            continue
-        row = np.clip(np.round((stretch.time - start) / (end - start) * SAMPLES).astype(int), 0, SAMPLES)
-        met = np.abs(stretch.time - samples[row]) <= 1e-9 * (end - start)
-        position[row[met]] = stretch.q[met, :-3].reshape(int(np.sum(met)), -1, 3)
-    failure = failure or stepper.failure
-    code = failure.code if failure else ""
-    counters = stepper.counters
-    return PilotRun(setting, position, counters.steps, work_of(method, counters.rhs_evaluations), code)
+            self.failure = plugin_failure(spec, error).code
+            if self.stepper is not None and (rows := self.stepper.rows_before_error()) is not None:
+                self.stretches.append(rows)
+        self.wall, self.cpu = time.perf_counter() - begin, time.process_time() - busy
+        if self.stepper is not None:
+            self.failure = self.failure or (self.stepper.failure.code if self.stepper.failure else "")
+            self.steps = self.stepper.counters.steps
+            self.work = work_of(method, self.stepper.counters.rhs_evaluations)
+
+    def _advance(self, stepper: Advancing, progress: Progress | None) -> None:
+        while not (stepper.finished or stepper.failure):
+            stretch = stepper.advance()
+            if len(stretch.time):
+                self.stretches.append(stretch)
+            if progress is not None:
+                progress(stepper.time, self.timetable.end)
+
+
+class SampledPilot(PilotRun):
+    """A pilot run with positions at a few times.
+
+    - `most_steps`: steps after which the pilot stops with the failure ``max-steps``.
+    - `position`: (SAMPLES + 1, B, 3) positions [m] and angles [rad]; nan at times that the pilot did not reach.
+    """
+
+    def __init__(self, spec: RunSpec, setting: float, workspace: Workspace, most_steps: int):
+        start, end, adaptive = spec.time.start, spec.time.final, spec.claims.adaptive
+        dense = adaptive and spec.integrator_plugin.dense_output
+        table = replace(
+            timetable(spec, size_at_start(spec, workspace)),
+            interval=(end - start) / SAMPLES if dense else None,
+            every=1 if adaptive else max(1, (spec.time.count or 0) // SAMPLES),
+            single=False,
+            max_steps=min(most_steps, spec.limits.max_steps),
+        )
+        super().__init__(spec, setting, workspace, table)
+        self.position = np.full((SAMPLES + 1, len(workspace.mechanism.bodies), 3), np.nan)
+        self.position[0] = workspace.q0[:-3].reshape(-1, 3)
+        samples = np.linspace(start, end, SAMPLES + 1)
+        for stretch in self.stretches:
+            row = np.clip(np.round((stretch.time - start) / (end - start) * SAMPLES).astype(int), 0, SAMPLES)
+            met = np.abs(stretch.time - samples[row]) <= 1e-9 * (end - start)
+            self.position[row[met]] = stretch.q[met, :-3].reshape(int(np.sum(met)), -1, 3)
 
 
 def work_of(method: Method, evaluations: int) -> float:
-    """Return the work of a number of evaluations of a method; see `PilotRun.work`."""
+    """Return the work of a number of evaluations of a method; see `PilotRun`."""
     return evaluations * (1.0 if method.traits.is_explicit else IMPLICIT_WORK)
 
 
-def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
+def difference(a: SampledPilot, b: SampledPilot, measure: PositionMeasure) -> float:
     """Return the largest difference between two pilots as a share of the mechanism's size.
 
     It is inf if one pilot failed more than one sample before the other ended, or if they share only the start.
@@ -127,16 +133,11 @@ def difference(a: PilotRun, b: PilotRun, measure: PositionMeasure) -> float:
 MOST_VALUES = 20_000_000
 
 
-class RecordedPilot:
+class RecordedPilot(PilotRun):
     """A pilot run with the ends of all of its steps.
 
-    - `spec`: the spec with the method and its tolerance; see `RunSpec.with_choice`.
-    - `setting`: the tolerance.
-    - `workspace`: workspace of the run. Its mechanism and start are shared; working arrays are not.
-    - `most_steps`: steps after which the pilot stops with the failure ``max-steps``.
-    - `progress`: called with (time reached, end time) [s].
-
-    Raises SingularSystemError if the equations are singular at the start.
+    `most_steps`: steps after which the pilot stops with the failure ``max-steps``. `is_run`: whether the pilot records
+    the same rows as the spec requires, so that it can serve as the run.
     """
 
     def __init__(
@@ -147,29 +148,11 @@ class RecordedPilot:
         most_steps: int,
         progress: Progress | None = None,
     ):
-        self.setting = setting
-        self.workspace = workspace.for_another_run(spec.formulated.name, spec.stabilized)
-        method = make_method(spec)
         given = timetable(spec, size_at_start(spec, workspace))
-        kept = MOST_VALUES // len(workspace.q0)
-        self.timetable = replace(
-            given, every=1, interval=None, single=False, max_steps=min(given.max_steps, most_steps, kept)
-        )
-        #: Whether this pilot records the same rows as the spec requires, so that it can serve as the run.
-        self.is_run = replace(self.timetable, max_steps=given.max_steps) == given and spec.limits.wall_time is None
-        self.stepper: Advancing = start_method(method, self.workspace, self.timetable)
-        begin, busy = time.perf_counter(), time.process_time()
-        self.stretches: list[Stretch] = []
-        while not (self.stepper.finished or self.stepper.failure):
-            stretch = self.stepper.advance()
-            if len(stretch.time):
-                self.stretches.append(stretch)
-            if progress is not None:
-                progress(self.stepper.time, self.timetable.end)
-        self.wall, self.cpu = time.perf_counter() - begin, time.process_time() - busy
-        self.failure = self.stepper.failure.code if self.stepper.failure else ""
-        self.steps = self.stepper.counters.steps
-        self.work = work_of(method, self.stepper.counters.rhs_evaluations)
+        most = min(given.max_steps, most_steps, MOST_VALUES // len(workspace.q0))
+        table = replace(given, every=1, interval=None, single=False, max_steps=most)
+        self.is_run = replace(table, max_steps=given.max_steps) == given and spec.limits.wall_time is None
+        super().__init__(spec, setting, workspace, table, progress)
         start = (np.array([workspace.t0]), workspace.q0[None], workspace.v0[None])
         ends = [(stretch.time, stretch.q, stretch.v) for stretch in self.stretches]
         self.time, self.q, self.v = (np.concatenate(parts) for parts in zip(start, *ends, strict=True))
@@ -202,56 +185,3 @@ def can_be_recorded(spec: RunSpec) -> bool:
         and make_method(spec).traits.is_explicit
         and not timetable(spec, None).impacts
     )
-
-
-class Replay:
-    """Implements `Advancing` by returning the stretches of steps of a finished pilot, which serves as the run."""
-
-    def __init__(self, pilot: RecordedPilot):
-        self._pilot = pilot
-        self._left: Sequence[Stretch] = list(pilot.stretches)
-        self.wall, self.cpu = pilot.wall, pilot.cpu
-        self.time = float(pilot.time[0])
-
-    def advance(self) -> Stretch:
-        """See `Advancing.advance`."""
-        first, *self._left = self._left
-        self.time = float(first.time[-1])
-        return first
-
-    @property
-    def finished(self) -> bool:
-        """See `Advancing.finished`."""
-        return not self._left and self._pilot.stepper.finished
-
-    @property
-    def failure(self) -> Failure | None:
-        """See `Advancing.failure`."""
-        return None if self._left else self._pilot.stepper.failure
-
-    @property
-    def counters(self) -> Counters:
-        """See `Advancing.counters`."""
-        return self._pilot.stepper.counters
-
-    @property
-    def worst_pairs(self) -> np.ndarray:
-        """See `Advancing.worst_pairs`."""
-        return self._pilot.stepper.worst_pairs
-
-    @property
-    def evidence(self) -> StepEvidence:
-        """See `Advancing.evidence`."""
-        return self._pilot.stepper.evidence
-
-    def rows_before_error(self) -> Stretch | None:
-        """See `Advancing.rows_before_error`."""
-        return None
-
-    def last_state(self) -> Stretch:
-        """See `Advancing.last_state`."""
-        return self._pilot.stepper.last_state()
-
-    def taken_nodes(self) -> Nodes:
-        """See `Advancing.taken_nodes`; pilots store none."""
-        return self._pilot.stepper.taken_nodes()

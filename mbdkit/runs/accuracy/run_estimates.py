@@ -53,20 +53,20 @@ def estimate_accuracy(
     - `has_failed`: whether the run failed, so that the errors of its measures are not estimated.
     """
     setup, measured_in = record.setup, record.request.measured_in
-    spec, method, workspace = setup.spec, setup.method, setup.workspace
+    spec, workspace = setup.spec, setup.workspace
     with returning(None if workspace.python is None else workspace.python.returned):
         if choice is not None and choice.pilots and len(rows.time) > 1 and not spec.check:
             accuracy = check_by_pilots(spec, workspace, rows, choice.pilots, choice.setting)
         else:
-            accuracy = check_run(spec, method, workspace, rows, steps, budget, progress, memory)
+            accuracy = check_run(setup, rows, steps, budget, progress, memory)
         accuracy = with_asked(accuracy, spec, workspace, choice)
         expressions = () if has_failed else record.compared_expressions(deadline)
         measure = partial(measured_in, expressions)
         if expressions and (accuracy.is_complete or not spec.undecided):  # see `SpecMeasure`
-            compared = compared_measures(spec, method, workspace, steps, expressions, measure, budget)
+            compared = compared_measures(setup, steps, expressions, measure, budget)
             accuracy = replace(accuracy, compared_measures=compared)
         if spec.check:
-            accuracy = with_parameter_errors(accuracy, spec, method, steps, expressions, measure, budget, progress)
+            accuracy = with_parameter_errors(accuracy, setup, steps, expressions, measure, budget, progress)
     return accuracy
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -19,16 +20,11 @@ from mbdkit.runs.stepping.simulation_state import SimulationState
 FLUSH_INTERVAL = 1.0  #: Smallest wall time between two writes of the record [s].
 
 
-class _Link:
-    """What some steps have given, with a reference to what the steps before have given.
+class _Link(NamedTuple):
+    """What some steps have given, and the wall time since the first step before and after them [s]."""
 
-    Records that share their first steps, as after `Simulation.restore`, share their first links.
-    """
-
-    __slots__ = ("before", "elapsed", "taken")
-
-    def __init__(self, before: _Link | None, taken: Taken | None, elapsed: tuple[float, float]):
-        self.before, self.taken, self.elapsed = before, taken, elapsed
+    taken: Taken | None
+    elapsed: tuple[float, float]
 
 
 class Record:
@@ -39,16 +35,19 @@ class Record:
 
     - `run`: the run, whose recorder receives the record.
     - `seconds`, `cpu_seconds`: wall time and processor time of the steps and their record so far [s].
+    - `is_whole`: whether the record begins at the start of the run; if not, the run is repeated when it is finished.
     """
 
     def __init__(self, run: SimulatedRun):
         self.run = run
-        self._of_states: WeakKeyDictionary[SimulationState, _Link] = WeakKeyDictionary()
+        #: Number of links up to a state, and the last of them.
+        self._of_states: WeakKeyDictionary[SimulationState, tuple[int, _Link]] = WeakKeyDictionary()
         self.clear()
 
     def clear(self) -> None:
         """Discard the record, none of which has been passed on."""
-        self._first = self._last = self._passed = _Link(None, None, (0.0, 0.0))
+        self._links = [_Link(None, (0.0, 0.0))]  # the last one that was passed on, or this one, and those after it
+        self._passed, self.is_whole = 0, True
         self._is_begun, self._written = False, 0
         self.seconds, self._begin_cpu = 0.0, time.process_time()
         self._flushed = time.monotonic()
@@ -64,47 +63,38 @@ class Record:
         return not self._is_begun
 
     @property
-    def is_whole(self) -> bool:
-        """Whether the record begins at the start of the run; if not, the run is repeated when it is finished."""
-        return self._since_passed() is not None
-
-    @property
     def is_due(self) -> bool:
         """Whether the record should be written again."""
         return time.monotonic() - self._flushed > FLUSH_INTERVAL
 
     def add(self, taken: Taken, seconds: float) -> None:
         """Append what some steps have given, `seconds` after the first step."""
-        self._last = _Link(self._last, taken, (self._last.elapsed[1], seconds))
+        if self.is_whole:
+            self._links.append(_Link(taken, (self._links[-1].elapsed[1], seconds)))
 
     def remember(self, state: SimulationState) -> None:
         """Let `restore` return to the present record for a state."""
-        self._of_states[state] = self._last
+        if self.is_whole:
+            self._of_states[state] = self._passed + len(self._links), self._links[-1]
+
+    def _up_to(self, state: SimulationState) -> list[_Link] | None:
+        """Return the links up to a state; None if it is not known, or if others have been passed on."""
+        count, last = self._of_states.get(state, (0, None))
+        links = self._links[: max(0, count - self._passed)]
+        return links if links and links[-1] is last else None
 
     def restore(self, state: SimulationState) -> None:
         """Return to the record at a state. If it is not known, the run is repeated when it is finished."""
-        unknown = _Link(None, None, (0.0, 0.0))
-        self._last = self._of_states.get(state, unknown)
-        if self._is_begun and self._since_passed() is None:
-            self._passed = self._first
-            if self._since_passed() is not None:
-                self.run.record.begin_again()
-                self._is_begun, self._written = False, 0
+        links = self._up_to(state)
+        self.is_whole = links is not None
+        self._links = links or self._links
 
     def adopt(self, other: Record, state: SimulationState) -> None:
         """Take over the record of another simulation at a state, for a simulation in the same state."""
-        if other.is_whole and state in other._of_states:
-            self._first, self._last, self._passed = other._first, other._of_states[state], other._first
+        links = other._up_to(state)
+        if links is not None and not other._passed:
+            self._links, self.is_whole = links, True
             self._of_states.update({one: other._of_states[one] for one in (state, state.before) if one is not None})
-
-    def _since_passed(self) -> list[_Link] | None:
-        """Return the links after the last one that was passed on; None if the record does not contain that one."""
-        links: list[_Link] = []
-        link: _Link | None = self._last
-        while link is not None and link is not self._passed:
-            links.append(link)
-            link = link.before
-        return None if link is None else links[::-1]
 
     def flush(self, history: InputHistory, end: float | None = None) -> None:
         """Pass the record on to the recorder: all of it if the run ends at `end` [s].
@@ -112,10 +102,9 @@ class Record:
         Otherwise, the last of the rows that dense output gives is kept back, because it changes if the run ends there.
         """
         self._flushed = time.monotonic()
-        links = self._since_passed()
-        if links is None:
+        if not self.is_whole:
             return
-        begin, run = time.perf_counter(), self.run
+        begin, run, links = time.perf_counter(), self.run, self._links[1:]
         if not self._is_begun:
             run.record_start()
             self._is_begun = True
@@ -133,8 +122,8 @@ class Record:
                 break
             assert link.taken is not None
             run.add(link.taken, link.elapsed)
-            self._passed = link
-        self._passed.before = None  # what was passed on is not needed again, except by states that refer to it
+        self._passed += len(links)
+        del self._links[: len(links)]
         self.seconds += time.perf_counter() - begin
 
     def _with_end(self, links: list[_Link], end: float) -> Iterator[_Link]:
@@ -159,10 +148,10 @@ class Record:
             assert last is not None
             assert last.taken is not None
             shorter = last.taken._replace(stretch=row.rows(slice(0, -1)))
-            links[rows[-1]] = _Link(last.before, shorter, last.elapsed)
+            links[rows[-1]] = _Link(shorter, last.elapsed)
         yield from links
-        elapsed = links[-1].elapsed[1] if links else self._passed.elapsed[1]
-        yield _Link(None, Taken(final), (elapsed, elapsed))
+        elapsed = self._links[-1].elapsed[1]
+        yield _Link(Taken(final), (elapsed, elapsed))
 
 
 def _rows(link: _Link) -> Stretch:

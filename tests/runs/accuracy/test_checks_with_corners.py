@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.runs.accuracy.companion import finer
 from mbdkit.runs.accuracy.companion_choice import choose_companions
-from mbdkit.runs.preparation import make_method, timetable
+from mbdkit.runs.preparation import RunSetup, timetable
 from mbdkit.spec import load_spec
 from tests.linkages import driven_crank
 from tests.margins import assert_within
@@ -127,8 +126,7 @@ def test_companions_stop_at_knots_and_estimate_the_true_error(integrator: dict[s
         estimate = np.maximum.accumulate(there.array("accuracy/position_error")[:, 0, 0])
         assert_within(error, 3 * estimate + 1e-13)
         times = there.time
-    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
-    chosen = choose_companions(spec, make_method(spec), workspace, times, 100)
+    chosen = choose_companions(RunSetup.of(spec), times, 100)
     inner = [t for t in KNOTS[0][1:-1] if time.get("step") is None or round(t / 0.05, 9) % 1]
     assert chosen.guards
     for companion in (*chosen.finer, *chosen.guards):
@@ -141,19 +139,17 @@ def test_guards_stop_at_smooth_knots_on_the_grid_of_the_run_too() -> None:
     model["forces"]["f"]["value"][0] = {"table": [[0.0, 0.25, 0.5, 1.0], [0.0, 1.0, -1.0, 0.0]]}
     time = {"end": 1.0, "step": 0.05}
     spec = load_spec({"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": time})
-    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
     assert timetable(spec, None).stops == ()
-    chosen = choose_companions(spec, make_method(spec), workspace, np.linspace(0, 1, 21), 20)
+    chosen = choose_companions(RunSetup.of(spec), np.linspace(0, 1, 21), 20)
     assert all(companion.timetable.stops == (0.25, 0.5) for companion in chosen.guards)
 
 
 def test_companions_of_a_run_that_ended_early_have_no_stops_beyond_its_end() -> None:
     spec = load_spec(spec_of({"name": "rk4"}, 0.5037))
-    workspace = workspace_at_start(spec.mechanism(), 0.0)[0]
     plan = timetable(spec, None)
     assert plan.stops == plan.impacts == (0.5037,)
     for end in (0.3, 0.5037 - plan.stop_margins[0]):
         early = finer(plan, np.array([0.0, end]), 2)
         assert early.stops == early.impacts == ()
-        chosen = choose_companions(spec, make_method(spec), workspace, np.array([0.0, end]), 50)
+        chosen = choose_companions(RunSetup.of(spec), np.array([0.0, end]), 50)
         assert all(companion.timetable.stops == () for companion in (*chosen.finer, *chosen.guards))

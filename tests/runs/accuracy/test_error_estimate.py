@@ -10,7 +10,7 @@ import pytest
 
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.runs.accuracy.check_run import why_unknown
-from mbdkit.runs.accuracy.companion import Companion, CompanionRows
+from mbdkit.runs.accuracy.companion import Companion, CompanionRows, Comparison
 from mbdkit.runs.accuracy.error_estimate import LARGEST_ERROR, ErrorEstimate, Units, estimate_errors
 from mbdkit.runs.recorded_states import ObservedRows
 
@@ -124,7 +124,7 @@ def test_the_reason_is_a_comparison_run_that_ended_early_or_quantities_that_do_n
     first, second, third = (rows(1e-6 * TIME * 16.0**-k) for k in range(3))
     ended = CompanionRows(rows(0.0, until=6.0), "it needs more than 9 steps")
     found = estimate_errors((first, second, third), ended.rows, UNITS)
-    guard = Companion("dop853", None, None, None, None, within_steps=False)
+    guard = Companion(Comparison("dop853", None, None), None, within_steps=False)
     why = why_unknown(found, TIME, Mechanism(), [(guard, ended)])
     assert why == "the comparison run with dop853 ended at 6 s: it needs more than 9 steps"
     chaos = replace(rows(0.0), force=rows(TIME > 7.0).force)

@@ -14,7 +14,7 @@ import pytest
 import mbdkit
 from mbdkit.base.errors import SpecError
 from mbdkit.runs.accuracy.compared_measures import other_methods
-from mbdkit.runs.preparation import build, make_method
+from mbdkit.runs.preparation import RunSetup
 from mbdkit.spec import load_spec
 from mbdkit.trust.measure_error import measure_error
 from tests.runs.oscillator import EXACT, TEXTS, oscillator
@@ -52,8 +52,7 @@ def test_the_time_of_an_event_has_an_error_and_so_has_what_it_ends() -> None:
 def test_the_last_method_that_stiff_beams_are_compared_with_reaches_the_end() -> None:
     # expected: index-1 accelerations of the strip consist of round-off, so that DOP853 and Gauss run out of steps
     spec = load_spec("leaf-spring", ["time.end=0.1"])
-    workspace, _ = build(spec)
-    *others, last = other_methods(spec, make_method(spec), workspace, 20)
+    *others, last = other_methods(RunSetup.of(spec), 20)
     assert [str(one.formulation) for one in others] == ["index-1"] * len(others)
     torque = [mbdkit.run(one, measures=spec.measures).measures["torque"] for one in (spec, last)]
     assert torque[1] == pytest.approx(torque[0], rel=1e-5)

@@ -11,8 +11,8 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.quantities.states import States
+from mbdkit.runs.row_criteria import SHARE, FrictionElement, SlowFriction
 from mbdkit.runs.run_seams import rows_criterion, spec_criterion
-from mbdkit.runs.slow_friction import SHARE, FrictionElement, SlowFriction
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.trust.finding import Finding
 from mbdkit_contact.quantities import contacts_in

@@ -19,16 +19,16 @@ from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import plus_minus
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.measures.natural_size import natural_scales, natural_size
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.notes import zero_reactions_in
 from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.run_criteria import zero_reactions_in
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
-from mbdkit.trust.finding import open_doubts
+from mbdkit.trust.finding import Doubts
+from mbdkit.trust.measure_error import natural_scales, natural_size
 from mbdkit_gradients.adjoint_gradient import AdjointRun, is_ready, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.derivative_doubts import start_doubts
@@ -221,7 +221,7 @@ def gradient(
         found = problem.gradient(chosen, check=check)
     spec = problem.spec
     of_spec = RunSetup.of(spec).findings()
-    of_run = open_doubts(of_spec, spec.accept)
+    of_run = Doubts.of(of_spec, spec.accept).open
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
     for name, expression in problem.expressions.items():

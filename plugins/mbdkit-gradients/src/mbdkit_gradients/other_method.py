@@ -100,8 +100,7 @@ class Reference:
         return np.array([one.slope for one in derived.values()]).reshape(unknown.shape)
 
     def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
-        setup = RunSetup.of(spec)
-        return other_methods(spec, setup.method, setup.workspace, ASSUMED_STEPS, interval)
+        return other_methods(RunSetup.of(spec), ASSUMED_STEPS, interval)
 
 
 def measured_values(expressions: Mapping[str, MeasureExpression], spec: RunSpec) -> list[float]:

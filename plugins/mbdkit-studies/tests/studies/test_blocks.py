@@ -20,7 +20,7 @@ from mbdkit.archive.archive_check import check
 from mbdkit.archive.fingerprint import data_sha256, datasets, seal
 from mbdkit.archive.layout import COUNTERS, TIMINGS
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
-from mbdkit.integrators.lane_stepper import VariedStarts
+from mbdkit.runs.varied_numbers import Stacks, VariedNumbers
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit_studies.compute import batch, pool, run_blocks, unfinished_block
 from mbdkit_studies.compute import compute_block as compute_block_module
@@ -600,13 +600,13 @@ def test_runs_computed_from_arrays_are_those_with_specs_of_their_own(
 def test_a_study_ends_with_both_hashes_if_a_run_computed_twice_differs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    of = VariedStarts.of
+    stacks = VariedNumbers.stacks
 
-    def shifted(self: VariedStarts, runs: Any) -> VariedStarts:
-        starts = of(self, runs)
-        return dataclasses.replace(starts, v=starts.v + 1e-300)
+    def shifted(self: VariedNumbers, values: np.ndarray) -> Stacks | None:
+        made = stacks(self, values)
+        return made and dataclasses.replace(made, v=made.v + 1e-300)
 
-    monkeypatch.setattr(VariedStarts, "of", shifted)
+    monkeypatch.setattr(VariedNumbers, "stacks", shifted)
     monkeypatch.setattr(compute_block_module, "drawn", lambda places, _: frozenset(places))
     variables = {"model.angles.0": [0.1, 0.2]}
     with pytest.raises(MbdkitError, match=r"data_sha256 [0-9a-f]{64} .* but [0-9a-f]{64} .* defect of mbdkit"):

@@ -19,6 +19,7 @@ from mbdkit.integrators.lane_stepper import (
     LaneResults,
     LaneStepper,
     PivotsAtStart,
+    VariedStarts,
 )
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of
 from mbdkit.integrators.start import start_method
@@ -157,7 +158,7 @@ def advanced(method: str, workspaces: list[Workspace], planned: list[Timetable])
     pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     assert len({one and one.key for one in pivots}) == 1
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
-    return stepper.advance(workspaces, planned, pivots)
+    return stepper.advance(VariedStarts.of_starts(workspaces, pivots), planned)
 
 
 def assert_same_bits(results: LaneResults, lane: int, method: str, workspace: Workspace, table: Timetable) -> None:
@@ -247,7 +248,7 @@ def controlled(method: str, workspaces: list[Workspace], planned: list[Timetable
     pivots = [PivotsAtStart().of(CONTROLLED[method], *one) for one in zip(workspaces, planned, strict=True)]
     assert len({one and one.key for one in pivots}) == 1
     stepper = ControlledLaneStepper(CONTROLLED[method], workspaces[0], pivots[0])
-    return stepper.advance(workspaces, planned, pivots)
+    return stepper.advance(VariedStarts.of_starts(workspaces, pivots), planned)
 
 
 def spans(count: int, recorded: dict[str, Any]) -> list[Timetable]:
@@ -273,8 +274,8 @@ def test_a_stepper_of_controlled_lanes_remembers_nothing_of_earlier_runs(method:
     workspaces = workspaces_of("springs", planned, near=True)
     pivots = [PivotsAtStart().of(CONTROLLED[method], *one) for one in zip(workspaces, planned, strict=True)]
     stepper = ControlledLaneStepper(CONTROLLED[method], workspaces[0], pivots[0])
-    stepper.advance(workspaces, planned, pivots)
-    again = stepper.advance(workspaces[1:], planned[1:], pivots[1:])
+    stepper.advance(VariedStarts.of_starts(workspaces, pivots), planned)
+    again = stepper.advance(VariedStarts.of_starts(workspaces[1:], pivots[1:]), planned[1:])
     assert len(again.lost) == WIDTH - 1
     for lane in (0, WIDTH - 2):
         assert_same_bits(again, lane, method, workspaces[lane + 1], planned[lane + 1])
@@ -314,7 +315,9 @@ def test_a_run_with_controlled_steps_that_needs_other_pivots_is_left_to_the_driv
     weight = pivots[1].pattern.weight.copy()
     weight[: len(weight) // 2] = 0.0  # with the equations scaled like this, pivots vanish
     pivots[1] = pivots[1]._replace(pattern=pivots[1].pattern._replace(weight=weight))
-    results = ControlledLaneStepper(method, workspaces[0], pivots[0]).advance(workspaces, planned, pivots)
+    results = ControlledLaneStepper(method, workspaces[0], pivots[0]).advance(
+        VariedStarts.of_starts(workspaces, pivots), planned
+    )
     assert results.lost.tolist() == [False, True]
     assert_same_bits(results, 0, "adaptive radau-iia-3", workspaces[0], planned[0])
 
@@ -352,8 +355,8 @@ def test_a_stepper_of_lanes_remembers_nothing_of_earlier_runs(method: str) -> No
     workspaces = workspaces_of("springs", planned)
     pivots = [PivotsAtStart().of(METHODS[method], *one) for one in zip(workspaces, planned, strict=True)]
     stepper = LaneStepper(METHODS[method], workspaces[0], rows_of(planned[0]), pivots[0])
-    stepper.advance(workspaces, planned, pivots)
-    again = stepper.advance(workspaces[::-1], planned[::-1], pivots[::-1])
+    stepper.advance(VariedStarts.of_starts(workspaces, pivots), planned)
+    again = stepper.advance(VariedStarts.of_starts(workspaces[::-1], pivots[::-1]), planned[::-1])
     assert_same_bits(again, 0, method, workspaces[-1], planned[-1])
 
 

@@ -64,6 +64,16 @@ def test_warnings_in_lanes_are_those_of_single_runs(specs: list[dict[str, Any]])
     assert [run.warnings for run in simulate_batch([load_spec(spec) for spec in specs])] == alone
 
 
+def test_tolerances_of_an_ensemble_are_those_of_the_lengths_of_each_run() -> None:
+    # below 1 m, the default of atol is proportional to the characteristic length
+    base = {"mbdkit": 1, "integrator": {"name": "dop853", "adaptive": True}, "time": {"end": 0.5}}
+    lengths, model = [0.1, 0.2, 0.4], {"name": "double-pendulum", "lengths": [0.1, 0.1]}
+    table = mbdkit.ensemble(base | {"model": model}, {"model.lengths.0": lengths}).to_frame()
+    for length, digest in zip(lengths, table["data_sha256"], strict=True):
+        single = mbdkit.run(base | {"model": model | {"lengths": [length, 0.1]}})
+        assert single.data_sha256 == digest
+
+
 def test_extrema_are_found_in_lanes_and_integrals_are_not() -> None:
     spec = oscillator({"name": "rk4"}, 0.05, measures=TEXTS)
     alone = mbdkit.run(spec).integrals

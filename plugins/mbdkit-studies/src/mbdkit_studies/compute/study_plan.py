@@ -11,8 +11,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, path_text
 from mbdkit.measures.take import SpecMeasure
 from mbdkit.runs.angles_in_degrees import angles_in_degrees
-from mbdkit.runs.notes import zero_reactions
 from mbdkit.runs.preparation import caution
+from mbdkit.runs.run_criteria import zero_reactions
 from mbdkit.spec.reading import parse_key
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure

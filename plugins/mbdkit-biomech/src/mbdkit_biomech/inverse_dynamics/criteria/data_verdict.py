@@ -13,7 +13,7 @@ import numpy as np
 from mbdkit.base.errors import MbdkitError
 from mbdkit.mechanism.improbable_bodies import inertias_about_joints
 from mbdkit.runs.findings import findings
-from mbdkit.trust.finding import Doubts, Finding, open_doubts
+from mbdkit.trust.finding import Doubts, Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem, reactions_of
 from mbdkit_biomech.inverse_dynamics.criteria import (
     column_criteria,
@@ -90,7 +90,7 @@ def doubts_before_computation(problem: InverseProblem) -> tuple[str, ...]:
         *person_findings(problem),
         *model_criteria.spec_doubts(problem.spec),
     ]
-    return open_doubts(found, problem.spec.accept)
+    return Doubts.of(found, problem.spec.accept).open
 
 
 def ranked_doubts(result: Inverse, bars: ResultBars | None, findings: Sequence[Finding]) -> list[Finding]:
