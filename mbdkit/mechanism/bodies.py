@@ -222,18 +222,15 @@ class BetweenPoints(Between):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "at", "from_", "to")
-    GLOBAL: ClassVar[tuple[str, ...]] = ()
-    """Keys of the points in the global frame: one for a common point, or one for each body."""
+    GLOBAL: ClassVar[Mapping[str, str]] = {}
+    """Fields with the points in the global frame, by key: one for a common point, or one for each body."""
 
     points: Points | None = None
     """One point of each body, [[x, y], [x, y]], in the frame of that body [m]."""
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:
-        points = self._global()
-        if self.points is not None and all(point is None for point in points):
-            return self
-        keys = [key for key, point in zip(self.GLOBAL, points, strict=True) if point is not None]
+        keys = [key for key, field in self.GLOBAL.items() if getattr(self, field) is not None]
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
         if self.points is None and not keys:
             raise SpecError(
@@ -267,39 +264,23 @@ class BetweenPoints(Between):
         """Return the element with its points in the frames of the bodies; see `Element.placed`."""
         if self.points is not None:
             return self
-        keys = [f"{key}.{self.GLOBAL[0]}", f"{key}.{self.GLOBAL[-1]}"]
-        points = [self._global()[0], self._global()[-1]]
+        keys = list(self.GLOBAL)
         held = tuple(
-            local_point(bodies, name, point, where)
-            for name, point, where in zip(self.bodies, points, keys, strict=True)
-            if point is not None
+            local_point(bodies, name, getattr(self, self.GLOBAL[given]), f"{key}.{given}")
+            for name, given in zip(self.bodies, (keys[0], keys[-1]), strict=True)
         )
-        return self.model_copy(update={"points": held, **self._once_placed()})
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        """Return the points in the global frame [m], in the order of `GLOBAL`."""
-        return ()
-
-    def _once_placed(self) -> dict[str, object]:
-        """Return new values of the fields with points in the global frame, after these points were converted."""
-        return {}
+        return self.model_copy(update={"points": held, **dict.fromkeys(self.GLOBAL.values())})
 
 
 class At(BetweenPoints):
     """An element whose two points coincide at the start."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["at"]}]})
-    GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
+    GLOBAL: ClassVar[Mapping[str, str]] = {"at": "at"}
 
     at: Point | None = None
     """Common position (x, y) [m] of both points in the global frame, for the given initial positions of the bodies
     (before assembly); an alternative to `points`."""
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        return (self.at,)
-
-    def _once_placed(self) -> dict[str, object]:
-        return {"at": None}
 
 
 class FromTo(BetweenPoints):
@@ -311,19 +292,13 @@ class FromTo(BetweenPoints):
         serialize_by_alias=True,
         json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["from", "to"]}]},
     )
-    GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
+    GLOBAL: ClassVar[Mapping[str, str]] = {"from": "from_", "to": "to"}
 
     from_: Point | None = Field(default=None, alias="from")
     """Point (x, y) [m] of the first body in the global frame, for the given initial positions of the bodies (before
     assembly); `from` and `to` are an alternative to `points`."""
     to: Point | None = None
     """Point (x, y) [m] of the second body in the global frame, for the given initial positions of the bodies."""
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        return (self.from_, self.to)
-
-    def _once_placed(self) -> dict[str, object]:
-        return {"from_": None, "to": None}
 
 
 def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:

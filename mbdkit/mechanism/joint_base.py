@@ -214,6 +214,7 @@ class FunctionJoint(JointBase):
     """Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass by
     default."""
     mark: ClassVar[Mark] = "none"
+    point_moves_on_first: ClassVar[bool] = True
 
     if TYPE_CHECKING:  # a field, and attributes of the class or properties, of subclasses
 
@@ -228,11 +229,6 @@ class FunctionJoint(JointBase):
         @property
         def units(self) -> tuple[str, ...]:
             """Unit of each row, m or rad: whether it counts as misalignment or as angular misalignment."""
-
-    @property
-    def point_moves_on_first(self) -> bool:
-        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return True
 
     @property
     def flat_points(self) -> tuple[float, float, float, float]:

@@ -62,7 +62,7 @@ def motion(value: Any) -> Any:
     return number_or_table(value, Table, wanted)
 
 
-def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
+def number_or_table(value: Any, kind: type[Table], wanted: str, **further: object) -> Any:
     """Accept finite numbers and tables of the class `kind`, and convert mappings to such tables.
 
     `wanted` describes the expected value in error messages.
@@ -71,7 +71,7 @@ def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
         choices = {key: get_args(kind.model_fields[key].annotation) for key in ("interpolation", "ends")}
         if "table" not in value or not {*value} <= {"table", *choices}:
             raise SpecError(
-                f"should be {{table: {kind.COLUMNS}}}, with the options interpolation and ends, not a mapping "
+                f"should be {{table: {kind.form()}}}, with the options interpolation and ends, not a mapping "
                 f"with the keys {_shown([*value])}"
             )
         options = {key: option for key, option in value.items() if key in choices}
@@ -79,7 +79,9 @@ def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
             if option not in (known := choices[key]):
                 hint = did_you_mean(option, known) if isinstance(option, str) else ""
                 raise SpecError(f"should be {listed(known, 'or')}, not {_shown(option)}{hint}", key=key)
-        return _consistent(kind(table=kind.columns(value["table"], "table"), **options))
+        name, many = kind.ARGUMENT
+        columns = columns_of(value["table"], "table", at=many, shown=f"{name}, value")
+        return _consistent(kind(table=columns, **options, **further))
     if isinstance(value, kind):
         return _consistent(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -183,8 +185,8 @@ class Table(StrictModel):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
-    COLUMNS: ClassVar[str] = "[[t, ...], [value, ...]]"
-    """The form of `table`, for messages."""
+    ARGUMENT: ClassVar[tuple[str, str]] = ("t", "times")
+    """Name of the argument, and a word for several of them, for messages."""
 
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
@@ -197,10 +199,10 @@ class Table(StrictModel):
     first derivative is zero; for a quintic spline, the first and second), or `periodic` (the table repeats; its first
     and last values must be equal)."""
 
-    @staticmethod
-    def columns(value: object, key: str = "") -> object:
-        """Return the two columns of a table as tuples of floats; see `columns_of`."""
-        return columns_of(value, key)
+    @classmethod
+    def form(cls) -> str:
+        """Return the form of `table`, for messages."""
+        return f"[[{cls.ARGUMENT[0]}, ...], [value, ...]]"
 
     @property
     def span(self) -> tuple[float, float]:
@@ -211,6 +213,13 @@ class Table(StrictModel):
     def period(self) -> float:
         """Time after which the table repeats [s]; 0 if it does not."""
         return self.span[1] - self.span[0] if self.ends == "periodic" else 0.0
+
+
+class SmoothTable(Table):
+    """A smooth function of one variable, given by points and interpolated by a cubic or quintic spline."""
+
+    interpolation: Literal["cubic", "quintic"] = "cubic"
+    """A cubic or quintic spline, with two or four continuous derivatives."""
 
 
 #: Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the
