@@ -90,7 +90,6 @@ class _Analysis:
         self.compiled, self.rows, self.t0, self.end = compiled, rows, t0, end
         self.n = 3 * len(compiled.bodies)
         self.search = self.at(t0)
-        self.joint_of_pair = {pair: j for j, pairs in enumerate(compiled.joint_pairs) for pair in pairs}
         self.involved = np.arange(len(rows))
         """Indices into `rows` of the rows that take part in self-stresses at the start.
 
@@ -98,6 +97,7 @@ class _Analysis:
         """
         self.pair = np.array([compiled.rows[i].pair for i in rows], dtype=np.int64)
         self.place = np.array([compiled.rows[i].place for i in rows], dtype=np.int64)
+        self.joint = compiled.topology.pair_joint[self.pair]
         self.unit = np.tile([1.0, 1.0, compiled.length], len(compiled.bodies))
         """(n,) approximate displacement of a point [m] per unit change of each coordinate."""
 
@@ -286,14 +286,13 @@ class _Analysis:
 
     def joints_of(self, involved: np.ndarray) -> list[str]:
         """Return the names of the joints of the rows selected by `involved` (m',), in the order of the mechanism."""
-        numbers = {self.joint_of_pair[pair] for pair in self.pair[involved].tolist()}
-        return [self.compiled.joints[j] for j in sorted(numbers)]
+        return [self.compiled.joints[j] for j in np.unique(self.joint[involved]).tolist()]
 
     # ---- the independent set -------------------------------------------------------------------------------------
 
     def reduced(self, places: list[_Place]) -> CompiledMechanism:
         compiled, top = self.compiled, self.compiled.topology
-        driven = np.array([compiled.joints[self.joint_of_pair[p]] in compiled.drivers for p in self.pair.tolist()])
+        driven = np.array([compiled.joints[j] in compiled.drivers for j in self.joint.tolist()])
         chosen = choose_spare([position.stresses for position in places], self.pair, self.place, driven)
         angles = np.array([[*position.q[2::3], 0.0] for position in places])
         spares = direction_frames(chosen, top.rows, top.pairs, angles)
