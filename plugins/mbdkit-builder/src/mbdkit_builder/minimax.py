@@ -145,6 +145,7 @@ def _odd_fit(
 _MORE = 1 + mpf(10) ** -4
 _HALF_LN2 = mp.log(2) / 2 * _MORE
 _PART = mp.log(2) / 256 * _MORE
+#: What a polynomial approximates, as text; the function, its weight, the interval, and the number of coefficients.
 FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
     _odd_fit("sin", mp.sin, _EIGHTH, 6),
     (
@@ -188,7 +189,6 @@ FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
     _gamma_fit(2, 11),
     _odd_fit("sin(pi x), for lgamma", lambda x: mp.sin(mp.pi * x), mpf(1) / 4, 8, lambda z: z, mp.pi),
 )  # fmt: skip
-"""What a polynomial approximates, as text; the function, its weight, the interval, and the number of coefficients."""
 
 
 def main() -> None:
