@@ -140,8 +140,8 @@ class IterationMatrix:
         """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
         self._pivots, self._counters = pivots, counters
         self._storage = pivots.take(coefficients.dtype)
+        #: Position of the pivot at which the factorization failed, -1 if none.
         self.failed_at: int = self._storage.factorize(source, coefficients)
-        """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
         self._pivots.free.append(self._storage)
@@ -172,14 +172,10 @@ class IterationMatrix:
 class StateTangents:
     """Derivatives that involve the first-order states z of elements, as dense arrays."""
 
-    force_z: np.ndarray
-    """(n, Z) -dQ/dz."""
-    rates_q: np.ndarray
-    """(Z, n) derivatives of the rates z' with respect to positions."""
-    rates_v: np.ndarray
-    """(Z, n) the same with respect to velocities."""
-    rates_z: np.ndarray
-    """(Z, Z) the same with respect to the states."""
+    force_z: np.ndarray  #: (n, Z) -dQ/dz.
+    rates_q: np.ndarray  #: (Z, n) derivatives of the rates z' with respect to positions.
+    rates_v: np.ndarray  #: (Z, n) the same with respect to velocities.
+    rates_z: np.ndarray  #: (Z, Z) the same with respect to the states.
 
 
 class IterationMatrixWithStates:

@@ -52,10 +52,9 @@ class SparseFactors:
             room *= 2
         if status != column_lu.DONE:
             raise np.linalg.LinAlgError(f"the matrix is singular at column {order[status]}")
-        self.row_of, self.column_of = factors.row_of, factors.column_of
-        """(n,) row and column at each pivot position."""
+        self.row_of, self.column_of = factors.row_of, factors.column_of  #: (n,) row and column at each pivot position.
+        #: Number of entries of both factors, with the diagonal.
         self.entries = int(factors.l_start[-1] + factors.u_start[-1]) + n
-        """Number of entries of both factors, with the diagonal."""
 
     def _empty(self, n: int, room: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.zeros(n + 1, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room, self._dtype)

@@ -90,16 +90,15 @@ class _Analysis:
         self.compiled, self.rows, self.t0, self.end = compiled, rows, t0, end
         self.n = 3 * len(compiled.bodies)
         self.search = self.at(t0)
+        #: Indices into `rows` of the rows that take part in self-stresses at the start.
+        #:
+        #: At other positions, self-stresses are first computed for these rows only.
         self.involved = np.arange(len(rows))
-        """Indices into `rows` of the rows that take part in self-stresses at the start.
-
-        At other positions, self-stresses are first computed for these rows only.
-        """
         self.pair = np.array([compiled.rows[i].pair for i in rows], dtype=np.int64)
         self.place = np.array([compiled.rows[i].place for i in rows], dtype=np.int64)
         self.joint = compiled.topology.pair_joint[self.pair]
+        #: (n,) approximate displacement of a point [m] per unit change of each coordinate.
         self.unit = np.tile([1.0, 1.0, compiled.length], len(compiled.bodies))
-        """(n,) approximate displacement of a point [m] per unit change of each coordinate."""
 
     def at(self, t: float) -> LeastChange:
         """Return a solver that finds positions satisfying the constraints at time `t`."""

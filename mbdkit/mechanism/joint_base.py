@@ -28,16 +28,12 @@ class Pose(NamedTuple):
     such as ``np.sin`` and ``np.arctan2``.
     """
 
+    #: Position of the second body's point relative to that of the first body, along the first body's x axis [m].
     x: Any
-    """Position of the second body's point relative to that of the first body, along the first body's x axis [m]."""
-    y: Any
-    """The same along the y axis [m]."""
-    angle: Any
-    """Angle of the second body minus that of the first [rad]; turns are counted."""
-    first: Any
-    """Angle of the first body [rad]; 0 for the ground."""
-    t: Any
-    """Time [s]."""
+    y: Any  #: The same along the y axis [m].
+    angle: Any  #: Angle of the second body minus that of the first [rad]; turns are counted.
+    first: Any  #: Angle of the first body [rad]; 0 for the ground.
+    t: Any  #: Time [s].
 
 
 Function = Callable[[Pose, Mapping[str, Any]], Any]

@@ -207,8 +207,8 @@ class _Follower:
         size = np.tile([prepared.extent, prepared.extent, 1.0], bodies)
         self.weight = np.concatenate([1 / (bodies * size**2), np.zeros(p.m), [1 / self.span**2]])
         self.none = np.zeros(p.n)
+        #: Artificial stiffness of the angles of point masses, without which the matrix would be singular.
         self.meaningless = diags_array(prepared.held.astype(float))
-        """Artificial stiffness of the angles of point masses, without which the matrix would be singular."""
 
     def path(self) -> EquilibriumPath:
         result = rest(self.prepared)
