@@ -126,9 +126,8 @@ def symbolic_operation(operation: str) -> Callable[..., sympy.Expr]:
     import sympy as sp
 
     functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
-    if OPERATIONS[operation].is_function or operation in functions:
-        return functions.get(operation) or getattr(sp, operation)
-    return OPERATIONS[operation].number
+    of_numbers: Callable[..., sympy.Expr] = OPERATIONS[operation].number
+    return functions.get(operation) or (getattr(sp, operation) if OPERATIONS[operation].is_function else of_numbers)
 
 
 @lru_cache(maxsize=4096)

@@ -77,11 +77,6 @@ class Reduced:
     damping: np.ndarray
     turning: np.ndarray
 
-    def matrix(self) -> np.ndarray:
-        """Return the matrix of the first-order form of these equations, for ``(y, y')``."""
-        f = len(self.stiffness)
-        return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
-
 
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     """Return a mechanism for statics, in which the first-order states, if there are any, are functions of the
@@ -103,8 +98,11 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     return replace(prepared, equations=StaticEquations(prepared.workspace))
 
 
-def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np.ndarray) -> CoupledStates:
-    """Return the small motions of the first-order states about a state in which their values are `z` (Z,)."""
+def reduce_with_states(prepared: PreparedMechanism, at: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:
+    """Return the result of `reduce`, and the small motions of the first-order states `z` (Z,), if any."""
+    small = reduce(prepared, at, z)
+    if not len(z):
+        return small, None
     states = StatesAtRest(prepared.workspace, prepared.equations)
     force, by_state = states.by_states(at.t, at.q, at.v, z)
     by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
@@ -112,9 +110,8 @@ def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np
     names = tuple(item.name for item in prepared.workspace.mechanism.inputs)
     by_input, rates = states.by_inputs(at.t, at.q, at.v, z)
     by_input = np.vstack([small.basis.T @ by_input, rates])
-    return CoupledStates(
-        states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state, names, by_input
-    )
+    by_velocity = by_velocity @ small.basis
+    return small, CoupledStates(states.names, small.basis.T @ force, moved, by_velocity, by_state, names, by_input)
 
 
 def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:
