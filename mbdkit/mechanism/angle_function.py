@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -14,7 +15,7 @@ from mbdkit.expressions.jets import jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Compiler, Expression, ExpressionError
 from mbdkit.expressions.program import MAX_DEPTH, depth_of, derivative_of
-from mbdkit.mechanism.values import Columns, Number, SmoothTable, Table, curve_of, number_or_table
+from mbdkit.mechanism.values import Columns, Number, SmoothTable, Table, columns_of, curve_of, number_or_table
 
 WANTED = 'a number, an expression of angle such as "0.02*sin(angle)", or {table: [[angle, ...], [value, ...]]}'
 
@@ -39,7 +40,8 @@ class AngleTable(SmoothTable):
     fifth one of a quintic spline are discontinuous there, which reduces the accuracy of methods of higher order.
     """
 
-    ARGUMENT: ClassVar[tuple[str, str]] = ("angle", "angles")
+    COLUMNS: ClassVar[str] = "[[angle, ...], [value, ...]]"
+    columns: ClassVar[Callable[..., object]] = partial(columns_of, at="angles", shown="angle, value")
 
     table: Columns
     """Strictly increasing angles [rad] and the value at each angle [m]: ``[[angle, ...], [value, ...]]``."""

@@ -214,6 +214,10 @@ class Between(Element):
         return [("bodies[0]", self.bodies[0]), ("bodies[1]", self.bodies[1])]
 
 
+#: Fields with points in the global frame, by their keys in specs.
+_FIELDS = {"at": "at", "from": "from_", "to": "to"}
+
+
 class BetweenPoints(Between):
     """An element between a point of one body and a point of another.
 
@@ -222,15 +226,15 @@ class BetweenPoints(Between):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("points", "at", "from_", "to")
-    GLOBAL: ClassVar[Mapping[str, str]] = {}
-    """Fields with the points in the global frame, by key: one for a common point, or one for each body."""
+    GLOBAL: ClassVar[tuple[str, ...]] = ()
+    """Keys of the points in the global frame: one for a common point, or one for each body."""
 
     points: Points | None = None
     """One point of each body, [[x, y], [x, y]], in the frame of that body [m]."""
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:
-        keys = [key for key, field in self.GLOBAL.items() if getattr(self, field) is not None]
+        keys = [key for key in self.GLOBAL if getattr(self, _FIELDS[key]) is not None]
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
         if self.points is None and not keys:
             raise SpecError(
@@ -264,19 +268,18 @@ class BetweenPoints(Between):
         """Return the element with its points in the frames of the bodies; see `Element.placed`."""
         if self.points is not None:
             return self
-        keys = list(self.GLOBAL)
         held = tuple(
-            local_point(bodies, name, getattr(self, self.GLOBAL[given]), f"{key}.{given}")
-            for name, given in zip(self.bodies, (keys[0], keys[-1]), strict=True)
+            local_point(bodies, name, getattr(self, _FIELDS[given]), f"{key}.{given}")
+            for name, given in zip(self.bodies, (self.GLOBAL[0], self.GLOBAL[-1]), strict=True)
         )
-        return self.model_copy(update={"points": held, **dict.fromkeys(self.GLOBAL.values())})
+        return self.model_copy(update={"points": held, **dict.fromkeys(_FIELDS[key] for key in self.GLOBAL)})
 
 
 class At(BetweenPoints):
     """An element whose two points coincide at the start."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["at"]}]})
-    GLOBAL: ClassVar[Mapping[str, str]] = {"at": "at"}
+    GLOBAL: ClassVar[tuple[str, ...]] = ("at",)
 
     at: Point | None = None
     """Common position (x, y) [m] of both points in the global frame, for the given initial positions of the bodies
@@ -292,7 +295,7 @@ class FromTo(BetweenPoints):
         serialize_by_alias=True,
         json_schema_extra={"anyOf": [{"required": ["points"]}, {"required": ["from", "to"]}]},
     )
-    GLOBAL: ClassVar[Mapping[str, str]] = {"from": "from_", "to": "to"}
+    GLOBAL: ClassVar[tuple[str, ...]] = ("from", "to")
 
     from_: Point | None = Field(default=None, alias="from")
     """Point (x, y) [m] of the first body in the global frame, for the given initial positions of the bodies (before

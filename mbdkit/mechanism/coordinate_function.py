@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, with_slope
-from mbdkit.mechanism.values import Columns, Number, SmoothTable, curve_of, number_or_table
+from mbdkit.mechanism.values import Columns, Number, SmoothTable, columns_of, curve_of, number_or_table
 
 _COORDINATE = "coordinate:"  #: Prefix of the instructions that push a coordinate.
 
@@ -45,7 +45,8 @@ def program_of(text: str) -> Program:
 class CoordinateTable(SmoothTable):
     """A function of a named coordinate, given by points and interpolated by a cubic or quintic spline."""
 
-    ARGUMENT: ClassVar[tuple[str, str]] = ("coordinate", "coordinates")
+    COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
+    columns: ClassVar[Callable[..., object]] = partial(columns_of, at="coordinates", shown="coordinate, value")
 
     table: Columns
     """Strictly increasing coordinates [rad or m] and the value at each coordinate [m]."""

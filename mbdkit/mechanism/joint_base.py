@@ -123,11 +123,12 @@ class JointBase(Between):
     mark: ClassVar[Mark] = "pin"
     is_driver: ClassVar[bool] = False
     """Whether the joint prescribes a motion."""
+    _point_moves: ClassVar[bool] = False
 
     @property
     def point_moves_on_first(self) -> bool:
         """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return False
+        return self._point_moves
 
     @property
     def joins_points(self) -> bool:
@@ -210,7 +211,7 @@ class FunctionJoint(JointBase):
     """Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass by
     default."""
     mark: ClassVar[Mark] = "none"
-    point_moves_on_first: ClassVar[bool] = True
+    _point_moves: ClassVar[bool] = True
 
     if TYPE_CHECKING:  # a field, and attributes of the class or properties, of subclasses
 

@@ -172,7 +172,7 @@ class SlidingJoint(PointJoint, At):
     axis: Point
     """Direction of the line in a's frame; only the direction of this vector is used."""
     mark: ClassVar[Mark] = "slide"
-    point_moves_on_first: ClassVar[bool] = True
+    _point_moves: ClassVar[bool] = True
 
     @model_validator(mode="after")
     def _axis_has_a_direction(self) -> SlidingJoint:
@@ -291,7 +291,7 @@ class Driver(JointBase):
     """For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven."""
     mark: ClassVar[Mark] = "none"
     is_driver: ClassVar[bool] = True
-    point_moves_on_first: ClassVar[bool] = True
+    _point_moves: ClassVar[bool] = True
 
     @model_validator(mode="before")
     @classmethod

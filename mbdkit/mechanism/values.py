@@ -71,7 +71,7 @@ def number_or_table(value: Any, kind: type[Table], wanted: str, **further: objec
         choices = {key: get_args(kind.model_fields[key].annotation) for key in ("interpolation", "ends")}
         if "table" not in value or not {*value} <= {"table", *choices}:
             raise SpecError(
-                f"should be {{table: {kind.form()}}}, with the options interpolation and ends, not a mapping "
+                f"should be {{table: {kind.COLUMNS}}}, with the options interpolation and ends, not a mapping "
                 f"with the keys {_shown([*value])}"
             )
         options = {key: option for key, option in value.items() if key in choices}
@@ -79,9 +79,7 @@ def number_or_table(value: Any, kind: type[Table], wanted: str, **further: objec
             if option not in (known := choices[key]):
                 hint = did_you_mean(option, known) if isinstance(option, str) else ""
                 raise SpecError(f"should be {listed(known, 'or')}, not {_shown(option)}{hint}", key=key)
-        name, many = kind.ARGUMENT
-        columns = columns_of(value["table"], "table", at=many, shown=f"{name}, value")
-        return _consistent(kind(table=columns, **options, **further))
+        return _consistent(kind(table=kind.columns(value["table"], "table"), **options, **further))
     if isinstance(value, kind):
         return _consistent(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -185,8 +183,8 @@ class Table(StrictModel):
     """
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("interpolation", "ends")
-    ARGUMENT: ClassVar[tuple[str, str]] = ("t", "times")
-    """Name of the argument, and a word for several of them, for messages."""
+    COLUMNS: ClassVar[str] = "[[t, ...], [value, ...]]"
+    """The form of `table`, for messages."""
 
     table: Columns
     """Strictly increasing times [s] and the value at each time: ``[[t, ...], [value, ...]]``."""
@@ -199,10 +197,10 @@ class Table(StrictModel):
     first derivative is zero; for a quintic spline, the first and second), or `periodic` (the table repeats; its first
     and last values must be equal)."""
 
-    @classmethod
-    def form(cls) -> str:
-        """Return the form of `table`, for messages."""
-        return f"[[{cls.ARGUMENT[0]}, ...], [value, ...]]"
+    @staticmethod
+    def columns(value: object, key: str = "") -> object:
+        """Return the two columns of a table as tuples of floats; see `columns_of`."""
+        return columns_of(value, key)
 
     @property
     def span(self) -> tuple[float, float]:

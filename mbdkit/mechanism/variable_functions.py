@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -17,7 +17,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, value_of
 from mbdkit.expressions.recorded import Recorded
 from mbdkit.expressions.recorded_derivatives import derivative
-from mbdkit.mechanism.values import Number, SmoothTable, Table, curve_of, number_or_table
+from mbdkit.mechanism.values import Number, SmoothTable, Table, columns_of, curve_of, number_or_table
 
 _VARIABLE = "variable:"  #: Prefix of the instructions that push a variable.
 
@@ -116,9 +116,12 @@ class Profile:
         class CurveTable(SmoothTable):
             """A smooth function of one variable, given by points and interpolated by a cubic or quintic spline."""
 
-            ARGUMENT: ClassVar[tuple[str, str]] = (variable, f"values of {variable}")
+            COLUMNS: ClassVar[str] = f"[[{variable}, ...], [value, ...]]"
+            columns: ClassVar[Callable[..., object]] = partial(
+                columns_of, at=f"values of {variable}", shown=f"{variable}, value"
+            )
 
-        wanted = f"a number, an expression of {variable}, or {{table: {CurveTable.form()}}}"
+        wanted = f"a number, an expression of {variable}, or {{table: {CurveTable.COLUMNS}}}"
 
         def smooth(value: object) -> object:
             if not isinstance(value, str):
