@@ -7,12 +7,13 @@ A spec from elsewhere must not run code by itself. Functions are therefore neith
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from operator import attrgetter
 from typing import Any
 
+from mbdkit.base.context_values import value_within
 from mbdkit.base.distributions import entry_points
 from mbdkit.base.errors import SpecError
 from mbdkit.base.interrupts import is_interrupt
@@ -27,14 +28,9 @@ _ALLOWED: ContextVar[bool] = ContextVar("allowed", default=False)
 _RETURNED: ContextVar[Returned | None] = ContextVar("returned", default=None)
 
 
-@contextmanager
-def calls_allowed(allowed: bool = True) -> Iterator[None]:
+def calls_allowed(allowed: bool = True) -> AbstractContextManager[None]:
     """Allow that functions that a spec names are imported and called within a block, if `allowed`."""
-    token = _ALLOWED.set(allowed or _ALLOWED.get())
-    try:
-        yield
-    finally:
-        _ALLOWED.reset(token)
+    return value_within(_ALLOWED, allowed or _ALLOWED.get())
 
 
 def may_call() -> bool:
@@ -42,14 +38,9 @@ def may_call() -> bool:
     return _ALLOWED.get()
 
 
-@contextmanager
-def returning(values: Returned | None) -> Iterator[None]:
+def returning(values: Returned | None) -> AbstractContextManager[None]:
     """Within a block, use what functions returned before, as long as there is something, instead of calling them."""
-    token = _RETURNED.set(values)
-    try:
-        yield
-    finally:
-        _RETURNED.reset(token)
+    return value_within(_RETURNED, values)
 
 
 def returned_before() -> Returned | None:

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import NamedTuple
 
+from mbdkit.base.context_values import value_within
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import read_bytes
 from mbdkit.base.text import shown
@@ -26,49 +27,24 @@ class FileRead(NamedTuple):
     sha256: str
 
 
-class FilesRead:
-    """Files that were read, without duplicates, in the order of reading."""
-
-    def __init__(self) -> None:
-        self._files: dict[FileRead, None] = {}
-
-    @property
-    def all(self) -> tuple[FileRead, ...]:
-        """The files."""
-        return tuple(self._files)
-
-    def add(self, file: FileRead) -> None:
-        """Add a file."""
-        self._files[file] = None
-
-
+FilesRead = dict[FileRead, None]  #: Files that were read, without duplicates, in the order of reading.
 _RECORDS: ContextVar[tuple[FilesRead, ...]] = ContextVar("records", default=())
 #: The files that may be read, by their content; None for all.
 _KNOWN: ContextVar[Sequence[FileRead] | None] = ContextVar("known", default=None)
 
 
-@contextmanager
-def recording(files: FilesRead) -> Iterator[None]:
+def recording(files: FilesRead) -> AbstractContextManager[None]:
     """Add all files that are read within a block to `files`."""
-    token = _RECORDS.set((*_RECORDS.get(), files))
-    try:
-        yield
-    finally:
-        _RECORDS.reset(token)
+    return value_within(_RECORDS, (*_RECORDS.get(), files))
 
 
-@contextmanager
-def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> Iterator[None]:
+def only_known(files: Sequence[FileRead] | None, *, allowed: bool) -> AbstractContextManager[None]:
     """Within a block that runs the spec of an archive, refuse all files, or those that the archive does not list.
 
     `files`: the files that the archive lists; None if the archive is missing, as that of a run of a study may be.
     `allowed`: whether the user allows that files are read.
     """
-    token = _KNOWN.set(files if allowed else ())
-    try:
-        yield
-    finally:
-        _KNOWN.reset(token)
+    return value_within(_KNOWN, files if allowed else ())
 
 
 def check_readable(path: str | Path) -> None:
@@ -109,7 +85,7 @@ def note_read(path: str | Path, content: bytes) -> None:
     if known is not None and file.sha256 not in {other.sha256 for other in known}:
         raise SpecError("this file is not the one with which the run was made: its SHA-256 differs", file=path)
     for record in _RECORDS.get():
-        record.add(file)
+        record[file] = None
 
 
 def files_json(files: Sequence[FileRead]) -> str:

@@ -7,14 +7,17 @@ import importlib
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from typing import Protocol
+from contextlib import AbstractContextManager, contextmanager, suppress
+from typing import ParamSpec, Protocol
 
 from mbdkit.base.text import counted, shown
 
 PATIENCE = 0.5  #: A bar appears if a run takes longer than this [s].
 _PAUSE = 0.1  #: Smallest time between two updates of a bar in a notebook [s].
 LINES_EVERY = 10.0  #: If there is no terminal: smallest time before the first line, and between two lines [s].
+
+
+P = ParamSpec("P")
 
 
 class _Bar(Protocol):
@@ -25,9 +28,9 @@ class _Bar(Protocol):
 
 @contextmanager
 def _drawing(
-    what: str, quiet: bool, patience: float = 0.0, lines: bool = False
-) -> Iterator[Callable[[float | None, str], None] | None]:
-    """Yield a function that draws a bar from a fraction (None if unknown) and a note.
+    what: str, quiet: bool, state_of: Callable[P, tuple[float | None, str]], patience: float = 0.0, lines: bool = False
+) -> Iterator[Callable[P, None] | None]:
+    """Yield a function that draws a bar; `state_of` returns a fraction (None if unknown) and a note from its arguments.
 
     In a notebook, or if stderr is a terminal, the function draws a bar, at the earliest `patience` seconds after the
     start. Elsewhere, it prints lines if `lines` is set. In all other cases, and if `quiet` is set, None is yielded
@@ -40,12 +43,13 @@ def _drawing(
     begin = time.perf_counter()
     bar: _Bar | None = None if patience else make(shown(what))
 
-    def draw(share: float | None, note: str) -> None:
+    def draw(*args: P.args, **kwargs: P.kwargs) -> None:
         nonlocal bar
+        state = state_of(*args, **kwargs)
         if bar is None and time.perf_counter() - begin >= patience:
             bar = make(shown(what))
         if bar is not None:
-            bar.draw(share, note)
+            bar.draw(*state)
 
     try:
         yield draw
@@ -54,46 +58,36 @@ def _drawing(
             bar.close()
 
 
-@contextmanager
-def progress_bar(what: str, quiet: bool = False) -> Iterator[Callable[[float, float], None] | None]:
+def progress_bar(what: str, quiet: bool = False) -> AbstractContextManager[Callable[[float, float], None] | None]:
     """Yield a function of (time reached, end time) [s] of a run that draws a bar; see `_drawing`."""
     first: float | None = None
-    with _drawing(what, quiet, PATIENCE) as draw:
 
-        def advance(now: float, end: float) -> None:
-            nonlocal first
-            assert draw is not None
-            if first is None:
-                first = now
-            draw((now - first) / (end - first) if end > first else 1.0, f"t = {now:.4g} of {end:.4g} s")
+    def state(now: float, end: float) -> tuple[float, str]:
+        nonlocal first
+        first = now if first is None else first
+        return (now - first) / (end - first) if end > first else 1.0, f"t = {now:.4g} of {end:.4g} s"
 
-        yield None if draw is None else advance
+    return _drawing(what, quiet, state, PATIENCE)
 
 
-@contextmanager
-def count_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, int], None] | None]:
+def count_bar(what: str, quiet: bool = False) -> AbstractContextManager[Callable[[int, int, int], None] | None]:
     """Yield a function of (items done, total items, failed runs) that draws a bar; see `_drawing`."""
-    with _drawing(what, quiet, lines=True) as draw:
 
-        def advance(done: int, total: int, failed: int) -> None:
-            assert draw is not None
-            draw(done / total if total else 1.0, f"{done}/{total}{_failed(failed)}")
+    def state(done: int, total: int, failed: int) -> tuple[float, str]:
+        return done / total if total else 1.0, f"{done}/{total}{_failed(failed)}"
 
-        yield None if draw is None else advance
+    return _drawing(what, quiet, state, lines=True)
 
 
-@contextmanager
-def tally_bar(what: str, quiet: bool = False) -> Iterator[Callable[[int, int, str], None] | None]:
+def tally_bar(what: str, quiet: bool = False) -> AbstractContextManager[Callable[[int, int, str], None] | None]:
     """Yield a function of (runs done, failed runs, stage) that draws a bar for work of unknown length; see
     `_drawing`.
     """
-    with _drawing(what, quiet, lines=True) as draw:
 
-        def advance(done: int, failed: int, stage: str) -> None:
-            assert draw is not None
-            draw(None, f"{stage}, {counted(done, 'run')}{_failed(failed)}")
+    def state(done: int, failed: int, stage: str) -> tuple[None, str]:
+        return None, f"{stage}, {counted(done, 'run')}{_failed(failed)}"
 
-        yield None if draw is None else advance
+    return _drawing(what, quiet, state, lines=True)
 
 
 def _failed(count: int) -> str:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import json
 import math
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 MOST_DIGITS = 10  #: Largest number of significant digits of a number with an error.
@@ -19,27 +21,7 @@ _HARMFUL = re.compile(
 )
 
 #: Names of this package for what other programs and textbooks call by another name.
-SYNONYMS = {
-    name: meant.split()
-    for names, meant in {
-        "pin hinge rotational": "revolute",
-        "slider translational sliding": "prismatic point-on-line",
-        "fixed rigid": "weld",
-        "rod link": "distance",
-        "motor actuator": "driver",
-        "world base frame": "ground",
-        "k": "stiffness",
-        "c d": "damping",
-        "l0 rest_length length": "free_length",
-        "m": "mass",
-        "j izz moment_of_inertia": "inertia",
-        "dt h timestep step_size": "step",
-        "duration stop t_end tend tfinal": "end",
-        "rk45 ode45": "dopri5",
-        "lsoda": "scipy-lsoda",
-    }.items()
-    for name in names.split()
-}
+SYNONYMS: dict[str, list[str]] = json.loads(Path(__file__).with_name("synonyms.json").read_text(encoding="utf-8"))
 
 
 def did_you_mean(word: str, known: Iterable[str], most: int = 1) -> str:

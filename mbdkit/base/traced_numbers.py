@@ -13,7 +13,7 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base import elementary, higher_layers
+from mbdkit.base.context_values import value_within
 
 Numbers = Sequence[float]
 
@@ -102,14 +103,9 @@ class Trace:
         self._conditions: set[str] = set()
         self._inputs: list[str] = []
 
-    @contextmanager
-    def recording(self) -> Iterator[None]:
+    def recording(self) -> AbstractContextManager[None]:
         """Make this the current trace of the thread."""
-        token = _current.set(self)
-        try:
-            yield
-        finally:
-            _current.reset(token)
+        return value_within(_current, self)
 
     def failure(self, reason: str) -> UntraceableError:
         """Return the error for a number that is lost."""

@@ -76,60 +76,28 @@ def _exponents(m: int = 0, kg: int = 0, s: int = 0) -> Exponents:
 
 _FORCE, _ENERGY, _POWER = _exponents(1, 1, -2), _exponents(2, 1, -2), _exponents(2, 1, -3)
 _PRESSURE = _exponents(-1, 1, -2)
-#: Exponents and SI factor of each symbol.
-_SYMBOLS: dict[str, tuple[Exponents, float]] = {
-    "m": (_exponents(m=1), 1.0),
-    "km": (_exponents(m=1), 1e3),
-    "cm": (_exponents(m=1), 1e-2),
-    "mm": (_exponents(m=1), 1e-3),
-    "um": (_exponents(m=1), 1e-6),
-    "kg": (_exponents(kg=1), 1.0),
-    "g": (_exponents(kg=1), 1e-3),
-    "s": (_exponents(s=1), 1.0),
-    "ms": (_exponents(s=1), 1e-3),
-    "us": (_exponents(s=1), 1e-6),
-    "ns": (_exponents(s=1), 1e-9),
-    "min": (_exponents(s=1), 60.0),
-    "Hz": (_exponents(s=-1), 1.0),
-    "rad": (_NONE, 1.0),
-    "mrad": (_NONE, 1e-3),
-    "deg": (_NONE, math.pi / 180.0),
-    "rev": (_NONE, 2.0 * math.pi),
-    "%": (_NONE, 1e-2),
-    "1": (_NONE, 1.0),
-    "N": (_FORCE, 1.0),
-    "kN": (_FORCE, 1e3),
-    "mN": (_FORCE, 1e-3),
-    "J": (_ENERGY, 1.0),
-    "kJ": (_ENERGY, 1e3),
-    "mJ": (_ENERGY, 1e-3),
-    "Pa": (_PRESSURE, 1.0),
-    "kPa": (_PRESSURE, 1e3),
-    "MPa": (_PRESSURE, 1e6),
-    "GPa": (_PRESSURE, 1e9),
-    "W": (_POWER, 1.0),
-    "kW": (_POWER, 1e3),
-    "mW": (_POWER, 1e-3),
+#: SI factors of the symbols, by their dimension.
+_FACTORS: dict[Exponents, dict[str, float]] = {
+    _exponents(m=1): {"m": 1.0, "km": 1e3, "cm": 1e-2, "mm": 1e-3, "um": 1e-6},
+    _exponents(kg=1): {"kg": 1.0, "g": 1e-3},
+    _exponents(s=1): {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    _exponents(s=-1): {"Hz": 1.0},
+    _NONE: {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi, "%": 1e-2, "1": 1.0},
+    _FORCE: {"N": 1.0, "kN": 1e3, "mN": 1e-3},
+    _ENERGY: {"J": 1.0, "kJ": 1e3, "mJ": 1e-3},
+    _PRESSURE: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9},
+    _POWER: {"W": 1.0, "kW": 1e3, "mW": 1e-3},
 }
+#: Exponents and SI factor of each symbol.
+_SYMBOLS = {symbol: (of, factor) for of, factors in _FACTORS.items() for symbol, factor in factors.items()}
 _COUNTS = {"rad": (1, 0, 0), "mrad": (1, 0, 0), "deg": (1, 0, 0), "rev": (1, 0, 0), "Hz": (0, 1, 0), "%": (0, 0, 1)}
 _RPM = re.compile(r"(/\s*)?\brpm\b((?:\^|\*\*)-?\d{1,2}(?:\.5)?)?")
 #: SI symbols of the units for which removing the prefix does not give the SI symbol.
 _SI = {"kg": "kg", "g": "kg", "min": "s", "Hz": "Hz", "deg": "rad", "rev": "rad", "mrad": "rad", "%": "1"}
 
 #: Usual names of SI units with several base units.
-_NAMED = {
-    exponents: text
-    for text, exponents in {
-        "1": _NONE,
-        "N": _FORCE,
-        "J": _ENERGY,
-        "W": _POWER,
-        "N s": _exponents(1, 1, -1),
-        "N/m": _exponents(0, 1, -2),
-        "N s/m": _exponents(0, 1, -1),
-        "J s": _exponents(2, 1, -1),
-    }.items()
-}
+_NAMED = {_NONE: "1", _FORCE: "N", _ENERGY: "J", _POWER: "W", _exponents(1, 1, -1): "N s"}
+_NAMED |= {_exponents(0, 1, -2): "N/m", _exponents(0, 1, -1): "N s/m", _exponents(2, 1, -1): "J s"}
 
 NUMBER = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 QUANTITY = rf"^\s*{NUMBER}\s+(?:[A-Za-z%]|1/)[A-Za-z0-9%*/^. -]*$"  #: Pattern of a number with a unit.

@@ -281,12 +281,20 @@ class Lowering:
             self.reactions.append((friction.number, row, begin + 1 + names.index(name), number))
 
     def _add_load(self, name: str, load: AppliedLoad) -> None:
-        self.load_places.append(len(self.elements))
-        self.elements.append(ForceElement(name, (load.reaction_body, load.body), load.length_unit))
-        motions = [self.motions.add(value) for value in load.values]
+        element = ForceElement(name, (load.reaction_body, load.body), load.length_unit)
         bodies = (self.bodies[load.body], self.bodies[load.reaction_body])
-        self.loads.append(rows.LoadRow(LOADS[load.kind], *bodies, *motions, *[-1] * (2 - len(motions))))
-        self.load_points.append(load.point)
+        self._add_load_row(element, load.kind, bodies, load.values, load.point)
+
+    def _add_load_row(
+        self, element: ForceElement, kind: str, bodies: tuple[int, int], values: Sequence[Motion], point: Numbers
+    ) -> list[int]:
+        """Add a load, and return the indices of the programs of its values."""
+        self.load_places.append(len(self.elements))
+        self.elements.append(element)
+        motions = [self.motions.add(value) for value in values]
+        self.loads.append(rows.LoadRow(LOADS[kind], *bodies, *motions, *[-1] * (2 - len(motions))))
+        self.load_points.append(point)
+        return motions
 
     def pair(self, name: str, bodies: tuple[int, int], laws: Sequence[CompiledLaw], numbers: Sequence[float]) -> int:
         """Add a force between two bodies that depends on their poses and velocities; return the index of its law.
@@ -330,16 +338,10 @@ class Lowering:
         and y, and of the torque.
         """
         for kind, components in (("point_force", (0, 1)), ("torque", (2,)))[: max(len(laws) - 1, 0)]:
-            motions = [self.motions.add(f'loads["{name}"].{len(self.loads)}.{component}') for component in components]
-            self.load_places.append(len(self.elements))
-            self.elements.append(ForceElement(name, ("ground", "ground"), "m"))
-            self.load_values += [
-                rows.LoadValueRow(laws[i], motion) for i, motion in zip(components, motions, strict=True)
-            ]
-            self.loads.append(
-                rows.LoadRow(LOADS[kind], body, self.bodies["ground"], *motions, *[-1] * (2 - len(motions)))
-            )
-            self.load_points.append((0.0, 0.0))
+            element, bodies = ForceElement(name, ("ground", "ground"), "m"), (body, self.bodies["ground"])
+            values = [f'loads["{name}"].{len(self.loads)}.{component}' for component in components]
+            motions = self._add_load_row(element, kind, bodies, values, (0.0, 0.0))
+            self.load_values += map(rows.LoadValueRow, (laws[i] for i in components), motions)
 
     def add_expressions(self, mechanism: Mechanism) -> None:
         """Add the expressions that depend on the state, and the states that belong to them.
@@ -348,28 +350,23 @@ class Lowering:
         mechanism defines, outputs and states of sampled controllers, and inputs.
         """
         held = [
-            (name, value, controller.unit_of(value), 0.0)
+            (f"{name}.{value}", controller.unit_of(value), 0.0)
             for name, controller in mechanism.controllers.items()
             for value in controller.outputs
         ]
         held += [
-            (name, value, "1", state.initial)
+            (f"{name}.{value}", "1", state.initial)
             for name, controller in mechanism.controllers.items()
             for value, state in controller.states.items()
         ]
-        names = [state.name for state in self.states] + [
-            *mechanism.states,
-            *(f"{name}.{value}" for name, value, *_ in held),
-        ]
+        names = [*(state.name for state in self.states), *mechanism.states, *(name for name, *_ in held)]
         places = {name: i for i, name in enumerate(names)}
         self.compiled_inputs += _numbered(mechanism.inputs, len(names))
         inputs = {item.name: item.state for item in self.compiled_inputs}
         numbering = self.numbering = Numbering(mechanism, self.bodies, self.first_segments, places, inputs)
-        loads = [name for name, force in mechanism.forces.items() if isinstance(force, Torque | PointForce)]
-        for k, name in enumerate(loads):
-            force = mechanism.forces[name]
-            assert isinstance(force, Torque | PointForce)
-            for component, text in enumerate(force.load.values):
+        loads = [(name, one.load) for name, one in mechanism.forces.items() if isinstance(one, Torque | PointForce)]
+        for k, (name, load) in enumerate(loads):
+            for component, text in enumerate(load.values):
                 if is_of_state(text):
                     self._add_load_value(name, k, component, str(text))
         for kind in acting_kinds(mechanism):
@@ -379,8 +376,8 @@ class Lowering:
         for name, state in mechanism.states.items():
             law = self.expression(f"model.states.{quoted(name)}.rate", name, state.rate)
             self.state(name, state.unit, state.initial, law)
-        for name, value, unit, initial in held:
-            self.state(f"{name}.{value}", unit, initial)
+        for name, unit, initial in held:
+            self.state(name, unit, initial)
         for item in self.compiled_inputs:
             self._add_input(item)
         for name, controller in mechanism.controllers.items():

@@ -18,24 +18,12 @@ from mbdkit.base.traced_numbers import float_array, largest, smallest
 from mbdkit.engine.compile_forces import CompiledMotions, Lowering, Numbers, acting_kinds, table
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Row
 from mbdkit.engine.elimination_order import neighbours
+from mbdkit.engine.kernels import table_rows
 from mbdkit.engine.kernels.acting import ANGLE, TRAVEL
 from mbdkit.engine.kernels.constraints import KINDS
 from mbdkit.engine.kernels.cross_sections import NODES, PARAMETERS
 from mbdkit.engine.kernels.engine_bundles import Topology
 from mbdkit.engine.kernels.pose_functions import ROWS
-from mbdkit.engine.kernels.table_rows import (
-    FUNCTION,
-    JOINT,
-    MULTIPLIER,
-    PAIR,
-    SECTION,
-    SPARE,
-    FunctionRow,
-    JointRow,
-    MultiplierRow,
-    PairRow,
-    SectionRow,
-)
 from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
@@ -100,16 +88,17 @@ def compile_mechanism(mechanism: Mechanism) -> CompiledMechanism:
         **forces.arrays(),
         reactions=table(
             [
-                MultiplierRow(*place_of_row[joint, row], parameter, friction)
+                table_rows.MultiplierRow(*place_of_row[joint, row], parameter, friction)
                 for joint, row, parameter, friction in forces.reactions
             ],
-            MULTIPLIER,
+            table_rows.MULTIPLIER,
         ),
-        sections=table(beams.sections, SECTION),
+        sections=table(beams.sections, table_rows.SECTION),
         section_parameters=float_array(beams.parameters, PARAMETERS),
         **_of_joints_and_markers(mechanism, number),
         functions=table(
-            [FunctionRow(*pairs[k].bodies, place[k], law, pairs[k].motion) for k, law in functions], FUNCTION
+            [table_rows.FunctionRow(*pairs[k].bodies, place[k], law, pairs[k].motion) for k, law in functions],
+            table_rows.FUNCTION,
         ),
         centers=np.array([pair.bodies for pair in centered], dtype=np.int64).reshape(-1, 2),
         motion_start=np.array(motions.start, dtype=np.int64),
@@ -186,12 +175,14 @@ def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[
         if one.unit == "rad":
             row_units[one.pair][one.place] = 1.0
     return {
-        "pairs": table([PairRow(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs], PAIR),
+        "pairs": table(
+            [table_rows.PairRow(KINDS[pair.kind], *pair.bodies, pair.motion) for pair in pairs], table_rows.PAIR
+        ),
         "rows": np.array([pair.rows for pair in pairs], dtype=np.int64),
         "length": float_array([unit]),
         "row_units": float_array(row_units, 2),
         "pair_parameters": float_array([pair.parameters for pair in pairs], 6),
-        "spare": table([], SPARE),
+        "spare": table([], table_rows.SPARE),
         "spare_axes": np.zeros((0, 2)),
         "pair_joint": np.array([pair.joint for pair in pairs], dtype=np.int64),
     }
@@ -200,11 +191,11 @@ def _of_pairs(pairs: Sequence[_Pair], rows: Sequence[Row], unit: float) -> dict[
 def _of_joints_and_markers(mechanism: Mechanism, number: dict[str, int]) -> dict[str, np.ndarray]:
     joints, markers = mechanism.joints.values(), mechanism.markers.values()
     recorded = [
-        JointRow(ANGLE if joint.travel is None else TRAVEL, *(number[body] for body in joint.bodies))
+        table_rows.JointRow(ANGLE if joint.travel is None else TRAVEL, *(number[body] for body in joint.bodies))
         for joint in joints
     ]
     return {
-        "joints": table(recorded, JOINT),
+        "joints": table(recorded, table_rows.JOINT),
         "joint_lines": float_array([joint.travel or (0.0,) * 6 for joint in joints], 6),
         "markers": np.array([number[marker.body] for marker in markers], dtype=np.int64),
         "marker_points": float_array([marker.held for marker in markers], 2),
@@ -307,7 +298,7 @@ def _add_centers(pairs: list[_Pair], motions: CompiledMotions) -> list[_Pair]:
 
 class _Beams:
     def __init__(self, mechanism: Mechanism, number: dict[str, int]):
-        self.sections: list[SectionRow] = []
+        self.sections: list[table_rows.SectionRow] = []
         self.parameters: list[Numbers] = []
         elements = 0
         for name, beam in mechanism.beams.items():
@@ -316,7 +307,9 @@ class _Beams:
             for section in beam.sections(name):
                 nodes = [number[node] for node in section.nodes]
                 spare = NODES - len(nodes)
-                self.sections.append(SectionRow(elements + section.element, len(nodes), *nodes, *nodes[-1:] * spare))
+                self.sections.append(
+                    table_rows.SectionRow(elements + section.element, len(nodes), *nodes, *nodes[-1:] * spare)
+                )
                 shapes = (*section.shape, *[0.0] * spare, *section.slope, *[0.0] * spare)
                 self.parameters.append((*shapes, section.length, *stiffness, *section.reference, *damping))
             elements += beam.elements

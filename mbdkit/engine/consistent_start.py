@@ -84,16 +84,6 @@ class MechanismAtStart:
     assembled: AssembledState
 
 
-def mechanism_at_start(mechanism: Mechanism, t0: float = 0.0) -> MechanismAtStart:
-    """Compile a mechanism and make its initial state consistent.
-
-    Parameters and errors are those of `workspace_at_start`.
-
-    Returns the mechanism and its start, without working arrays.
-    """
-    return Starts().at_start(mechanism, t0, None)
-
-
 @OwnSeam
 def start_values(handle: Never, mechanism: Mechanism, t0: float, q: np.ndarray, /) -> Mapping[int, float]:
     """Return initial values of states by their index, from the time t0 [s] and the assembled positions q (B, 3)."""
@@ -133,7 +123,7 @@ class CompiledForStarts:
         return cls(compiled, search_for(mechanism, compiled, t0), len(looped_rows(compiled)) > 0)
 
     def at_start(self, mechanism: Mechanism, end: float) -> MechanismAtStart:
-        """Return a mechanism at its start; see `mechanism_at_start`."""
+        """Return a mechanism at its start; see `Starts.at_start`."""
         with within_double_precision():
             return self.checked(mechanism, assemble(mechanism, self.search.t0, self.mechanism, self.search), end)
 
@@ -167,11 +157,13 @@ class Starts:
         self._compiled: dict[tuple[bytes | None, float], CompiledForStarts] = {}
 
     def at_start(self, mechanism: Mechanism, t0: float = 0.0, end: float | None = None) -> MechanismAtStart:
-        """Return a mechanism at its start; see `mechanism_at_start`."""
+        """Compile a mechanism and make its initial state consistent; arguments and errors are those of
+        `workspace_at_start`.
+        """
         return self.compiled(mechanism, t0).at_start(mechanism, t0 if end is None else end)
 
     def compiled(self, mechanism: Mechanism, t0: float) -> CompiledForStarts:
-        """Return a mechanism compiled for a start at time `t0` [s]; raise the errors of `mechanism_at_start`."""
+        """Return a mechanism compiled for a start at time `t0` [s]; raise the errors of `at_start`."""
         content = compiled_content(mechanism)
         key = content, t0
         compiled = None if content is None else self._compiled.pop(key, None)

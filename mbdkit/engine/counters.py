@@ -23,5 +23,4 @@ class Counters:
 class HostCounters(Counters):
     """Counters of a method in Python, which does not pay for what mbdkit evaluates beside its steps."""
 
-    host_evaluations: int = 0
-    """Evaluations of the right-hand side by mbdkit, for work and for integrals over time."""
+    host_evaluations: int = 0  #: Evaluations of the right-hand side by mbdkit, for work and for integrals over time.

@@ -41,8 +41,11 @@ class SingularSystemError(Exception):
         self.index = index
 
 
-def neighbours(pairs: Sequence[tuple[int, int]], ground: int) -> list[set[int]]:
-    """Return, for each pair of constraint rows, the other pairs attached to one of its bodies other than ground."""
+def neighbours(pairs: Sequence[Sequence[int]], ground: int = -1) -> list[set[int]]:
+    """Return, for each pair of constraint rows, the other pairs attached to one of its bodies other than ground.
+
+    Columns of a matrix are neighbours in the same sense if they have an entry in the same row.
+    """
     on_body: dict[int, list[int]] = {}
     for k, bodies in enumerate(pairs):
         for body in set(bodies) - {ground}:
@@ -212,14 +215,10 @@ def _column_order(ordering: str, n: int, row: np.ndarray, column: np.ndarray) ->
         return np.arange(n)
     if ordering == "symmetric":
         return symmetric_order(n, row, column)
-    in_row: list[set[int]] = [set() for _ in range(n)]
+    rows_of: list[list[int]] = [[] for _ in range(n)]
     for i, j in zip(row.tolist(), column.tolist(), strict=True):
-        in_row[i].add(j)
-    adjacent: list[set[int]] = [set() for _ in range(n)]
-    for columns in in_row:
-        for j in columns:
-            adjacent[j] |= columns
-    return np.array(minimum_degree([others - {j} for j, others in enumerate(adjacent)])[0], dtype=np.int64)
+        rows_of[j].append(i)
+    return np.array(minimum_degree(neighbours(rows_of))[0], dtype=np.int64)
 
 
 def symmetric_order(n: int, row: np.ndarray, column: np.ndarray) -> np.ndarray:

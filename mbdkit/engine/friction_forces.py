@@ -82,6 +82,14 @@ class FrictionForce:
         return {**dict.fromkeys(REACTIONS, 0.0), **given}
 
 
+TINY = 1e-300  #: Square of a reaction that counts as none [N^2].
+
+
+def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
+    square = p[REACTIONS[0]] * p[REACTIONS[0]]
+    return p["ratio"] * square / np.sqrt(square + TINY)
+
+
 @dataclass(frozen=True)
 class FollowingForce:
     """The side force of a joint as a force element along the line between its points, which is also the pathway.
@@ -102,6 +110,7 @@ class FollowingForce:
     side: SideForce
     law_id: ClassVar[str] = "side-force"
     length_unit: ClassVar[str] = "m"
+    force_law: ClassVar[TracedLaw] = TracedLaw(_side_force, lambda one: one.numbers)
 
     @property
     def pathway(self) -> FollowingForce:
@@ -113,11 +122,6 @@ class FollowingForce:
         return (Segment("two_points", self.joint.bodies, self.joint.flat_points),)
 
     @property
-    def force_law(self) -> TracedLaw:
-        """The law of the force."""
-        return _SIDE
-
-    @property
     def reactions(self) -> tuple[tuple[int, str], ...]:
         """Row and name of each parameter of the law that is a multiplier."""
         return ((self.side.row, REACTIONS[0]),)
@@ -126,17 +130,6 @@ class FollowingForce:
     def numbers(self) -> dict[str, float]:
         """Values of the parameters of the law by name; that of the multiplier is 0."""
         return {REACTIONS[0]: 0.0, "ratio": self.side.ratio}
-
-
-TINY = 1e-300  #: Square of a reaction that counts as none [N^2].
-
-
-def _side_force(length: Recorded, rate: Recorded, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
-    square = p[REACTIONS[0]] * p[REACTIONS[0]]
-    return p["ratio"] * square / np.sqrt(square + TINY)
-
-
-_SIDE = TracedLaw(_side_force, lambda one: one.numbers)
 
 
 def _pin(rate: Recorded, p: Mapping[str, Recorded]) -> Recorded:

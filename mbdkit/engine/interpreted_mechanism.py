@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.consistent_start import mechanism_at_start
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.interpreter import Arithmetic, Interpreter
 from mbdkit.engine.kernels import acting, applied_forces, equations, frames, observe, system
 from mbdkit.engine.kernels.angles import cosine_and_sine
@@ -226,7 +226,7 @@ class InterpretedMechanism:
     """
 
     def __init__(self, mechanism: Mechanism, t0: float, *, is_joint: bool = False):
-        self.start = mechanism_at_start(mechanism, t0)
+        self.start = Starts().at_start(mechanism, t0)
         self.compiled = compiled = self.start.mechanism
         self._work = Workspace(compiled, 0.0, *np.zeros((2, compiled.size)))
         self._tree: InterpretedTree | None = None

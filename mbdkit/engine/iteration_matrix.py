@@ -83,6 +83,16 @@ def classes_of(workspace: Workspace) -> np.ndarray:
     return np.choose(terms.factor, [plain, np.full_like(plain, DAMPING), np.full_like(plain, GAMMA_V), level])
 
 
+def _restored(state: Any, workspace: Workspace) -> tuple[Pattern, np.ndarray, np.ndarray]:
+    """Return stored pattern, scatter and reference of `Pivots`; raise ValueError if they are not valid."""
+    pattern = pattern_of(state["pattern"], workspace.unknowns)
+    scatter, reference = np.zeros((len(state["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
+    restore({"scatter": scatter, "reference": reference}, {name: state[name] for name in ("scatter", "reference")})
+    if np.any(scatter >= [len(workspace.scratch.source), len(pattern.a_column), len(_DEFAULTS) + 1]):
+        raise ValueError("a term of a matrix does not exist")
+    return pattern, scatter, reference
+
+
 @dataclass
 class Pivots:
     """Pivots for all matrices whose terms have the same classes, and storage for these matrices."""
@@ -140,8 +150,8 @@ class IterationMatrix:
         """Factorize a matrix; `source` holds the values of all terms, and `counters` counts the solves."""
         self._pivots, self._counters = pivots, counters
         self._storage = pivots.take(coefficients.dtype)
+        #: Position of the pivot at which the factorization failed, -1 if none.
         self.failed_at: int = self._storage.factorize(source, coefficients)
-        """Position of the pivot at which the factorization failed, -1 if none."""
 
     def __del__(self) -> None:
         self._pivots.free.append(self._storage)
@@ -172,14 +182,10 @@ class IterationMatrix:
 class StateTangents:
     """Derivatives that involve the first-order states z of elements, as dense arrays."""
 
-    force_z: np.ndarray
-    """(n, Z) -dQ/dz."""
-    rates_q: np.ndarray
-    """(Z, n) derivatives of the rates z' with respect to positions."""
-    rates_v: np.ndarray
-    """(Z, n) the same with respect to velocities."""
-    rates_z: np.ndarray
-    """(Z, Z) the same with respect to the states."""
+    force_z: np.ndarray  #: (n, Z) -dQ/dz.
+    rates_q: np.ndarray  #: (Z, n) derivatives of the rates z' with respect to positions.
+    rates_v: np.ndarray  #: (Z, n) the same with respect to velocities.
+    rates_z: np.ndarray  #: (Z, Z) the same with respect to the states.
 
 
 class IterationMatrixWithStates:
@@ -290,17 +296,10 @@ class IterationMatrices:
 
     def restore(self, state: Any) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
-        workspace = self._workspace
-        unknowns, sources, n = workspace.unknowns, len(workspace.scratch.source), 3 * len(workspace.mechanism.bodies)
+        n = 3 * len(self._workspace.mechanism.bodies)
         for entry in state:
-            pattern = pattern_of(entry["pattern"], unknowns)
-            scatter, reference = np.zeros((len(entry["scatter"]), 3), np.int64), np.zeros(len(pattern.row_of))
-            restore(
-                {"scatter": scatter, "reference": reference}, {name: entry[name] for name in ("scatter", "reference")}
-            )
-            if np.any(scatter >= [sources, len(pattern.a_column), len(_DEFAULTS) + 1]):
-                raise ValueError("a term of a matrix does not exist")
-            self._pivots[tuple(map(bool, entry["matrix"]))] = Pivots((n, unknowns - n), pattern, scatter, reference)
+            pivots = Pivots((n, self._workspace.unknowns - n), *_restored(entry, self._workspace))
+            self._pivots[tuple(map(bool, entry["matrix"]))] = pivots
 
 
 class StepMatrix:
@@ -358,15 +357,5 @@ class StepMatrix:
 
     def restore(self, state: Any) -> None:
         """Use stored pivots; raise ValueError if they are not valid."""
-        pattern = pattern_of(state["pattern"], self._workspace.unknowns)
-        scatter, reference = np.ascontiguousarray(state["scatter"]), np.array(state["reference"], dtype=float)
-        sources = len(self._workspace.scratch.source)
-        if (
-            scatter.dtype != np.int64
-            or scatter.shape[1:] != (3,)
-            or np.any(scatter < 0)
-            or np.any(scatter >= [sources, max(len(pattern.a_column), 1), 6])
-            or reference.shape != pattern.row_of.shape
-        ):
-            raise ValueError("a term of a matrix does not exist")
+        pattern, scatter, reference = _restored(state, self._workspace)
         self._use(pattern, scatter, reference=reference)

@@ -11,25 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.column_lu import (
-    DONE,
-    NO_ROOM,
-    ColumnFactors,
-    factorize_columns,
-    factorize_complex_columns,
-    solve_by_columns,
-    solve_complex_by_columns,
-    solve_complex_transposed,
-    solve_refined_by_columns,
-    solve_transposed,
-)
+from mbdkit.engine.kernels import column_lu, stacks
 from mbdkit.engine.kernels.orthogonal import rotate_to_singular_rows, singular_values_of_each, solve_each_least_squares
-from mbdkit.engine.kernels.stacks import (
-    decompose_each,
-    multiply_each,
-    solve_upper_each,
-    solve_upper_transposed_each,
-)
 from mbdkit.engine.native.bundle import PinnedBundle
 
 ROOM = 4  #: Initial number of entries of each factor, relative to those of the matrix.
@@ -59,20 +42,19 @@ class SparseFactors:
                 (np.zeros(n, self._dtype), np.zeros(n, self._dtype)),
             )
             search = np.zeros((n, 4), dtype=np.int64)
-            factors = ColumnFactors(*matrix, order.astype(np.int64), *empty, *lower, *upper, *work, search)
+            factors = column_lu.ColumnFactors(*matrix, order.astype(np.int64), *empty, *lower, *upper, *work, search)
             self._pinned = PinnedBundle(factors)
-            status = (factorize_complex_columns if self._is_complex else factorize_columns)(
+            status = (column_lu.factorize_complex_columns if self._is_complex else column_lu.factorize_columns)(
                 self._pinned.address, float(threshold)
             )
-            if status != NO_ROOM:
+            if status != column_lu.NO_ROOM:
                 break
             room *= 2
-        if status != DONE:
+        if status != column_lu.DONE:
             raise np.linalg.LinAlgError(f"the matrix is singular at column {order[status]}")
-        self.row_of, self.column_of = factors.row_of, factors.column_of
-        """(n,) row and column at each pivot position."""
+        self.row_of, self.column_of = factors.row_of, factors.column_of  #: (n,) row and column at each pivot position.
+        #: Number of entries of both factors, with the diagonal.
         self.entries = int(factors.l_start[-1] + factors.u_start[-1]) + n
-        """Number of entries of both factors, with the diagonal."""
 
     def _empty(self, n: int, room: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return np.zeros(n + 1, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room, self._dtype)
@@ -80,13 +62,15 @@ class SparseFactors:
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Return the solutions (K, n) for the rows of `right` (K, n)."""
         x: np.ndarray = np.array(right, dtype=self._dtype, order="C")
-        (solve_complex_by_columns if self._is_complex else solve_by_columns)(self._pinned.address, x)
+        (column_lu.solve_complex_by_columns if self._is_complex else column_lu.solve_by_columns)(
+            self._pinned.address, x
+        )
         return x
 
     def solve_refined(self, right: np.ndarray) -> np.ndarray:
         """Return the solution (n,) of a real system for one right-hand side (n,), with one step of refinement."""
         x, work = np.empty(len(right)), np.empty(len(right))
-        solve_refined_by_columns(self._pinned.address, right, x, work)
+        column_lu.solve_refined_by_columns(self._pinned.address, right, x, work)
         return x
 
     def norm_of_inverse(self) -> float:
@@ -103,7 +87,9 @@ class SparseFactors:
                 break
             largest = norm
             slope = np.conj(np.where(size > 0.0, y / np.where(size > 0.0, size, 1.0), 1.0))
-            (solve_complex_transposed if self._is_complex else solve_transposed)(self._pinned.address, slope)
+            (column_lu.solve_complex_transposed if self._is_complex else column_lu.solve_transposed)(
+                self._pinned.address, slope
+            )
             index = int(np.argmax(np.abs(slope)))
             if np.abs(slope[index]) <= np.abs(np.sum(slope * x)):
                 break
@@ -167,7 +153,7 @@ def products(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """
     one, other = a[None] if a.ndim == 2 else a, b[..., None] if b.ndim == 2 else b
     out = np.empty((max(len(one), len(other)) if len(one) and len(other) else 0, one.shape[1], other.shape[2]))
-    multiply_each(_contiguous(one), _contiguous(other), out)
+    stacks.multiply_each(_contiguous(one), _contiguous(other), out)
     return out[..., 0] if b.ndim == 2 else out
 
 
@@ -175,7 +161,7 @@ def complete_qr(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the orthogonal factors (T, I, I) and the upper triangular factors (T, I, J) of matrices (T, I, J)."""
     frames, rows, columns = matrices.shape
     r, q = np.array(matrices, dtype=float, order="C"), np.empty((frames, rows, rows))
-    decompose_each(r, q, np.empty((columns, rows)), np.empty(columns), np.empty(max(rows, columns)))
+    stacks.decompose_each(r, q, np.empty((columns, rows)), np.empty(columns), np.empty(max(rows, columns)))
     return q, r
 
 
@@ -185,7 +171,7 @@ def solve_triangles(triangles: np.ndarray, right: np.ndarray, *, transposed: boo
     Raises numpy.linalg.LinAlgError if a matrix is singular.
     """
     x: np.ndarray = np.array(right, dtype=float, order="C")
-    if not (solve_upper_transposed_each if transposed else solve_upper_each)(_contiguous(triangles), x):
+    if not (stacks.solve_upper_transposed_each if transposed else stacks.solve_upper_each)(_contiguous(triangles), x):
         raise np.linalg.LinAlgError("a triangular matrix is singular")
     return x
 

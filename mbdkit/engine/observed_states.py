@@ -110,11 +110,9 @@ class GivenForces:
 
     def replace(self, out: Observed, part: slice) -> None:
         """Write the states of `part` into `out`."""
-        out.acc[part], out.lam[part], out.reactions[part] = (
-            self.acceleration[part],
-            self.lam[part],
-            self.reactions[part],
-        )
+        given = ((out.acc, self.acceleration), (out.lam, self.lam), (out.reactions, self.reactions))
+        for array, values in given:
+            array[part] = values[part]
 
 
 class StateObserver:

@@ -67,6 +67,11 @@ class _Place:
     scale: np.ndarray
     stresses: np.ndarray
 
+    @property
+    def spare(self) -> int:
+        """Number of self-stresses."""
+        return self.stresses.shape[1]
+
 
 def without_redundancy(
     compiled: CompiledMechanism, t0: float, q0: np.ndarray, v0: np.ndarray, end: float
@@ -90,16 +95,15 @@ class _Analysis:
         self.compiled, self.rows, self.t0, self.end = compiled, rows, t0, end
         self.n = 3 * len(compiled.bodies)
         self.search = self.at(t0)
-        self.joint_of_pair = {pair: j for j, pairs in enumerate(compiled.joint_pairs) for pair in pairs}
+        #: Indices into `rows` of the rows that take part in self-stresses at the start.
+        #:
+        #: At other positions, self-stresses are first computed for these rows only.
         self.involved = np.arange(len(rows))
-        """Indices into `rows` of the rows that take part in self-stresses at the start.
-
-        At other positions, self-stresses are first computed for these rows only.
-        """
         self.pair = np.array([compiled.rows[i].pair for i in rows], dtype=np.int64)
         self.place = np.array([compiled.rows[i].place for i in rows], dtype=np.int64)
+        self.joint = compiled.topology.pair_joint[self.pair]
+        #: (n,) approximate displacement of a point [m] per unit change of each coordinate.
         self.unit = np.tile([1.0, 1.0, compiled.length], len(compiled.bodies))
-        """(n,) approximate displacement of a point [m] per unit change of each coordinate."""
 
     def at(self, t: float) -> LeastChange:
         """Return a solver that finds positions satisfying the constraints at time `t`."""
@@ -108,16 +112,15 @@ class _Analysis:
     def run(self, q0: np.ndarray, v0: np.ndarray) -> CompiledMechanism:
         q = q0 if self.gap(self.search, q0) <= CLOSED else self.closed(self.search, q0)
         start = self.place_at(self.search, q)
-        spare = start.stresses.shape[1]
-        if spare == 0:
+        if start.spare == 0:
             return self.compiled
         self.involved = np.flatnonzero(np.linalg.norm(start.stresses, axis=1) > SMALL)
         self.check_accelerations(start, v0)
         step = self.freedom(start)
         around = ([] if step is None else self.moved(start, step)) + self.later(start, v0)
-        if any(position.stresses.shape[1] < spare for position in around):
+        if any(position.spare < start.spare for position in around):
             raise self.singular(start)
-        places = [start] + [position for position in around if position.stresses.shape[1] == spare]
+        places = [start] + [position for position in around if position.spare == start.spare]
         number = min(FAR, FAR_COORDINATES // self.n)
         if step is not None:
             places += self.wandered(start, step, number // 2) + self.wandered(start, -step, number // 2)
@@ -160,7 +163,7 @@ class _Analysis:
         _, jacobian, _ = self.search.evaluate(start.q)
         touched = np.zeros(self.n, dtype=bool)
         touched[jacobian[1][np.isin(jacobian[0], self.rows)]] = True
-        if np.count_nonzero(touched) == len(self.rows) - start.stresses.shape[1]:
+        if np.count_nonzero(touched) == len(self.rows) - start.spare:
             return None
         step = np.where(touched, np.random.default_rng(0).normal(size=self.n), 0.0) / self.unit
         for _ in range(3):  # one projection leaves components that are only nearly admissible
@@ -178,7 +181,6 @@ class _Analysis:
         Raises SpecError if no small admissible displacement leads to a consistent position, because the start is
         singular then.
         """
-        spare = start.stresses.shape[1]
         places: list[_Place] = []
         small = 0
         for part in MOVES:
@@ -186,7 +188,7 @@ class _Analysis:
             weight = self.search.mass * step
             came = np.sum(weight * (q - start.q)) / np.sum(weight * step)
             if self.gap(self.search, q) <= CLOSED and came >= 0.5 * part:
-                places.append(self.place_at(self.search, q, spare))
+                places.append(self.place_at(self.search, q, start.spare))
                 small += part <= SMALL_MOVE
         if not small:
             raise self.singular(start)
@@ -225,13 +227,11 @@ class _Analysis:
         q = self.closed(search, q)
         if not self.gap(search, q) <= CLOSED:
             return None
-        spare = start.stresses.shape[1]
-        position = self.place_at(search, q, spare)
-        return position if position.stresses.shape[1] == spare else None
+        position = self.place_at(search, q, start.spare)
+        return position if position.spare == start.spare else None
 
     def later(self, start: _Place, v0: np.ndarray) -> list[_Place]:
         """Return positions a short time after the start; raises SpecError if drivers are inconsistent there."""
-        spare = start.stresses.shape[1]
         places: list[_Place] = []
         if not self.compiled.drivers:
             return places
@@ -240,7 +240,7 @@ class _Analysis:
             search = self.at(t)
             q = self.closed(search, start.q + (t - self.t0) * v0)
             if self.gap(search, q) <= CLOSED:
-                places.append(self.place_at(search, q, spare))
+                places.append(self.place_at(search, q, start.spare))
             elif latest <= SMALL_MOVE:
                 phi = search.evaluate(q)[0][self.rows] * start.scale
                 raise self.contradiction(
@@ -286,14 +286,13 @@ class _Analysis:
 
     def joints_of(self, involved: np.ndarray) -> list[str]:
         """Return the names of the joints of the rows selected by `involved` (m',), in the order of the mechanism."""
-        numbers = {self.joint_of_pair[pair] for pair in self.pair[involved].tolist()}
-        return [self.compiled.joints[j] for j in sorted(numbers)]
+        return [self.compiled.joints[j] for j in np.unique(self.joint[involved]).tolist()]
 
     # ---- the independent set -------------------------------------------------------------------------------------
 
     def reduced(self, places: list[_Place]) -> CompiledMechanism:
         compiled, top = self.compiled, self.compiled.topology
-        driven = np.array([compiled.joints[self.joint_of_pair[p]] in compiled.drivers for p in self.pair.tolist()])
+        driven = np.array([compiled.joints[j] in compiled.drivers for j in self.joint.tolist()])
         chosen = choose_spare([position.stresses for position in places], self.pair, self.place, driven)
         angles = np.array([[*position.q[2::3], 0.0] for position in places])
         spares = direction_frames(chosen, top.rows, top.pairs, angles)

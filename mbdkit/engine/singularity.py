@@ -60,7 +60,7 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
     values = np.stack([first, second], axis=1)[pair, places].reshape(len(rows), 6)
     finite = np.all(np.isfinite(values), axis=1)
     if not np.all(finite):
-        return 0.0, _joint_of(mechanism, int(pair[np.argmin(finite)]))
+        return 0.0, mechanism.joints[top.pair_joint[pair[np.argmin(finite)]]]
     ends = 3 * np.repeat(top.pairs[pair, BODIES], 3, axis=1) + np.tile(np.arange(3), 2)
     held = ends < mechanism.size - 3
     row = np.broadcast_to(np.arange(len(rows))[:, None], ends.shape)
@@ -83,7 +83,3 @@ def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
     if not joint or distance > NEAR:
         return ""
     return f"the mechanism is in or near a singular position at joint '{joint}' (distance {distance:.1g})"
-
-
-def _joint_of(mechanism: CompiledMechanism, pair: int) -> str:
-    return next(name for name, held in zip(mechanism.joints, mechanism.joint_pairs, strict=True) if pair in held)

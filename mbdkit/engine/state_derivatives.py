@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +30,10 @@ TIME_STEP = 1e-5
 
 #: Accelerations (n,), multipliers (m,) and rates of first-order states (Z,).
 Rates = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+T = TypeVar("T")
+OfState = Callable[[np.ndarray, np.ndarray, np.ndarray], T]  #: A function of positions, velocities and states.
+Kernel = Callable[[float], int]  #: A kernel that takes the time and returns a status.
 
 
 def time_difference(values: Callable[[float], np.ndarray], t: float, sides: np.ndarray) -> np.ndarray:
@@ -89,12 +94,7 @@ class StateDerivatives:
         self._kernel = RepeatedCall(first_order_rates, engine, False, None, y, acc, self._lam, self._found[:size])
 
     def evaluated(
-        self,
-        t: float,
-        q: np.ndarray,
-        v: np.ndarray,
-        z: np.ndarray,
-        checked: Callable[[Callable[[float], int], float], None],
+        self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray, checked: Callable[[Kernel, float], None]
     ) -> Rates | None:
         """Return accelerations, multipliers and rates, or None if they are not finite; `checked` calls the kernel."""
         put(self._q, q)
@@ -115,13 +115,9 @@ class StateDerivatives:
         return derivative[:n], derivative[n : n + m], derivative[n + m :]
 
     def tangents(
-        self,
-        q: np.ndarray,
-        v: np.ndarray,
-        z: np.ndarray,
-        residual: Callable[[np.ndarray], np.ndarray],
-        rates: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-    ) -> StateTangents:
+        self, q: np.ndarray, v: np.ndarray, z: np.ndarray, residual: Callable[[np.ndarray], np.ndarray],
+        rates: OfState[np.ndarray],
+    ) -> StateTangents:  # fmt: skip
         """Return the derivatives that involve z, of ``residual(z)`` and ``rates(q, v, z)``."""
         n, y = len(q), np.concatenate([q, v, z])
         first = 0 if self._coupled else 2 * n
@@ -130,13 +126,7 @@ class StateDerivatives:
         force_z = differences(residual, z, range(len(z)))
         return StateTangents(force_z, *np.split(by_state, (n, 2 * n), axis=1))
 
-    def jacobian(
-        self,
-        q: np.ndarray,
-        v: np.ndarray,
-        z: np.ndarray,
-        derivatives: Callable[[np.ndarray, np.ndarray, np.ndarray], Rates],
-    ) -> np.ndarray:
+    def jacobian(self, q: np.ndarray, v: np.ndarray, z: np.ndarray, derivatives: OfState[Rates]) -> np.ndarray:
         """Return the derivatives of (v, a, z') with respect to (q, v, z); requires the tangents at this state.
 
         Raises numpy.linalg.LinAlgError if the system is singular.

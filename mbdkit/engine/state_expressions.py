@@ -7,7 +7,7 @@ velocities, and lengths, rates and tensions of pathways; all other quantities ar
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -16,6 +16,7 @@ from mbdkit.base import higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT
+from mbdkit.expressions.parser import symbolic_operation
 from mbdkit.expressions.program import Program, execute
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.force_law import ExpressionLaw
@@ -195,20 +196,8 @@ def _laws(
                 return quantities[int(number)]
             case "powi":
                 return operands[0] ** int(number)
-        return _function_of_sympy(operation)(*operands)
+        return symbolic_operation(operation)(*operands)
 
     value = execute(program, step).rewrite(sp.Piecewise)
     slopes = tuple(ExpressionLaw(value.diff(symbols[name]), parameters=dict) for name in _names(inputs))
     return ExpressionLaw(value, parameters=dict), slopes
-
-
-def _function_of_sympy(operation: str) -> Callable[..., sympy.Expr]:
-    import operator
-
-    import sympy as sp
-
-    operators = {
-        "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv, "pow": operator.pow,
-        "neg": operator.neg, "abs": sp.Abs, "min": sp.Min, "max": sp.Max,
-    }  # fmt: skip
-    return operators.get(operation) or getattr(sp, operation)

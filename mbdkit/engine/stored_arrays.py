@@ -53,11 +53,8 @@ def pattern_of(state: object, unknowns: int) -> Pattern:
     pattern = Pattern(**{name: _vector(state, name) for name in Pattern._fields})
     if not len(pattern.row_of):
         unknowns = 0
-    for start, column in (
-        (pattern.a_start, pattern.a_column),
-        (pattern.l_start, pattern.l_column),
-        (pattern.u_start, pattern.u_column),
-    ):
+    for part in "alu":
+        start, column = getattr(pattern, f"{part}_start"), getattr(pattern, f"{part}_column")
         if len(start) != unknowns + 1 or start[0] != 0 or start[-1] != len(column) or np.any(np.diff(start) < 0):
             raise ValueError("the rows of a pattern are invalid")
         if np.any(column < 0) or np.any(column >= unknowns):
@@ -65,13 +62,9 @@ def pattern_of(state: object, unknowns: int) -> Pattern:
     for order in (pattern.row_of, pattern.column_of):
         if not np.array_equal(np.sort(order), np.arange(unknowns)):
             raise ValueError("pivots are not a permutation")
-    for scale, count in (
-        (pattern.row_scale, unknowns),
-        (pattern.column_scale, unknowns),
-        (pattern.weight, len(pattern.a_column)),
-    ):
-        if len(scale) != count:
-            raise ValueError("the scales of a pattern are invalid")
+    scales = len(pattern.row_scale), len(pattern.column_scale), len(pattern.weight)
+    if scales != (unknowns, unknowns, len(pattern.a_column)):
+        raise ValueError("the scales of a pattern are invalid")
     return pattern
 
 

@@ -26,16 +26,11 @@ class Tangents:
     one direction of a pair of rows is independent in a redundant mechanism, this direction counts as fixed.
     """
 
-    stiffness: csr_array
-    """(n, n) K = d(Phi_q^T lam - Q)/dq."""
-    damping: csr_array
-    """(n, n) C = -dQ/dv."""
-    gamma_v: csr_array
-    """(m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms."""
-    residual_q: csr_array
-    """(m, n) d(Phi_q a - gamma)/dq."""
-    states: StateTangents | None = None
-    """Derivatives that involve first-order states; None if no states were given."""
+    stiffness: csr_array  #: (n, n) K = d(Phi_q^T lam - Q)/dq.
+    damping: csr_array  #: (n, n) C = -dQ/dv.
+    gamma_v: csr_array  #: (m, n) d gamma/dv = -2 d(Phi_q v + Phi_t)/dq, minus 2 alpha Phi_q with Baumgarte's terms.
+    residual_q: csr_array  #: (m, n) d(Phi_q a - gamma)/dq.
+    states: StateTangents | None = None  #: Derivatives that involve first-order states; None if no states were given.
 
 
 class SparseParts:

@@ -22,6 +22,7 @@ from mbdkit.engine.elimination_order import (
     symbolic_lu,
 )
 from mbdkit.engine.input_schedule import InputSchedule
+from mbdkit.engine.kernels import table_rows
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.cross_sections import STATE
 from mbdkit.engine.kernels.engine_bundles import Engine, Reacting, Scatter, Scratch, Solver, Topology
@@ -29,18 +30,6 @@ from mbdkit.engine.kernels.lu import Factors, Pattern
 from mbdkit.engine.kernels.motions import OF_CENTER
 from mbdkit.engine.kernels.pose_functions import ROWS
 from mbdkit.engine.kernels.system import DIVERGED, NOT_FINITE, OK
-from mbdkit.engine.kernels.table_rows import (
-    BODIES,
-    FUNCTION,
-    INTERACTION,
-    LAW_ROW,
-    LOAD,
-    LOAD_VALUE,
-    PAIR,
-    SPRING,
-    STATE_ROW,
-    TENSION,
-)
 from mbdkit.engine.matrix_terms import MatrixTerms, matrix_terms
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.python_controllers import PythonControllers
@@ -82,7 +71,7 @@ class Workspace:
         top = self.mechanism.topology
         stabilized = bool(np.any(self.stabilization.coefficients))
         self.stepping_topology = top._replace(baumgarte=self.stabilization.coefficients) if stabilized else top
-        pairs = [(int(a), int(b)) for a, b in top.pairs[:, BODIES]]
+        pairs = [(int(a), int(b)) for a, b in top.pairs[:, table_rows.BODIES]]
         pivoted = self.mechanism.needs_pivots
         ground = len(self.mechanism.bodies)
         below = [set(later) for later in self.mechanism.below]
@@ -131,10 +120,10 @@ class Workspace:
         `mbdkit.engine.compile_forces.Lowering.held_load`.
         """
         top, is_set = self.stepping_topology, [state.by_method for state in self.mechanism.states]
-        held = self.mechanism.topology.states[np.flatnonzero(is_set), STATE_ROW.parameter]
-        of_held = np.isin(top.laws[:, LAW_ROW.parameters] + 1, held)
-        is_shown = np.isin(top.load_values[:, LOAD_VALUE.law], np.flatnonzero(of_held))
-        is_held = np.isin(top.loads[:, LOAD.x], top.load_values[is_shown, LOAD_VALUE.motion])
+        held = self.mechanism.topology.states[np.flatnonzero(is_set), table_rows.STATE_ROW.parameter]
+        of_held = np.isin(top.laws[:, table_rows.LAW_ROW.parameters] + 1, held)
+        is_shown = np.isin(top.load_values[:, table_rows.LOAD_VALUE.law], np.flatnonzero(of_held))
+        is_held = np.isin(top.loads[:, table_rows.LOAD.x], top.load_values[is_shown, table_rows.LOAD_VALUE.motion])
         loads, laws = (len(some) - np.count_nonzero(some) for some in (is_held, of_held))
         if not all(is_held[loads:]) or not all(of_held[laws:]):  # others have to keep their indices
             return
@@ -183,7 +172,7 @@ class Workspace:
     def _inertial_scale(self) -> np.ndarray:
         """Return (n,) powers of two near M^-1/2 for coordinates and diag(Phi_q M^-1 Phi_q^T)^-1/2 for multipliers."""
         top, jac = self.mechanism.topology, self.scratch.jac.reshape(-1, 2, 2, 3)
-        weight = top.weight[top.pairs[:, BODIES]]
+        weight = top.weight[top.pairs[:, table_rows.BODIES]]
         diagonal = np.einsum("krsc,ksc->kr", jac**2, weight)
         scale = np.ones(self.unknowns)
         scale[: 3 * len(self.mechanism.bodies)] = np.sqrt(top.weight[:-1].ravel())
@@ -215,26 +204,22 @@ class Workspace:
         state, index = self.mechanism.topology.state_places.T
         self.scratch.law_values[index] = z[state]
 
-    def motions_are_finite(self) -> bool:
-        """Return whether drivers, loads and moving centers were finite in the last evaluation."""
-        return finite_motions(self.mechanism.topology, self.scratch.u)
-
     def unusable(self) -> str:
         """Return a clause that names the force or motion that was not finite in the last evaluation; empty if all were
         finite.
         """
-        if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, LOAD_VALUE.law]:
+        if self.scratch.faulty[0] in self.mechanism.topology.load_values[:, table_rows.LOAD_VALUE.law]:
             return f"the value of load '{self.unusable_law()}' is not finite"
-        if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, INTERACTION.law]:
+        if self.scratch.faulty[0] in self.mechanism.topology.interactions[:, table_rows.INTERACTION.law]:
             return f"the force of {self.unusable_law()} is not finite"
-        if self.scratch.faulty[0] in self.mechanism.topology.functions[:, FUNCTION.law]:
+        if self.scratch.faulty[0] in self.mechanism.topology.functions[:, table_rows.FUNCTION.law]:
             return f"the constraint of joint '{self.unusable_law()}' is not finite"
         if self.locks:
             return (
                 f"the friction and the reaction of joint '{self.unusable_law()}' have no solution: the joint locks "
                 "itself,"
             )
-        if not self.motions_are_finite():
+        if not finite_motions(self.mechanism.topology, self.scratch.u):
             return "the value of a driver, a load or a moving center is not finite"
         if force := self.unusable_law():
             return f"the law of force '{force}' does not give a finite number"
@@ -244,7 +229,7 @@ class Workspace:
     def locks(self) -> bool:
         """Whether the last evaluation failed because the friction in the joints has no solution."""
         top = self.mechanism.topology
-        return bool(self.scratch.faulty[0] in top.springs[top.frictions, SPRING.law])
+        return bool(self.scratch.faulty[0] in top.springs[top.frictions, table_rows.SPRING.law])
 
     @property
     def cause(self) -> Literal["self-locking", "not-finite"]:
@@ -315,7 +300,7 @@ class Workspace:
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
     """Return whether all values of `u` (motions, 3) that are used are finite; the derivatives of loads are not used."""
-    driven = np.unique(top.pairs[:, PAIR.motion][top.pairs[:, PAIR.motion] >= 0])
+    driven = np.unique(top.pairs[:, table_rows.PAIR.motion][top.pairs[:, table_rows.PAIR.motion] >= 0])
     count = len(top.motion_start) - 1
     centers = u[count - OF_CENTER * len(top.centers) : count]
     return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
@@ -346,7 +331,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     zeros = {
         "time": 1, "u": (len(top.motion_start) - 1 + ROWS * len(top.functions), 3), "stack": (MAX_DEPTH, 3),
         "force": mechanism.size, "phi": (p, 2), "phi_t": (p, 2), "gamma": (p, 2), "refinement": (p, 2),
-        "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "tension": (s + 1, len(TENSION)),
+        "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "tension": (s + 1, len(table_rows.TENSION)),
         "interaction": (len(top.interactions), 6), "interaction_slopes": (1, 72),
         "section": (sections, STATE), "section_force": (sections, 4), "section_stress": (sections, 3),
         "section_energy": (sections, 2), "section_stiff": (sections, 16), "section_damp": (sections, 16),

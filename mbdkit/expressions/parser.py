@@ -109,8 +109,6 @@ class Expression:
         """Return the expression in SymPy, with the real symbol ``t``."""
         import sympy as sp
 
-        functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
-
         def step(operation: str, number: float, *operands: sympy.Expr) -> sympy.Expr:
             if operation == "const":
                 return sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
@@ -118,11 +116,18 @@ class Expression:
                 return sp.Symbol("t", real=True)
             if operation == "powi":
                 return operands[0] ** sp.Integer(int(number))
-            if OPERATIONS[operation].is_function or operation in functions:
-                return (functions.get(operation) or getattr(sp, operation))(*operands)
-            return OPERATIONS[operation].number(*operands)
+            return symbolic_operation(operation)(*operands)
 
         return execute(self.program, step)
+
+
+def symbolic_operation(operation: str) -> Callable[..., sympy.Expr]:
+    """Return an operation, by its name in programs, on SymPy expressions."""
+    import sympy as sp
+
+    functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
+    of_numbers: Callable[..., sympy.Expr] = OPERATIONS[operation].number
+    return functions.get(operation) or (getattr(sp, operation) if OPERATIONS[operation].is_function else of_numbers)
 
 
 @lru_cache(maxsize=4096)

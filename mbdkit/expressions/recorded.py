@@ -16,7 +16,6 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import PluginError
-from mbdkit.expressions.program import Program, value_of
 
 #: Operations that can be recorded, by functions of NumPy; `numpy.where` is the operation ``select``.
 UFUNCS: Mapping[Any, str] = {
@@ -249,9 +248,3 @@ class Recorded(NDArrayOperatorsMixin):
         if function is not np.where:
             raise PluginError(f"'{function.__name__}' is not one of the functions that can be recorded")
         return self.recorder.apply("select", operands)
-
-
-def recorded_program(program: Program, leaf: Callable[[str, float], Recorded]) -> Recorded:
-    """Return the value of a program in postfix notation; `leaf` returns that of an instruction without operands."""
-    value: Recorded = value_of(program, leaf)
-    return value

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,11 +13,9 @@ from mbdkit.base.traced_numbers import cubic_pieces
 from mbdkit.mechanism.force_law import FunctionLaw
 from mbdkit.mechanism.values import NotNegative, Number, columns_of
 
-_columns = partial(columns_of, at="lengths", of="forces", shown="length, force")
 
-
-def _check(value: object) -> object:
-    return _columns(value)
+def _columns(value: object) -> object:
+    return columns_of(value, at="lengths", of="forces", shown="length, force")
 
 
 class TableOptions(StrictModel):
@@ -31,7 +28,7 @@ class TableOptions(StrictModel):
 
     table: Annotated[
         tuple[tuple[Number, ...], tuple[Number, ...]],
-        BeforeValidator(_check),
+        BeforeValidator(_columns),
         Field(json_schema_extra={"examples": [[[0.0, 0.1, 0.3], [0.0, 20.0, 90.0]]]}),
     ]
     """Lengths, angles or coordinates [m or rad], strictly increasing, and the force at each [N or N m], positive if it
@@ -59,17 +56,10 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
     # The length within the table; `beyond` is the remainder, over which the force is extrapolated linearly.
     inside = min(max(length, begin), end)
     x, beyond = inside - begin, length - inside
-    row = 3 + pieces + 5 * low
-    c0, c1, c2, c3, stored = (
-        parameters[row],
-        parameters[row + 1],
-        parameters[row + 2],
-        parameters[row + 3],
-        parameters[row + 4],
-    )
-    force = c0 + x * (c1 + x * (c2 + x * c3))
-    slope = c1 + x * (2.0 * c2 + x * 3.0 * c3)
-    potential = stored + x * (c0 + x * (c1 / 2.0 + x * (c2 / 3.0 + x * c3 / 4.0)))
+    c = parameters[3 + pieces + 5 * low :]
+    force = c[0] + x * (c[1] + x * (c[2] + x * c[3]))
+    slope = c[1] + x * (2.0 * c[2] + x * 3.0 * c[3])
+    potential = c[4] + x * (c[0] + x * (c[1] / 2.0 + x * (c[2] / 3.0 + x * c[3] / 4.0)))
     potential += beyond * (force + 0.5 * beyond * slope)
     return force + slope * beyond + damping * rate, slope, damping, potential
 

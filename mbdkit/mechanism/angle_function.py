@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -14,7 +15,7 @@ from mbdkit.expressions.jets import jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Compiler, Expression, ExpressionError
 from mbdkit.expressions.program import MAX_DEPTH, depth_of, derivative_of
-from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
+from mbdkit.mechanism.values import Columns, Number, SmoothTable, Table, columns_of, curve_of, number_or_table
 
 WANTED = 'a number, an expression of angle such as "0.02*sin(angle)", or {table: [[angle, ...], [value, ...]]}'
 
@@ -31,11 +32,7 @@ class AngleCompiler(Compiler):
     error = AngleExpressionError
 
 
-def _columns(value: object, key: str = "") -> object:
-    return columns_of(value, key, at="angles", shown="angle, value")
-
-
-class AngleTable(Table):
+class AngleTable(SmoothTable):
     """A function of the relative angle, given by points and interpolated by a cubic or quintic spline.
 
     The joint must be within the table at the start of a run. If it leaves the table later, the first or last polynomial
@@ -44,16 +41,10 @@ class AngleTable(Table):
     """
 
     COLUMNS: ClassVar[str] = "[[angle, ...], [value, ...]]"
+    columns: ClassVar[Callable[..., object]] = partial(columns_of, at="angles", shown="angle, value")
 
-    table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
+    table: Columns
     """Strictly increasing angles [rad] and the value at each angle [m]: ``[[angle, ...], [value, ...]]``."""
-    interpolation: Literal["cubic", "quintic"] = "cubic"
-    """A cubic or quintic spline, with two or four continuous derivatives."""
-
-    @staticmethod
-    def columns(value: object, key: str = "") -> object:
-        """Return the two columns of a table as tuples of floats; see `columns_of`."""
-        return _columns(value, key)
 
 
 def _angle_function(value: object) -> object:
@@ -88,11 +79,6 @@ class Center(StrictModel):
     def at(self, angles: np.ndarray) -> np.ndarray:
         """Return the displacement (F, 2) [m] at relative angles (F,) [rad]."""
         return np.stack([value_at(function, angles) for _, function in self.functions], axis=-1)
-
-    def at_angle(self, angle: float) -> tuple[float, float]:
-        """Return the displacement (x, y) [m] at a relative angle [rad]."""
-        x, y = self.at(np.array([angle])).tolist()[0]
-        return x, y
 
     def outside(self, angle: float) -> tuple[str, AngleTable] | None:
         """Return key and table of the first component that is given by a table which does not cover a relative angle

@@ -214,6 +214,10 @@ class Between(Element):
         return [("bodies[0]", self.bodies[0]), ("bodies[1]", self.bodies[1])]
 
 
+#: Fields with points in the global frame, by their keys in specs.
+_FIELDS = {"at": "at", "from": "from_", "to": "to"}
+
+
 class BetweenPoints(Between):
     """An element between a point of one body and a point of another.
 
@@ -230,10 +234,7 @@ class BetweenPoints(Between):
 
     @model_validator(mode="after")
     def _points_once(self) -> Self:
-        points = self._global()
-        if self.points is not None and all(point is None for point in points):
-            return self
-        keys = [key for key, point in zip(self.GLOBAL, points, strict=True) if point is not None]
+        keys = [key for key in self.GLOBAL if getattr(self, _FIELDS[key]) is not None]
         names = " and ".join(f"`{key}`" for key in self.GLOBAL)
         if self.points is None and not keys:
             raise SpecError(
@@ -267,22 +268,11 @@ class BetweenPoints(Between):
         """Return the element with its points in the frames of the bodies; see `Element.placed`."""
         if self.points is not None:
             return self
-        keys = [f"{key}.{self.GLOBAL[0]}", f"{key}.{self.GLOBAL[-1]}"]
-        points = [self._global()[0], self._global()[-1]]
         held = tuple(
-            local_point(bodies, name, point, where)
-            for name, point, where in zip(self.bodies, points, keys, strict=True)
-            if point is not None
+            local_point(bodies, name, getattr(self, _FIELDS[given]), f"{key}.{given}")
+            for name, given in zip(self.bodies, (self.GLOBAL[0], self.GLOBAL[-1]), strict=True)
         )
-        return self.model_copy(update={"points": held, **self._once_placed()})
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        """Return the points in the global frame [m], in the order of `GLOBAL`."""
-        return ()
-
-    def _once_placed(self) -> dict[str, object]:
-        """Return new values of the fields with points in the global frame, after these points were converted."""
-        return {}
+        return self.model_copy(update={"points": held, **dict.fromkeys(_FIELDS[key] for key in self.GLOBAL)})
 
 
 class At(BetweenPoints):
@@ -294,12 +284,6 @@ class At(BetweenPoints):
     at: Point | None = None
     """Common position (x, y) [m] of both points in the global frame, for the given initial positions of the bodies
     (before assembly); an alternative to `points`."""
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        return (self.at,)
-
-    def _once_placed(self) -> dict[str, object]:
-        return {"at": None}
 
 
 class FromTo(BetweenPoints):
@@ -318,12 +302,6 @@ class FromTo(BetweenPoints):
     assembly); `from` and `to` are an alternative to `points`."""
     to: Point | None = None
     """Point (x, y) [m] of the second body in the global frame, for the given initial positions of the bodies."""
-
-    def _global(self) -> tuple[tuple[float, float] | None, ...]:
-        return (self.from_, self.to)
-
-    def _once_placed(self) -> dict[str, object]:
-        return {"from_": None, "to": None}
 
 
 def local_point(bodies: Mapping[str, Body], name: str, point: tuple[float, float], key: str) -> tuple[float, float]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping
-from functools import lru_cache
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial
+from typing import Annotated, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -14,7 +14,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.expressions.operations import FUNCTIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, with_slope
-from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
+from mbdkit.mechanism.values import Columns, Number, SmoothTable, columns_of, curve_of, number_or_table
 
 _COORDINATE = "coordinate:"  #: Prefix of the instructions that push a coordinate.
 
@@ -42,29 +42,14 @@ def program_of(text: str) -> Program:
     return tuple(CoordinateCompiler(text).program())
 
 
-def _columns(value: object, key: str = "") -> object:
-    return columns_of(value, key, at="coordinates", shown="coordinate, value")
-
-
-class _Points(Table):
-    """The points and options of a `CoordinateTable`, without the name of the coordinate."""
-
-    COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
-
-    table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(_columns)]
-    """Strictly increasing coordinates [rad or m] and the value at each coordinate [m]."""
-    interpolation: Literal["cubic", "quintic"] = "cubic"
-    """A cubic or quintic spline, with two or four continuous derivatives."""
-
-    @staticmethod
-    def columns(value: object, key: str = "") -> object:
-        """Return the two columns of a table as tuples of floats; see `columns_of`."""
-        return _columns(value, key)
-
-
-class CoordinateTable(_Points):
+class CoordinateTable(SmoothTable):
     """A function of a named coordinate, given by points and interpolated by a cubic or quintic spline."""
 
+    COLUMNS: ClassVar[str] = "[[coordinate, ...], [value, ...]]"
+    columns: ClassVar[Callable[..., object]] = partial(columns_of, at="coordinates", shown="coordinate, value")
+
+    table: Columns
+    """Strictly increasing coordinates [rad or m] and the value at each coordinate [m]."""
     of: str
     """Name of the coordinate."""
 
@@ -77,8 +62,8 @@ def _function(value: object) -> object:
         of = value.get("of")
         if not isinstance(of, str):
             raise SpecError("is missing: the name of the coordinate that the table is a function of", key="of")
-        points = number_or_table({key: entry for key, entry in value.items() if key != "of"}, _Points, WANTED)
-        return CoordinateTable(of=of, **points.model_dump(exclude_unset=True))
+        points = {key: entry for key, entry in value.items() if key != "of"}
+        return number_or_table(points, CoordinateTable, WANTED, of=of)
     return value
 
 

@@ -59,26 +59,12 @@ HEIGHTS, MASSES = (0.3, 3.0), (2.0, 400.0)
 ABOUT_JOINT = (0.51, 0.9)
 
 
-def improbable_inertias(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each body whose inertia is too large for the mechanism.
+def improbable_inertias(mechanism: Mechanism, share: float = math.inf) -> Iterator[str]:
+    """Yield a sentence without a full stop for each body whose inertia, or radius of gyration, is too large for the
+    mechanism, except nodes of beams.
 
-    The limit is that of `FAR_MASS`, which flywheels, gears and rotors satisfy, too.
-    """
-    yield from _too_wide(mechanism, math.inf)
-
-
-def improbable_radii(mechanism: Mechanism) -> Iterator[str]:
-    """Yield a sentence without a full stop for each body whose radius of gyration is too large for the mechanism.
-
-    The limit is that of `WIDE`, for measured mechanisms, whose bodies are mostly limbs and rods.
-    """
-    yield from _too_wide(mechanism, STAND_IN)
-
-
-def _too_wide(mechanism: Mechanism, share: float) -> Iterator[str]:
-    """Yield a sentence for each body whose radius of gyration is too large, except nodes of beams.
-
-    The limit is `WIDE` for bodies with at least this share of the mass of the heaviest one, and `FAR_MASS` for others.
+    The limit is `FAR_MASS`, which flywheels, gears and rotors satisfy, too; or `WIDE` for bodies with at least a share
+    of the mass of the heaviest one, such as `STAND_IN` in measured mechanisms, whose bodies are mostly limbs and rods.
     """
     heaviest = largest([0.0, *(body.mass for body in mechanism.bodies.values())])
     limits = {

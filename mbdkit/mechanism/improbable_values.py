@@ -10,7 +10,7 @@ from mbdkit.base.text import listed
 from mbdkit.base.traced_numbers import dist, hypot, largest, sqrt
 from mbdkit.mechanism.beams import Beam
 from mbdkit.mechanism.forces import PointForce, SpringDamper, Torque, TorsionSpring
-from mbdkit.mechanism.improbable_bodies import improbable_bodies, improbable_radii
+from mbdkit.mechanism.improbable_bodies import STAND_IN, improbable_bodies, improbable_inertias
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.pathways import Coordinate
@@ -64,7 +64,7 @@ def improbable_measured(mechanism: Mechanism) -> Iterator[tuple[str, str]]:
     """Yield ``inertia`` or ``units``, and a sentence without a full stop, for each improbable value of a measured
     mechanism.
     """
-    for sentence in improbable_radii(mechanism):
+    for sentence in improbable_inertias(mechanism, STAND_IN):
         yield "inertia", sentence
     for values in (improbable_beams, improbable_lengths, improbable_bodies):
         for sentence in values(mechanism):

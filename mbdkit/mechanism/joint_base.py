@@ -28,16 +28,12 @@ class Pose(NamedTuple):
     such as ``np.sin`` and ``np.arctan2``.
     """
 
+    #: Position of the second body's point relative to that of the first body, along the first body's x axis [m].
     x: Any
-    """Position of the second body's point relative to that of the first body, along the first body's x axis [m]."""
-    y: Any
-    """The same along the y axis [m]."""
-    angle: Any
-    """Angle of the second body minus that of the first [rad]; turns are counted."""
-    first: Any
-    """Angle of the first body [rad]; 0 for the ground."""
-    t: Any
-    """Time [s]."""
+    y: Any  #: The same along the y axis [m].
+    angle: Any  #: Angle of the second body minus that of the first [rad]; turns are counted.
+    first: Any  #: Angle of the first body [rad]; 0 for the ground.
+    t: Any  #: Time [s].
 
 
 Function = Callable[[Pose, Mapping[str, Any]], Any]
@@ -127,11 +123,12 @@ class JointBase(Between):
     mark: ClassVar[Mark] = "pin"
     is_driver: ClassVar[bool] = False
     """Whether the joint prescribes a motion."""
+    _point_moves: ClassVar[bool] = False
 
     @property
     def point_moves_on_first(self) -> bool:
         """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return False
+        return self._point_moves
 
     @property
     def joins_points(self) -> bool:
@@ -214,6 +211,7 @@ class FunctionJoint(JointBase):
     """Origins of the relative pose: one point of each body in the frame of that body [m]; the centres of mass by
     default."""
     mark: ClassVar[Mark] = "none"
+    _point_moves: ClassVar[bool] = True
 
     if TYPE_CHECKING:  # a field, and attributes of the class or properties, of subclasses
 
@@ -228,11 +226,6 @@ class FunctionJoint(JointBase):
         @property
         def units(self) -> tuple[str, ...]:
             """Unit of each row, m or rad: whether it counts as misalignment or as angular misalignment."""
-
-    @property
-    def point_moves_on_first(self) -> bool:
-        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return True
 
     @property
     def flat_points(self) -> tuple[float, float, float, float]:

@@ -96,13 +96,11 @@ class Revolute(PointJoint, At):
             return joint
         first, second = (bodies[name].angle if name in bodies else 0.0 for name in self.bodies)
         (x, y), other = joint.ends
-        dx, dy = self.center.at_angle(second - first)
+        dx, dy = self.center.at(np.array([second - first]))[0].tolist()
         return joint.model_copy(update={"points": ((x - dx, y - dy), other)})
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
-        import numpy as np
-
         if self.center is None:
             return separation
         x, y = self.center.at(angles[:, 1] - angles[:, 0]).T
@@ -163,8 +161,6 @@ class Distance(PointJoint, FromTo):
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
-        import numpy as np
-
         apart = elementary.hypot(separation[:, 0], separation[:, 1])[:, None]
         gap: np.ndarray = separation * np.divide(apart - self._length, apart, out=np.zeros_like(apart), where=apart > 0)
         return gap
@@ -176,11 +172,7 @@ class SlidingJoint(PointJoint, At):
     axis: Point
     """Direction of the line in a's frame; only the direction of this vector is used."""
     mark: ClassVar[Mark] = "slide"
-
-    @property
-    def point_moves_on_first(self) -> bool:
-        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return True
+    _point_moves: ClassVar[bool] = True
 
     @model_validator(mode="after")
     def _axis_has_a_direction(self) -> SlidingJoint:
@@ -208,8 +200,6 @@ class SlidingJoint(PointJoint, At):
 
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
-        import numpy as np
-
         x, y = self.direction
         angle = angles[:, 0]
         c, s = elementary.cos(angle), elementary.sin(angle)
@@ -270,11 +260,7 @@ class Weld(PointJoint, At):
     rows: ClassVar[tuple[str, ...]] = ("x", "y", "angle")
     units: ClassVar[tuple[str, ...]] = ("m", "m", "rad")
     mark: ClassVar[Mark] = "weld"
-
-    @property
-    def joins_points(self) -> bool:
-        """Whether the joint makes its two points coincide."""
-        return True
+    joins_points: ClassVar[bool] = True
 
     def angles(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body whose angle the element uses; these bodies cannot be point masses."""
@@ -305,11 +291,7 @@ class Driver(JointBase):
     """For `x` and `y`: ``[[0, 0], b's point in b's frame]`` [m]; by default, b's origin is driven."""
     mark: ClassVar[Mark] = "none"
     is_driver: ClassVar[bool] = True
-
-    @property
-    def point_moves_on_first(self) -> bool:
-        """Whether b's point can move in a's frame; the reaction on a then acts at b's point."""
-        return True
+    _point_moves: ClassVar[bool] = True
 
     @model_validator(mode="before")
     @classmethod

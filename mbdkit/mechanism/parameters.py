@@ -13,7 +13,7 @@ import ast
 import graphlib
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -205,7 +205,7 @@ def with_expressions(
         except ValidationError as error:
             fresh = {
                 path: (text, kind)
-                for path, text, kind in _replacements(error, data, root, lookup, values)
+                for path, text, kind in _Texts(data, root, lookup, values).replacements(error)
                 if path not in written | quantities and (kind == "quantity" or path[: len(section)] == section)
             }
             if not fresh:
@@ -290,60 +290,108 @@ def _in_order_of_use(uses: Mapping[str, set[str]]) -> Iterator[str]:
         sorter.done(*ready)
 
 
-def _replacements(
-    error: ValidationError, data: object, root: object, plugins: PluginLookup, values: Values
-) -> Iterator[tuple[Path, str | float, Kind]]:
-    """Yield the key path of each rejected text, its replacement, and the expected kind of value.
+class _Texts:
+    """Texts in place of numbers in data that do not validate: what replaces them, and which unit they must have."""
 
-    The replacement of a number with a unit is its value in SI units. The replacement of an expression is its text,
-    which the caller evaluates.
-    """
-    known = {"t", "pi", *values}
-    for details in error.errors(include_url=False):
-        inner = details.get("ctx", {}).get("error")
-        if not (
-            isinstance(inner, TextForNumberError | ExpressionError) or details["type"] in ("float_type", "int_type")
-        ):
-            continue  # checked before the path is searched, which would be slow for many thousands of errors
-        path, _ = walk(details["loc"], root, plugins)
-        if isinstance(inner, TextForNumberError):  # raised only for the first text in a list of numbers
-            path = value_path(path, parse_path(inner.key))
-            if read_quantity(text := _at(data, path), known):
-                message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
-                raise SpecError(message, key=path_text(path))
-            for i, text in enumerate(_at(data, path[:-1])):
-                if _is_expression(text, values):
-                    _check_unit(text, values, (*details["loc"], i), (*path[:-1], i), data, root, plugins)
-                    yield (*path[:-1], i), text, "number"
-            continue
-        # raised for the whole model, because only the model knows its coordinates
-        if isinstance(inner, CoordinateExpressionError):
-            path = value_path(path, parse_path(inner.key))
-            text = _at(data, path)  # a number with a unit is rejected earlier, because it is not an expression
-            if names_in(text) & values.keys():
-                yield path, text, "function of coordinates"
-            continue
-        text = details["input"]
-        if _at(data, path) != text:
-            continue  # the location of a number within a union is not known
-        try:
-            if quantity := read_quantity(text, known):
-                yield path, _in_si(*quantity, details, data, root, plugins), "quantity"
+    def __init__(self, data: object, root: object, plugins: PluginLookup, values: Values):
+        self.data, self.root, self.plugins, self.values = data, root, plugins, values
+        self.units = values.units if isinstance(values, ParameterValues) else {}
+
+    def replacements(self, error: ValidationError) -> Iterator[tuple[Path, str | float, Kind]]:
+        """Yield the key path of each rejected text, its replacement, and the expected kind of value.
+
+        The replacement of a number with a unit is its value in SI units. The replacement of an expression is its text,
+        which the caller evaluates.
+        """
+        known = {"t", "pi", *self.values}
+        for details in error.errors(include_url=False):
+            inner = details.get("ctx", {}).get("error")
+            if not (
+                isinstance(inner, TextForNumberError | ExpressionError) or details["type"] in ("float_type", "int_type")
+            ):
+                continue  # checked before the path is searched, which would be slow for many thousands of errors
+            path, _ = walk(details["loc"], self.root, self.plugins)
+            if isinstance(inner, TextForNumberError):  # raised only for the first text in a list of numbers
+                path = value_path(path, parse_path(inner.key))
+                if read_quantity(text := _at(self.data, path), known):
+                    message = f"should be a number without a unit, since tables are in SI units, not '{text}'"
+                    raise SpecError(message, key=path_text(path))
+                for i, text in enumerate(_at(self.data, path[:-1])):
+                    if _is_expression(text, self.values):
+                        self._check_unit(text, (*details["loc"], i), (*path[:-1], i))
+                        yield (*path[:-1], i), text, "number"
                 continue
-        except SpecError as error_of_unit:
-            raise error_of_unit.located(prefix=path_text(path)) from None
-        if isinstance(inner, ExpressionError) and isinstance(text, str) and values:
-            kind = _kind_of(inner)
-            if kind == "function of time":
-                _check_unit(text, values, details["loc"], path, data, root, plugins, of_time=True)
-            yield path, text, kind
-        elif details["type"] == "float_type" and (
-            _is_expression(text, values) or (path[-1] == details["loc"][-1] and _is_name(text))
-        ):  # in unions, such a text may be meant as another alternative
-            _check_unit(text, values, details["loc"], path, data, root, plugins)
-            yield path, text, "number"
-        elif details["type"] == "int_type" and _is_expression(text, values):
-            yield path, text, "whole number"
+            # raised for the whole model, because only the model knows its coordinates
+            if isinstance(inner, CoordinateExpressionError):
+                path = value_path(path, parse_path(inner.key))
+                text = _at(self.data, path)  # a number with a unit is rejected earlier, because it is not an expression
+                if names_in(text) & self.values.keys():
+                    yield path, text, "function of coordinates"
+                continue
+            text = details["input"]
+            if _at(self.data, path) != text:
+                continue  # the location of a number within a union is not known
+            try:
+                if quantity := read_quantity(text, known):
+                    yield path, self._in_si(*quantity, details), "quantity"
+                    continue
+            except SpecError as error_of_unit:
+                raise error_of_unit.located(prefix=path_text(path)) from None
+            if isinstance(inner, ExpressionError) and isinstance(text, str) and self.values:
+                kind = _kind_of(inner)
+                if kind == "function of time":
+                    self._check_unit(text, details["loc"], path, of_time=True)
+                yield path, text, kind
+            elif details["type"] == "float_type" and (
+                _is_expression(text, self.values) or (path[-1] == details["loc"][-1] and _is_name(text))
+            ):  # in unions, such a text may be meant as another alternative
+                self._check_unit(text, details["loc"], path)
+                yield path, text, "number"
+            elif details["type"] == "int_type" and _is_expression(text, self.values):
+                yield path, text, "whole number"
+
+    def _in_si(self, value: float, unit: Unit, details: ErrorDetails) -> float:
+        """Return the value of a number with a unit; raise SpecError if the unit is not that of the key."""
+        if details["type"] == "int_type":
+            raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
+        if not abs(value) <= sys.float_info.max:
+            raise SpecError(f"should be a finite number, not '{details['input']}'")
+        units = self._units_of(details["loc"])
+        if units is not None and not _suits(unit.fits, units):
+            raise SpecError(misfit(details["input"], unit, units))
+        return value
+
+    def _units_of(self, location: Path) -> tuple[str, ...] | None:
+        """Return the units of the number at a location, from the description of its key; None if that is unknown."""
+        for length in range(len(location), 0, -1):  # numbers in lists and mappings have the unit of their field
+            path, owner = walk(location[:length], self.root, self.plugins)
+            if owner is not None and (name := _field(owner, path[-1])):
+                break
+        else:
+            return None
+        if issubclass(owner, StrictModel) and (chosen := owner.chosen_unit(name, _at(self.data, path[:-1]))):
+            return (chosen,)
+        units = described_units(description(owner, name))
+        parts, _ = walk(location, self.root, self.plugins)
+        if len(units) == 2 and issubclass(owner, Element):
+            along = owner.unit_along(_at(self.data, path[:-1]))
+            units = units[along == "rad" :][:1] if along else units
+        elif len(units) > 2 and isinstance(parts[-1], int):
+            units = units[parts[-1] :][:1]
+        return units
+
+    def _check_unit(self, text: str, location: Path, path: Path, *, of_time: bool = False) -> None:
+        """Raise SpecError for an expression whose unit does not suit its key."""
+        with SpecError.locate(path_text(path)):
+            unit = unit_of_expression(text, self.units, of_time=of_time) if self.units else None
+        units = None if unit is None else self._units_of(location)
+        if unit is None or units is None:
+            return
+        alone = text.strip().lstrip("+- ") in self.units  # in products and quotients, angles count as pure numbers
+        if not _suits(unit.fits if alone else unit.is_like, units):
+            has_factor = re.search(r"(?<![\w.])\d", text)
+            hint = "; factors that have a unit should be parameters, such as `m: 2 kg`" if has_factor else ""
+            raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))
 
 
 def _kind_of(error: ExpressionError) -> Kind:
@@ -354,62 +402,9 @@ def _kind_of(error: ExpressionError) -> Kind:
     return next(kind for error_class, kind in _KINDS if isinstance(error, error_class))
 
 
-def _in_si(value: float, unit: Unit, details: ErrorDetails, data: object, root: object, plugins: PluginLookup) -> float:
-    """Return the value of a number with a unit; raise SpecError if the unit is not that of the key."""
-    if details["type"] == "int_type":
-        raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
-    if not abs(value) <= sys.float_info.max:
-        raise SpecError(f"should be a finite number, not '{details['input']}'")
-    units = _units_of(details["loc"], data, root, plugins)
-    if units is not None and not any(unit.fits(read_unit(text) if text != "1" else PLAIN) for text in units or ("1",)):
-        raise SpecError(misfit(details["input"], unit, units))
-    return value
-
-
-def _units_of(location: Path, data: object, root: object, plugins: PluginLookup) -> tuple[str, ...] | None:
-    """Return the units of the number at a location, from the description of its key; None if the key is not known."""
-    for length in range(len(location), 0, -1):  # numbers in lists and mappings have the unit of their field
-        path, owner = walk(location[:length], root, plugins)
-        if owner is not None and (name := _field(owner, path[-1])):
-            break
-    else:
-        return None
-    if issubclass(owner, StrictModel) and (chosen := owner.chosen_unit(name, _at(data, path[:-1]))):
-        return (chosen,)
-    units = described_units(description(owner, name))
-    parts, _ = walk(location, root, plugins)
-    if len(units) == 2 and issubclass(owner, Element):
-        along = owner.unit_along(_at(data, path[:-1]))
-        units = units[along == "rad" :][:1] if along else units
-    elif len(units) > 2 and isinstance(parts[-1], int):
-        units = units[parts[-1] :][:1]
-    return units
-
-
-def _check_unit(
-    text: str,
-    values: Values,
-    location: Path,
-    path: Path,
-    data: object,
-    root: object,
-    plugins: PluginLookup,
-    *,
-    of_time: bool = False,
-) -> None:
-    """Raise SpecError for an expression whose unit does not suit its key."""
-    known = values.units if isinstance(values, ParameterValues) else {}
-    with SpecError.locate(path_text(path)):
-        unit = unit_of_expression(text, known, of_time=of_time) if known else None
-    units = None if unit is None else _units_of(location, data, root, plugins)
-    if unit is None or units is None:
-        return
-    alone = text.strip().lstrip("+- ") in known  # in products and quotients, angles count as pure numbers
-    fits = unit.fits if alone else unit.is_like
-    if not any(fits(read_unit(unit) if unit != "1" else PLAIN) for unit in units or ("1",)):
-        has_factor = re.search(r"(?<![\w.])\d", text)
-        hint = "; factors that have a unit should be parameters, such as `m: 2 kg`" if has_factor else ""
-        raise SpecError(f"{misfit(text, unit, units)}{hint}", key=path_text(path))
+def _suits(fits: Callable[[Unit], bool], units: Sequence[str]) -> bool:
+    """Return whether a unit fits one of those that a key takes; without any, it takes pure numbers."""
+    return any(fits(read_unit(unit) if unit != "1" else PLAIN) for unit in units or ("1",))
 
 
 def _field(owner: type[BaseModel], key: str | int) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import pathlib
 import re
 import types
 from collections.abc import Mapping, Sequence
@@ -20,46 +22,9 @@ from mbdkit.base.text import did_you_mean, listed, message_of, shortened, shown
 from mbdkit.expressions.parser import Expression
 from mbdkit.mechanism.law_element import Law, PluginLookup
 
-WANTED = {
-    "float_type": "a number",
-    "float_parsing": "a number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "int_parsing": "a whole number",
-    "int_from_float": "a whole number",
-    "string_type": "text",
-    "bool_type": "true or false",
-    "bool_parsing": "true or false",
-    "model_type": "a mapping (`key: value`)",
-    "model_attributes_type": "a mapping (`key: value`)",
-    "dict_type": "a mapping (`key: value`)",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "none_required": "omitted",
-}
-BOUNDS = {
-    "greater_than": "greater than {:g}",
-    "greater_than_equal": "at least {:g}",
-    "less_than": "less than {:g}",
-    "less_than_equal": "at most {:g}",
-}
-#: Section of a mechanism and type of element that a user probably means by a wrong key (without its plural s).
-ELEMENTS = {
-    "spring": ("forces", "spring-damper"),
-    "damper": ("forces", "spring-damper"),
-    "load": ("forces", "force"),
-    "torque": ("forces", "torque"),
-    "motor": ("joints", "driver"),
-    "actuator": ("joints", "driver"),
-    "driver": ("joints", "driver"),
-    "constraint": ("joints", ""),
-    "hinge": ("joints", "revolute"),
-    "pin": ("joints", "revolute"),
-    "slider": ("joints", "prismatic"),
-    "link": ("bodies", ""),
-    "rod": ("bodies", ""),
-    "point": ("markers", ""),
-}
+#: What is wanted instead of a wrong value, and in which bounds, by the kind of error of pydantic; and the section of a
+#: mechanism and the type of element that a user probably means by a wrong key (without its plural s).
+WANTED, BOUNDS, ELEMENTS = json.loads(pathlib.Path(__file__).with_suffix(".json").read_text(encoding="utf-8")).values()
 #: Sections of a run spec whose numbers cannot be expressions.
 OUTSIDE_MODEL = frozenset({("time",), ("output",), ("limits",), ("integrator",)})
 EXPLAINED = 12  #: Largest number of problems that a message explains; further ones are only counted.

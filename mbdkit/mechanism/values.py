@@ -62,7 +62,7 @@ def motion(value: Any) -> Any:
     return number_or_table(value, Table, wanted)
 
 
-def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
+def number_or_table(value: Any, kind: type[Table], wanted: str, **further: object) -> Any:
     """Accept finite numbers and tables of the class `kind`, and convert mappings to such tables.
 
     `wanted` describes the expected value in error messages.
@@ -79,7 +79,7 @@ def number_or_table(value: Any, kind: type[Table], wanted: str) -> Any:
             if option not in (known := choices[key]):
                 hint = did_you_mean(option, known) if isinstance(option, str) else ""
                 raise SpecError(f"should be {listed(known, 'or')}, not {_shown(option)}{hint}", key=key)
-        return _consistent(kind(table=kind.columns(value["table"], "table"), **options))
+        return _consistent(kind(table=kind.columns(value["table"], "table"), **options, **further))
     if isinstance(value, kind):
         return _consistent(value)
     if isinstance(value, bool) or not isinstance(value, int | float):
@@ -211,6 +211,13 @@ class Table(StrictModel):
     def period(self) -> float:
         """Time after which the table repeats [s]; 0 if it does not."""
         return self.span[1] - self.span[0] if self.ends == "periodic" else 0.0
+
+
+class SmoothTable(Table):
+    """A smooth function of one variable, given by points and interpolated by a cubic or quintic spline."""
+
+    interpolation: Literal["cubic", "quintic"] = "cubic"
+    """A cubic or quintic spline, with two or four continuous derivatives."""
 
 
 #: Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the

@@ -5,8 +5,8 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal
+from functools import lru_cache, partial
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator
@@ -17,7 +17,7 @@ from mbdkit.expressions.parser import Code, Compiler, ExpressionError
 from mbdkit.expressions.program import Program, execute, value_of
 from mbdkit.expressions.recorded import Recorded
 from mbdkit.expressions.recorded_derivatives import derivative
-from mbdkit.mechanism.values import Number, Table, columns_of, curve_of, number_or_table
+from mbdkit.mechanism.values import Number, SmoothTable, Table, columns_of, curve_of, number_or_table
 
 _VARIABLE = "variable:"  #: Prefix of the instructions that push a variable.
 
@@ -112,26 +112,16 @@ class Profile:
     @classmethod
     def key(cls, variable: str) -> Any:
         """Return the type of a key of a spec: a number, an expression of a variable, or a table of a smooth spline."""
-        shown = f"[[{variable}, ...], [value, ...]]"
 
-        def columns(value: object, key: str = "") -> object:
-            return columns_of(value, key, at=f"values of {variable}", shown=f"{variable}, value")
-
-        class CurveTable(Table):
+        class CurveTable(SmoothTable):
             """A smooth function of one variable, given by points and interpolated by a cubic or quintic spline."""
 
-            COLUMNS: ClassVar[str] = shown
+            COLUMNS: ClassVar[str] = f"[[{variable}, ...], [value, ...]]"
+            columns: ClassVar[Callable[..., object]] = partial(
+                columns_of, at=f"values of {variable}", shown=f"{variable}, value"
+            )
 
-            table: Annotated[tuple[tuple[Number, ...], tuple[Number, ...]], BeforeValidator(columns)]
-            interpolation: Literal["cubic", "quintic"] = "cubic"
-            """A cubic or quintic spline, with two or four continuous derivatives."""
-
-            @staticmethod
-            def columns(value: object, key: str = "") -> object:
-                """Return the two columns of a table as tuples of floats."""
-                return columns(value, key)
-
-        wanted = f"a number, an expression of {variable}, or {{table: {shown}}}"
+        wanted = f"a number, an expression of {variable}, or {{table: {CurveTable.COLUMNS}}}"
 
         def smooth(value: object) -> object:
             if not isinstance(value, str):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
@@ -15,25 +16,7 @@ from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.values import Number, Point, Positive
 from mbdkit.models._memory import check_memory
 
-BENCHMARK = """@article{gonzalez2006benchmarking,
-  author  = {Gonz{\\'a}lez, M. and Dopico, D. and Lugr{\\'i}s, U. and Cuadrado, J.},
-  title   = {A benchmarking system for {MBS} simulation software: Problem standardization and performance measurement},
-  journal = {Multibody System Dynamics},
-  volume  = {16},
-  number  = {2},
-  pages   = {179--190},
-  year    = {2006}
-}"""
-WINDOWS = """@article{bayo1994singularity,
-  author  = {Bayo, E. and Avello, A.},
-  title   = {Singularity-free augmented {Lagrangian} algorithms for constrained multibody dynamics},
-  journal = {Nonlinear Dynamics},
-  volume  = {5},
-  number  = {2},
-  pages   = {209--231},
-  year    = {1994}
-}"""
-REFERENCES = (BENCHMARK, WINDOWS)
+REFERENCES = tuple(Path(__file__).with_suffix(".bib").read_text(encoding="utf-8").strip().split("\n\n"))
 
 #: Memory needed to compile one window of the mechanism (two rods and three joints) [bytes].
 BYTES_PER_WINDOW = 40_000

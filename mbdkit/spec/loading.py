@@ -124,8 +124,8 @@ def loaded(
         spec = kind(**document.data)
         spec._document = document  # before the mechanism, which may depend on files in the folder of the spec
         mechanism = spec.mechanism()
-        if files.all:
-            spec.adopt(mechanism, files.all)
+        if files:
+            spec.adopt(mechanism, files)
     return spec
 
 

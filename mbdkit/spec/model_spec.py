@@ -250,8 +250,7 @@ class ModelSpec(StrictSpec):
         """
         self._accept(mechanism)
         self._mechanism = mechanism
-        for file in files:
-            self._files.add(file)
+        self._files.update(dict.fromkeys(files))
 
     @property
     def folder(self) -> FilePath:
@@ -261,7 +260,7 @@ class ModelSpec(StrictSpec):
     @property
     def files_read(self) -> tuple[FileRead, ...]:
         """The files that were read so far for the mechanism and the data."""
-        return self._files.all
+        return tuple(self._files)
 
     def recording_files(self) -> AbstractContextManager[None]:
         """Return a context in which the files that are read are added to `files_read`."""

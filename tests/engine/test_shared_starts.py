@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mbdkit.engine import consistent_start
-from mbdkit.engine.consistent_start import Starts, mechanism_at_start
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.mechanism.mechanism import Mechanism
 from tests.engine.starts import assert_same_bits, moved
 
@@ -20,7 +20,7 @@ def test_shared_starts_have_the_bits_of_starts_alone(kind: Callable[[np.random.G
     starts = Starts()
     for seed in (0, 0, 1, 0, 1):
         mechanism = moved(kind(np.random.default_rng(seed)), np.random.default_rng(len(starts._compiled) + seed))
-        assert_same_bits(starts.at_start(mechanism), mechanism_at_start(mechanism))
+        assert_same_bits(starts.at_start(mechanism), Starts().at_start(mechanism))
 
 
 def pendulum(arm: float, angle: float = 0.5) -> Mechanism:

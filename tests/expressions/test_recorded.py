@@ -16,7 +16,8 @@ from mbdkit.base.errors import PluginError
 from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels import motions
 from mbdkit.expressions.parser import Expression
-from mbdkit.expressions.recorded import Recorded, Recorder, recorded_program
+from mbdkit.expressions.program import value_of
+from mbdkit.expressions.recorded import Recorded, Recorder
 from mbdkit.expressions.recorded_derivatives import derivative, derivatives
 from mbdkit.mechanism.variable_functions import Profile
 
@@ -199,7 +200,7 @@ def test_texts_and_sympy_expressions_are_recorded() -> None:
     recorder = Recorder()
     x, t = recorder.input("x"), recorder.input("t")
     program = Expression.parse("2*sin(3*t)**2 - atan2(t, 1 + t**2)/sqrt(2)").program
-    text = recorded_program(program, lambda name, number: recorder.constant(number) if name == "const" else t)
+    text = value_of(program, lambda name, number: recorder.constant(number) if name == "const" else t)
     a, b = sympy.symbols("a b")
     formula = 2 * sympy.sin(3 * b) ** 2 - sympy.atan2(b, 1 + b**2) / sympy.sqrt(2) + a * b**3
     written = sympy.lambdify([a, b], formula, modules="numpy")(x, t)

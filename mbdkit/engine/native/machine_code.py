@@ -211,11 +211,6 @@ def digest(file: str) -> str:
 
 
 @cache
-def _load_file(path: Path) -> ctypes.CDLL:
-    return ctypes.CDLL(str(path))
-
-
-@cache
 def _load_stored(path: Path, package: str) -> ctypes.CDLL:
     _say_whether_untested()
     with _damage_reported(package):
@@ -338,7 +333,7 @@ def _built(symbol: str, level: Level) -> ctypes.CDLL:
     if not _has_compiler():
         raise MbdkitError(_why_not())
     why = "MBDKIT_JIT is set" if _COMPILE else "its sources differ from those of the stored machine code"
-    return _load_file(builder("libraries").built_library(symbol, level, why))
+    return ctypes.CDLL(str(builder("libraries").built_library(symbol, level, why)))
 
 
 def _has_compiler() -> bool:

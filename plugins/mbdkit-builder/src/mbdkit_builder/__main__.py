@@ -33,13 +33,13 @@ from typing import Any
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Level, Platform, chosen_level, this_platform
 
+#: Module that generates a file, by command.
 _GENERATED = {
     "contacts": "contact_kernels",
     "elements": "element_kernels",
     "laws": "packaged_laws",
     "methods": "method_stubs",
 }
-"""Module that generates a file, by command."""
 
 
 def main() -> int:
@@ -65,10 +65,8 @@ def main() -> int:
     if given.command == "list":
         return _list()
     if given.command in _GENERATED:
-        from mbdkit_builder import generated_files
-
         module = importlib.import_module(f"mbdkit_builder.{_GENERATED[given.command]}")
-        return generated_files.write(module.TARGET, module.generated(), check=given.check)
+        return write_generated(module.TARGET, module.generated(), check=given.check)
     if given.command == "objects":
         return _objects(given.codes, given.symbols, given.into)
     packages = given.packages or machine_code.kernel_packages()
@@ -82,6 +80,16 @@ def main() -> int:
     targets = list(PLATFORMS) if given.all else given.platform or [this_platform()]
     for package in packages:
         _build(package, {target: machine_code.stored_folder(package, target) for target in targets})
+    return 0
+
+
+def write_generated(target: Path, text: str, *, check: bool) -> int:
+    """Write a generated module, or check that it has this text; return the exit status."""
+    if check:
+        is_fresh = target.read_text(encoding="utf-8") == text
+        print(f"{target.name} is {'fresh' if is_fresh else 'out of date'}")
+        return 0 if is_fresh else 1
+    target.write_text(text, encoding="utf-8", newline="\n")
     return 0
 
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 from mbdkit.base.errors import MbdkitError
 
+#: Functions that the machine code may take from the C library, by operating system.
 MEMORY_FUNCTIONS = {
     "linux": {"memcpy", "memmove", "memset"},
     "macos": {"__bzero", "bzero", "dyld_stub_binder", "memcpy", "memmove", "memset", "memset_pattern16"},
     "windows": set[str](),
 }
-"""Functions that the machine code may take from the C library, by operating system."""
 
 
 @dataclass(frozen=True)
@@ -101,8 +101,7 @@ def _elf(content: bytes) -> LibraryFile:
 # --- macOS
 
 _CPUS = {0x01000007: "x86_64", 0x0100000C: "arm64"}
-_LINKER = {"__mh_dylib_header", "___dso_handle"}
-"""Symbols that the linker adds."""
+_LINKER = {"__mh_dylib_header", "___dso_handle"}  #: Symbols that the linker adds.
 
 
 def load_commands(content: bytes) -> Iterator[tuple[int, bytes]]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby
+from pathlib import Path
 
 import sympy as sp
 from sympy.printing.pycode import PythonCodePrinter
@@ -21,37 +22,10 @@ from mbdkit_statics import element_definitions as d
 
 TARGET = machine_code.PACKAGE / "engine/kernels/element_kernels.py"
 
-HEADER = '''"""Element kernels, generated from the definitions by ``python -m mbdkit_builder elements``. Do not edit.
+HEADER = Path(__file__).with_suffix(".txt").read_text(encoding="utf-8")
 
-Each element kernel writes the values of element `k` into row `k` of its output arrays; each ``constraint_*`` function
-calls the kernels of all pairs of constraint rows. Arguments:
-
-k : index of the element; a, b : first and second body; m : index of the motion that drives the element, or of the
-    first of the four functions of the relative angle that move its center: x, its derivative, y, and its derivative;
-    for a function of the pose, first row of its value and derivatives
-pairs : (P, 4) pairs of constraint rows, see `PairRow`
-q, v, acc : (3 (B + 1),) coordinates x, y, theta of every body, velocities and accelerations; ground comes last
-cs : (B + 1, 2) cosine and sine of every theta
-p : (K, 6) parameters, points in body frames first
-u : (motions, 3) value, first and second derivative of each motion with respect to time, and of each function that moves
-    a center with respect to the angle; then value and derivatives of functions of the pose, see `Scratch.u`
-lam : (K, 2) multipliers
-z, p : for cross-sections of beams, (G, 10) state, its rates, cosine and sine, and (G, 16) parameters, of which the
-    first six are values and derivatives of the shape functions, which these kernels do not read
-
-The columns of a Jacobian are (x_a, y_a, theta_a, x_b, y_b, theta_b). A Jacobian of two rows is stored row by row in 12
-columns, a tangent (6, 6) row by row in 36. Entries that are identically zero are never written: the output arrays must
-hold zeros there. The ``*_ENTRIES`` tables list the flat indices of all other entries. All entries of gamma are written,
-because projections and Baumgarte's terms change them.
-"""
-
-# fmt: off
-from math import sqrt
-
-from mbdkit.engine.kernels.table_rows import PAIR
-from mbdkit.engine.native.functions import subkernel
-'''
-
+#: By level: the arguments of a constraint kernel after ``k, a, b, m``, and the docstring of the loop over all pairs of
+#: rows.
 _LEVELS = {
     "position": ("q, cs, p, u, phi, phi_t", "Evaluate Phi and Phi_t of every pair: (P, 2) arrays."),
     "acceleration": (
@@ -63,13 +37,11 @@ _LEVELS = {
         "Evaluate d(Phi_q^T lam)/dq (P, 36), d gamma/dv (P, 12) and d(Phi_q a - gamma)/dq (P, 12) of every pair.",
     ),
 }
-"""By level: the arguments of a constraint kernel after ``k, a, b, m``, and the docstring of the loop over all pairs of
-rows.
-"""
 
+#: Array of which kernels also write the zeros, because other kernels store right-hand sides in it or add to it.
 ALWAYS_WRITTEN = "gamma"
-"""Array of which kernels also write the zeros, because other kernels store right-hand sides in it or add to it."""
 
+#: The array element from which a kernel reads each symbol.
 _READS = {
     **{name: f"q[3*a+{i}]" for i, name in enumerate(("xa", "ya", "tha"))},
     **{name: f"q[3*b+{i}]" for i, name in enumerate(("xb", "yb", "thb"))},
@@ -95,7 +67,6 @@ _READS = {
         for i, symbol in enumerate((d.SECTION_LENGTH, *d.SECTION_STIFFNESS, *d.SECTION_REFERENCE, *d.SECTION_DAMPING))
     },
 }
-"""The array element from which a kernel reads each symbol."""
 
 
 class Printer(PythonCodePrinter):

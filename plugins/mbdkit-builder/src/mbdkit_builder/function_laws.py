@@ -17,8 +17,8 @@ from mbdkit_builder.dual_types import DUAL
 _POINTER = types.CPointer(types.float64)
 _OF_NUMBERS = types.void(types.int64, types.float64, types.float64, types.float64, _POINTER, _POINTER)
 _OF_DUALS = types.void(types.int64, _POINTER, _POINTER, types.float64, _POINTER, _POINTER)
+#: Type of the parameters passed to a law: they belong to the mechanism, so a law that changes them is not compiled.
 _PARAMETERS = types.Array(types.float64, 1, "C", readonly=True)
-"""Type of the parameters passed to a law: they belong to the mechanism, so a law that changes them is not compiled."""
 
 
 def _read_only_typing(typing, array):

@@ -32,13 +32,13 @@ from mbdkit_builder.binary_files import check_imports
 from mbdkit_builder.sources import module_of
 
 TOOLS = ("numba", "llvmlite", "ziglang")
+#: Target of Zig and options of the linker, by operating system.
 _LINK = {
     "linux": ("{}-linux-gnu.2.17", "-Wl,--as-needed", "-lm"),
     "macos": ("{}-macos.11.0",),
     # Without a C library, whose startup code would be linked. Memory functions and stack probes are those of Zig.
     "windows": ("{}-windows-gnu", "-nostdlib", "-rtlib=compiler-rt", "-Wl,--no-entry"),
 }  # fmt: skip
-"""Target of Zig and options of the linker, by operating system."""
 
 
 class Code(NamedTuple):

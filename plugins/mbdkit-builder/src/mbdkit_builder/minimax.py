@@ -13,26 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from mpmath import (
-    asin,
-    atan,
-    cos,
-    cosh,
-    erf,
-    erfc,
-    euler,
-    exp,
-    log,
-    loggamma,
-    lu_solve,
-    matrix,
-    mp,
-    mpf,
-    pi,
-    sin,
-    sinh,
-    sqrt,
-)
+from mpmath import mp, mpf
 
 Function = Callable[[Any], Any]
 mp.dps = 80
@@ -48,14 +29,15 @@ def _polynomial(coefficients: Sequence[Any], x: Any) -> Any:
 def minimax(f: Function, weight: Function, low: Any, high: Any, powers: Sequence[int]) -> tuple[list[Any], Any]:
     """Return the coefficients of these powers, and the largest weighted error, by Remez's algorithm."""
     count = len(powers)
-    nodes = [(low + high) / 2 - (high - low) / 2 * cos(pi * (i + mpf(1) / 2) / (count + 1)) for i in range(count + 1)]
+    middle, half = (low + high) / 2, (high - low) / 2
+    nodes = [middle - half * mp.cos(mp.pi * (i + mpf(1) / 2) / (count + 1)) for i in range(count + 1)]
     for _ in range(30):
-        system = matrix(count + 1, count + 1)
+        system = mp.matrix(count + 1, count + 1)
         for i, x in enumerate(nodes):
             for j, power in enumerate(powers):
                 system[i, j] = x**power
             system[i, count] = (-1) ** i / weight(x)
-        solution = list(lu_solve(system, matrix([f(x) for x in nodes])))
+        solution = list(mp.lu_solve(system, mp.matrix([f(x) for x in nodes])))
         coefficients, level = solution[:-1], abs(solution[-1])
 
         def error(x: Any, c: Sequence[Any] = coefficients) -> Any:
@@ -104,7 +86,7 @@ def rounded(f: Function, weight: Function, low: Any, high: Any, count: int) -> t
 
 
 _TINY = mpf(10) ** -12
-_EIGHTH = (pi / 4) ** 2 * (1 + mpf(10) ** -4)
+_EIGHTH = (mp.pi / 4) ** 2 * (1 + mpf(10) ** -4)
 
 
 def _away(x: Any) -> Any:
@@ -115,7 +97,7 @@ def _away(x: Any) -> Any:
 def _scaled_erfc(r: Any) -> Any:
     """Return ``(1 + 2 x) exp(x^2) erfc(x)`` at ``r = 1 / (1 + 2 x)``."""
     x = (1 / r - 1) / 2
-    return exp(x * x) * erfc(x) / r
+    return mp.exp(x * x) * mp.erfc(x) / r
 
 
 def _erfc_fit(start: Any, end: Any, center: float, count: int) -> Any:
@@ -131,103 +113,89 @@ def _erfc_fit(start: Any, end: Any, center: float, count: int) -> Any:
 
 
 def _gamma_fit(zero: int, count: int) -> Any:
-    slope = -euler if zero == 1 else 1 - euler
+    slope = -mp.euler if zero == 1 else 1 - mp.euler
     return (
         f"(log(Gamma({zero} + t)) / t - log(Gamma)'({zero})) / t",
-        lambda t: (loggamma(zero + _away(t)) / _away(t) - slope) / _away(t),
+        lambda t: (mp.loggamma(zero + _away(t)) / _away(t) - slope) / _away(t),
         lambda t: 1,
         mpf("-0.1251"), mpf("0.1251"), count,
     )  # fmt: skip
 
 
 def _stirling_rest(z: Any) -> Any:
-    x = 1 / sqrt(z)
-    return ((loggamma(x) - (x - mpf(1) / 2) * log(x) + x - log(2 * pi) / 2) * x - mpf(1) / 12) / z
+    x = 1 / mp.sqrt(z)
+    return ((mp.loggamma(x) - (x - mpf(1) / 2) * mp.log(x) + x - mp.log(2 * mp.pi) / 2) * x - mpf(1) / 12) / z
 
 
-_HALF_LN2 = log(2) / 2 * (1 + mpf(10) ** -4)
-_PART = log(2) / 256 * (1 + mpf(10) ** -4)
+def _odd_fit(
+    name: str, function: Function, high: Any, count: int, weight: Function | None = None, slope: Any = 1
+) -> Any:
+    """Return the fit of an odd function f with a slope at 0, by a polynomial in ``z = x^2`` up to `high`.
+
+    Without a `weight`, errors are relative to f.
+    """
+
+    def relative(z: Any) -> Any:
+        return z * mp.sqrt(z) / function(mp.sqrt(z))
+
+    text = f"(f(x) / x - f'(0)) / z, z = x^2, f = {name}"
+    return text, lambda z: (function(mp.sqrt(z)) / mp.sqrt(z) - slope) / z, weight or relative, _TINY, high, count
+
+
+_MORE = 1 + mpf(10) ** -4
+_HALF_LN2 = mp.log(2) / 2 * _MORE
+_PART = mp.log(2) / 256 * _MORE
+#: What a polynomial approximates, as text; the function, its weight, the interval, and the number of coefficients.
 FITS: Sequence[tuple[str, Function, Function, Any, Any, int]] = (
-    (
-        "(sin(y) / y - 1) / z, z = y^2, relative to sin(y) / y",
-        lambda z: (sin(sqrt(z)) / sqrt(z) - 1) / z,
-        lambda z: z * sqrt(z) / sin(sqrt(z)),
-        _TINY, _EIGHTH, 6,
-    ),
+    _odd_fit("sin", mp.sin, _EIGHTH, 6),
     (
         "(cos(y) - 1 + z / 2) / z^2, z = y^2, relative to cos(y)",
-        lambda z: (cos(sqrt(z)) - 1 + z / 2) / z**2,
-        lambda z: z**2 / cos(sqrt(z)),
+        lambda z: (mp.cos(mp.sqrt(z)) - 1 + z / 2) / z**2,
+        lambda z: z**2 / mp.cos(mp.sqrt(z)),
         _TINY, _EIGHTH, 6,
     ),
-    (
-        "(atan(t) / t - 1) / z, z = t^2, relative to atan(t) / t, |t| <= 1 / 4",
-        lambda z: (atan(sqrt(z)) / sqrt(z) - 1) / z,
-        lambda z: z * sqrt(z) / atan(sqrt(z)),
-        _TINY, mpf(1) / 16 * (1 + mpf(10) ** -4), 9,
-    ),
-    (
-        "(asin(s) / s - 1) / z, z = s^2, relative to asin(s) / s, |s| <= 1 / 2",
-        lambda z: (asin(sqrt(z)) / sqrt(z) - 1) / z,
-        lambda z: z * sqrt(z) / asin(sqrt(z)),
-        _TINY, mpf(1) / 4 * (1 + mpf(10) ** -4), 13,
-    ),
-    (
-        "(sinh(r) / r - 1) / z, z = r^2, for expm1, sinh, cosh and tanh",
-        lambda z: (sinh(sqrt(z)) / sqrt(z) - 1) / z,
-        lambda z: z * sqrt(z),
-        _TINY, _HALF_LN2**2, 5,
-    ),
+    _odd_fit("atan, |x| <= 1 / 4", mp.atan, mpf(1) / 16 * _MORE, 9),
+    _odd_fit("asin, |x| <= 1 / 2", mp.asin, mpf(1) / 4 * _MORE, 13),
+    _odd_fit("sinh, for expm1, sinh, cosh and tanh", mp.sinh, _HALF_LN2**2, 5, lambda z: z * mp.sqrt(z)),
     (
         "(cosh(r) - 1 - z / 2) / z^2, z = r^2, for the same functions",
-        lambda z: (cosh(sqrt(z)) - 1 - z / 2) / z**2,
+        lambda z: (mp.cosh(mp.sqrt(z)) - 1 - z / 2) / z**2,
         lambda z: z**2,
         _TINY, _HALF_LN2**2, 5,
     ),
     (
         "(exp(r) - 1 - r) / r^2, for exp with a table",
-        lambda r: (exp(_away(r)) - 1 - _away(r)) / _away(r) ** 2,
+        lambda r: (mp.exp(_away(r)) - 1 - _away(r)) / _away(r) ** 2,
         lambda r: _PART**2,
         -_PART, _PART, 4,
     ),
     (
         "(log(1 + r) - r + r^2 / 2) / r^3, for log with a table",
-        lambda r: (log(1 + _away(r)) - _away(r) + _away(r) ** 2 / 2) / _away(r) ** 3,
+        lambda r: (mp.log(1 + _away(r)) - _away(r) + _away(r) ** 2 / 2) / _away(r) ** 3,
         lambda r: mpf("0.00427") ** 2,
         mpf("-0.00427"), mpf("0.00427"), 6,
     ),
-    (
-        "(erf(x) / x - 2 / sqrt(pi)) / z, z = x^2",
-        lambda z: (erf(sqrt(z)) / sqrt(z) - 2 / sqrt(pi)) / z,
-        lambda z: z,
-        _TINY, mpf(1) / 4 * (1 + mpf(10) ** -4), 9,
-    ),
+    _odd_fit("erf", mp.erf, mpf(1) / 4 * _MORE, 9, lambda z: z, 2 / mp.sqrt(mp.pi)),
     _erfc_fit(mpf(1) / 2, mpf(5) / 4, 0.40625, 16),
     _erfc_fit(mpf(5) / 4, 3, 0.21875, 16),
     _erfc_fit(3, 28, 0.078125, 17),
     (
         "(x S - 1 / 12) / z, z = 1 / x^2; see gamma.py",
         _stirling_rest,
-        lambda z: z * sqrt(z),
+        lambda z: z * mp.sqrt(z),
         mpf(10) ** -8, mpf(1) / 64, 6,
     ),
     _gamma_fit(1, 14),
     _gamma_fit(2, 11),
-    (
-        "(sin(pi r) / r - pi) / z, z = r^2, for lgamma",
-        lambda z: (sin(pi * sqrt(z)) / sqrt(z) - pi) / z,
-        lambda z: z,
-        _TINY, mpf(1) / 4, 8,
-    ),
+    _odd_fit("sin(pi x), for lgamma", lambda x: mp.sin(mp.pi * x), mpf(1) / 4, 8, lambda z: z, mp.pi),
 )  # fmt: skip
-"""What a polynomial approximates, as text; the function, its weight, the interval, and the number of coefficients."""
 
 
 def main() -> None:
     """Print the coefficients of all polynomials."""
     for text, f, weight, low, high, count in FITS:
         coefficients, largest = rounded(f, weight, low, high, count)
-        print(f"{text}: error 2^{float(log(largest, 2)):.1f}")
+        print(f"{text}: error 2^{float(mp.log(largest, 2)):.1f}")
         for power, value in enumerate(coefficients):
             print(f"  {power:2} {value!r}")
 

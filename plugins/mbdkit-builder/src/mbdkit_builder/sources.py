@@ -15,16 +15,15 @@ from mbdkit.base.errors import MbdkitError
 from mbdkit.base.lazy_names import homes_of
 from mbdkit.engine.native import machine_code
 
+#: Rooms of mbdkit that kernels may import; other packages have them in ``kernels``.
 _ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
-"""Rooms of mbdkit that kernels may import; other packages have them in ``kernels``."""
 _ALWAYS = (
     "engine/kernels/elementary/__init__.py",  # imports the functions that take the place of the C library
     "engine/native/bundle.py",
     "engine/native/kernel.py",
     "engine/native/levels.py",
 )
-ELEMENTARY = "elementary"
-"""Name of the object file with all elementary functions, which no symbol of a kernel has."""
+ELEMENTARY = "elementary"  #: Name of the object file with all elementary functions, which no symbol of a kernel has.
 _IMPORT = re.compile(r"^(?:from|import) (\w+)\.([\w.]+)(?: import (?:\(([\w,\s]+)\)|([\w, ]+)))?", re.MULTILINE)
 
 
@@ -81,12 +80,12 @@ def builder_digests() -> dict[str, str]:
     return {name: machine_code.digest(f"{__package__}:{name}") for name in names if name not in _NOT_COMPILED}
 
 
+#: Files of this package that have no influence on stored machine code.
 _NOT_COMPILED = {
     "__main__.py",
     "contact_kernels.py",
     "element_kernels.py",
     "function_laws.py",
-    "generated_files.py",
     "libraries.py",
     "binary_files.py",
     "method_stubs.py",
@@ -94,7 +93,6 @@ _NOT_COMPILED = {
     "packaged_laws.py",
     "sources.py",
 }
-"""Files of this package that have no influence on stored machine code."""
 
 
 @cache

@@ -18,8 +18,8 @@ from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.levels import PLATFORMS, Platform, chosen_level, this_platform
 from mbdkit_builder import __main__ as builder
 from mbdkit_builder import libraries, method_stubs, sources
+from mbdkit_builder.__main__ import write_generated
 from mbdkit_builder.element_kernels import TARGET, generated
-from mbdkit_builder.generated_files import write
 from tests.engine.hashed_runs import SPECS, hashes, stored
 
 LEVEL = "x86-64-v3"
@@ -125,10 +125,10 @@ def test_the_checked_in_signatures_are_those_that_the_models_generate() -> None:
 def test_check_tells_fresh_kernels_from_stale_ones(fresh: str, tmp_path, capsys: pytest.CaptureFixture[str]) -> None:
     target = tmp_path / "element_kernels.py"
     target.write_text(fresh.replace("gx", "gy", 1), encoding="utf-8")
-    assert write(target, fresh, check=True) == 1
+    assert write_generated(target, fresh, check=True) == 1
     assert "element_kernels.py is out of date" in capsys.readouterr().out
-    assert write(target, fresh, check=False) == 0
-    assert write(target, fresh, check=True) == 0
+    assert write_generated(target, fresh, check=False) == 0
+    assert write_generated(target, fresh, check=True) == 0
 
 
 ROOT = Path(__file__).parents[4]

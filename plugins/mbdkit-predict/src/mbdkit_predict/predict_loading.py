@@ -67,8 +67,7 @@ def _with_base(data: Mapping[str, object], document: Document) -> dict[str, obje
         raise SpecError(f"should be {wanted}, not {value_text(base)}", key="base")
     of_base = base_document(base, document.folder, "base", "prediction")
     base = of_base.data
-    for file in of_base.files.all:
-        document.files.add(file)
+    document.files.update(of_base.files)
     overrides = sections.pop("overrides", {})
     if not isinstance(overrides, Mapping):
         raise SpecError(f"should be a mapping of key paths and values, not {value_text(overrides)}", key="overrides")

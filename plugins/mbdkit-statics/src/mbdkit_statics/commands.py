@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import typer
 
@@ -15,6 +15,8 @@ from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Set, SpecName, o
 
 if TYPE_CHECKING:
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
+
+Result = TypeVar("Result")
 
 
 def equilibrium(
@@ -37,8 +39,8 @@ def equilibrium(
     forces. Drivers and loads are evaluated at the start time; velocities are
     ignored. Gravity is (0, -9.81) m/s^2 unless `model.gravity` is given.
     """
-    from mbdkit_statics import mechanics_summary
     from mbdkit_statics.equilibrium import equilibrium_of, spec_at
+    from mbdkit_statics.mechanics_summary import equilibrium_data, equilibrium_text
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
     if write is not None:
@@ -62,12 +64,7 @@ def equilibrium(
 
         mechanism = prepared.spec.mechanism()
         save(equilibrium_figure(result, mechanism, f"Equilibrium: {prepared.spec.title or mechanism.name}"), output)
-    if as_json:
-        show_json(
-            mechanics_summary.equilibrium_data(result) | {"warnings": [*_warnings(prepared), *result.warnings, *notes]}
-        )
-    else:
-        _show(mechanics_summary.equilibrium_text(result), prepared, result.warnings, notes)
+    _show(result, equilibrium_text, equilibrium_data, prepared, as_json, result.warnings, notes)
 
 
 def modes(
@@ -89,7 +86,7 @@ def modes(
 
     Coordinates that drivers prescribe do not vibrate.
     """
-    from mbdkit_statics import mechanics_summary
+    from mbdkit_statics.mechanics_summary import modes_data, modes_text
     from mbdkit_statics.modes import modes_of
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
@@ -103,10 +100,7 @@ def modes(
 
         mechanism = prepared.spec.mechanism()
         save(modes_figure(result, mechanism, f"Modes: {prepared.spec.title or mechanism.name}"), output)
-    if as_json:
-        show_json(mechanics_summary.modes_data(result) | {"warnings": [*_warnings(prepared), *result.warnings]})
-    else:
-        _show(mechanics_summary.modes_text(result), prepared, result.warnings)
+    _show(result, modes_text, modes_data, prepared, as_json, result.warnings)
 
 
 def kinematics(
@@ -122,8 +116,8 @@ def kinematics(
     Drivers must prescribe all degrees of freedom. The motion is computed at the times of
     the steps in the spec.
     """
-    from mbdkit_statics import mechanics_summary
     from mbdkit_statics.kinematics import kinematics_of
+    from mbdkit_statics.mechanics_summary import kinematics_data, kinematics_text
     from mbdkit_statics.prepared_mechanism import PreparedMechanism
 
     if output is not None:
@@ -133,21 +127,22 @@ def kinematics(
     if output is not None:
         with replacing(output, overwrite=overwrite, source=spec) as temporary:
             result.write_csv(temporary)
-    if as_json:
-        show_json(mechanics_summary.kinematics_data(result) | {"warnings": _warnings(prepared)})
-    else:
-        _show(mechanics_summary.kinematics_text(result), prepared)
+    _show(result, kinematics_text, kinematics_data, prepared, as_json)
 
 
-def _show(text: str, prepared: PreparedMechanism, result: Sequence[str] = (), notes: Sequence[str] = ()) -> None:
-    warnings = (f"warning      {warning}" for warning in (*_warnings(prepared), *result))
-    show("\n".join([text, *warnings, *(f"note         {note}" for note in notes)]))
-
-
-def _warnings(prepared: PreparedMechanism) -> list[str]:
+def _show(
+    result: Result, text: Callable[[Result], str], data: Callable[[Result], dict[str, object]],
+    prepared: PreparedMechanism, as_json: bool, warnings: Sequence[str] = (), notes: Sequence[str] = (),
+) -> None:  # fmt: skip
+    """Show a result as text or as JSON, with the warnings of the spec and of the result, and further notes."""
     from mbdkit.runs.findings import findings
 
-    return [str(finding) for finding in findings("spec", prepared.spec, (), kind="mechanism")]
+    warnings = [*(str(finding) for finding in findings("spec", prepared.spec, (), kind="mechanism")), *warnings]
+    if as_json:
+        show_json(data(result) | {"warnings": [*warnings, *notes]})
+        return
+    lines = [*(f"warning      {warning}" for warning in warnings), *(f"note         {note}" for note in notes)]
+    show("\n".join([text(result), *lines]))
 
 
 def _check_picture(output: Path, spec: str, *, overwrite: bool) -> None:

@@ -125,12 +125,10 @@ for _chosen, _symbol in FUNCTION.items():
         _DERIVATIVES[_symbol] = {
             q: sum(_f * _rules.get(q, 0) for _f, _rules in zip(_next, _POSE, strict=True)) for q in BODY_COORDINATES
         }
-_DERIVATIVES[length] = {
-    q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / length for q in BODY_COORDINATES
-}
-_DERIVATIVES[straight] = {
-    q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / straight for q in BODY_COORDINATES
-}
+for _root in (length, straight):
+    _DERIVATIVES[_root] = {
+        q: (gx * _DERIVATIVES[gx].get(q, 0) + gy * _DERIVATIVES[gy].get(q, 0)) / _root for q in BODY_COORDINATES
+    }
 _turning = {  # derivatives of the angle of the tangent
     q: (tangent_x * _DERIVATIVES[gy].get(q, 0) - tangent_y * _DERIVATIVES[gx].get(q, 0)) / straight
     for q in BODY_COORDINATES

@@ -173,13 +173,12 @@ def equilibrium_path(source: RunSource, **sections: Unpack[Sections]) -> Equilib
 
 @dataclass(frozen=True)
 class _Point:
-    """A point of the path: time t, position q, multipliers lam, tangent, and eigenvalues of unstable motions, which are
-    nan if the energy decides (see `unstable_motions`).
+    """A point of the path: unknowns y, their state, tangent, and eigenvalues of unstable motions, which are nan if the
+    energy decides (see `unstable_motions`).
     """
 
-    t: float
-    q: np.ndarray
-    lam: np.ndarray
+    y: np.ndarray
+    at: State
     tangent: np.ndarray
     growing: np.ndarray
 
@@ -207,8 +206,8 @@ class _Follower:
         size = np.tile([prepared.extent, prepared.extent, 1.0], bodies)
         self.weight = np.concatenate([1 / (bodies * size**2), np.zeros(p.m), [1 / self.span**2]])
         self.none = np.zeros(p.n)
+        #: Artificial stiffness of the angles of point masses, without which the matrix would be singular.
         self.meaningless = diags_array(prepared.held.astype(float))
-        """Artificial stiffness of the angles of point masses, without which the matrix would be singular."""
 
     def path(self) -> EquilibriumPath:
         result = rest(self.prepared)
@@ -216,15 +215,15 @@ class _Follower:
         forward = np.zeros(len(y))
         forward[-1] = self.span
         points, critical, step = [self._point(y, forward)], list[CriticalPoint](), LONGEST / 4
-        while points[-1].t < self.end:
+        while points[-1].at.t < self.end:
             here = points[-1]
             there, taken, step = self._advance(here, step)
             critical += self._critical(here, there, taken)
-            points.append(there if there.t < self.end else self._at_end(here, there))
+            points.append(there if there.at.t < self.end else self._at_end(here, there))
             if len(points) > MOST_POINTS:
                 raise self.prepared.error(
                     f"the path of equilibria did not reach t = {self.end:g} s in {MOST_POINTS} points; the last one "
-                    f"is at t = {there.t:.6g} s"
+                    f"is at t = {there.at.t:.6g} s"
                 )
         return self._result(points, [one for one in critical if one.time <= self.end])
 
@@ -242,17 +241,17 @@ class _Follower:
             step *= 0.5
             if step < FINEST:
                 raise self.prepared.error(
-                    f"the equilibrium cannot be followed beyond t = {here.t:.6g} s: the position there is singular"
+                    f"the equilibrium cannot be followed beyond t = {here.at.t:.6g} s: the position there is singular"
                 )
 
     def _at(self, here: _Point, step: float) -> tuple[_Point, int]:
         """Return the point of the path at a distance `step` along the tangent, and the number of Newton corrections."""
-        y, corrections = self._corrected(_unknowns(here) + step * here.tangent, here.tangent)
+        y, corrections = self._corrected(here.y + step * here.tangent, here.tangent)
         return self._point(y, here.tangent), corrections
 
     def _at_end(self, here: _Point, there: _Point) -> _Point:
-        share = (self.end - here.t) / (there.t - here.t)
-        y = (1 - share) * _unknowns(here) + share * _unknowns(there)
+        share = (self.end - here.at.t) / (there.at.t - here.at.t)
+        y = (1 - share) * here.y + share * there.y
         y[-1] = self.end
         plane = np.zeros(len(y))
         plane[-1] = self.span
@@ -278,33 +277,32 @@ class _Follower:
         across[-1] = 1.0
         tangent = self._solved(y, forward, across)
         tangent = tangent / self._product(tangent, tangent) ** 0.5
-        q, lam, t = self._parts(y)
-        return _Point(t, q, lam, tangent, unstable_motions(self.prepared, State(t, q, self.none, self.none, lam)))
+        at = self._at_rest(y)
+        return _Point(y, at, tangent, unstable_motions(self.prepared, at))
 
     # ---- equations -------------------------------------------------------------------------------------------------
 
-    def _parts(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    def _at_rest(self, y: np.ndarray) -> State:
         n = self.p.n
-        return y[:n], y[n:-1], float(y[-1])
+        return State(float(y[-1]), y[:n], self.none, self.none, y[n:-1])
 
     def _lack(self, y: np.ndarray) -> np.ndarray:
         """Return the residual of the equations of statics and of the constraints, (n + m,)."""
-        q, lam, t = self._parts(y)
-        return np.concatenate([self.p.residual(t, q, self.none, self.none, lam), self.p.constraints(t, q)])
+        at = self._at_rest(y)
+        return np.concatenate([self.p.residual(*at), self.p.constraints(at.t, at.q)])
 
     def _solved(self, y: np.ndarray, plane: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Solve the linearised equations for the changes (n + m + 1,); the last equation prescribes the change along
         `plane`.
         """
-        q, lam, t = self._parts(y)
-        p, delta = self.p, LOAD_STEP * self.span
-        stiffness, jacobian = p.tangents(t, q, self.none, self.none, lam).stiffness, p.constraint_jacobian(t, q)
-        before, after = (p.residual(t + sign * delta, q, self.none, self.none, lam) for sign in (-1, 1))
+        p, delta, at = self.p, LOAD_STEP * self.span, self._at_rest(y)
+        stiffness, jacobian = p.tangents(*at).stiffness, p.constraint_jacobian(at.t, at.q)
+        before, after = (p.residual(at.t + sign * delta, *at[1:]) for sign in (-1, 1))
         last = csr_array((self.weight * plane)[None])
         matrix = block_array(
             [
                 [stiffness + self.meaningless, jacobian.T, csr_array((after - before)[:, None] / (2 * delta))],
-                [jacobian, None, csr_array(p.constraint_rates(t, q, self.none)[:, None])],
+                [jacobian, None, csr_array(p.constraint_rates(at.t, at.q, self.none)[:, None])],
                 [last[:, : p.n], last[:, p.n : -1], last[:, -1:]],
             ],
             format="csc",
@@ -350,20 +348,16 @@ class _Follower:
             return self._flutter(here, (low, first), (high, last))
         if change > 1 and not is_short:
             return [point for half in halves for point in self._between(here, *half)]
-        border = singular_motion(self.prepared, self._state_of(last))
+        border = singular_motion(self.prepared, last.at)
         try:
-            place = self._root(
-                here, low, high, lambda point: distance_to_singular(self.prepared, self._state_of(point), border)
-            )
-        except (
-            ValueError,
-            RuntimeError,
-        ):  # two bifurcations coincide, or the bordered matrix is too far from its singular state
+            place = self._root(here, low, high, lambda point: distance_to_singular(self.prepared, point.at, border))
+        except (ValueError, RuntimeError):
+            # Two bifurcations coincide, or the bordered matrix is too far from its singular state.
             if not is_short:
                 return [point for half in halves for point in self._between(here, *half)]
             place = 0.5 * (low + high)
         result, _ = self._at(here, place)
-        bifurcation = self._described("bifurcation", result, singular_motion(self.prepared, self._state_of(result)))
+        bifurcation = self._described("bifurcation", result, singular_motion(self.prepared, result.at))
         if is_short or np.isnan(critical):
             return [bifurcation]
         before, after = self._beside(place, high)  # flutter may begin in the same interval
@@ -389,7 +383,7 @@ class _Follower:
                 return [*self._between(here, low[0], middle), *self._between(here, middle, high[0])]
         result = max(low[1], high[1], key=lambda point: point.unstable)
         value = complex(result.growing[-1])
-        shape = shape_of(self.prepared, self._state_of(result), value)
+        shape = shape_of(self.prepared, result.at, value)
         return [self._described("flutter", result, shape, abs(value.imag))]
 
     def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
@@ -409,29 +403,20 @@ class _Follower:
     def _described(self, kind: Kind, point: _Point, way: np.ndarray, frequency: float = 0.0) -> CriticalPoint:
         parts = way[: self.p.n].reshape(-1, 3)[:, :2]
         most = int(np.argmax(np.einsum("bx,bx->b", parts, parts)))
-        return CriticalPoint(kind, point.t, point.q.reshape(-1, 3), self.p.bodies[most], frequency)
-
-    def _state_of(self, point: _Point) -> State:
-        return State(point.t, point.q, self.none, self.none, point.lam)
-
-    def _stiffness(self, point: _Point) -> float:
-        return least_stiffness(self.prepared, self._state_of(point)) if self.prepared.freedoms else np.nan
+        return CriticalPoint(kind, point.at.t, point.at.q.reshape(-1, 3), self.p.bodies[most], frequency)
 
     def _result(self, points: list[_Point], critical: list[CriticalPoint]) -> EquilibriumPath:
-        p = self.p
-        reactions = [joint_reactions(self.prepared, x.t, x.q, p.recorded_multipliers(x.t, x.q, x.lam)) for x in points]
+        p, prepared, states = self.p, self.prepared, [point.at for point in points]
+        recorded = [(x.t, x.q, p.recorded_multipliers(x.t, x.q, x.lam)) for x in states]
+        reactions = [joint_reactions(prepared, *multipliers) for multipliers in recorded]
         return EquilibriumPath(
-            time=np.array([x.t for x in points]),
+            time=np.array([x.t for x in states]),
             bodies=p.bodies,
-            joints=self.prepared.workspace.mechanism.joints,
-            position=np.array([x.q.reshape(-1, 3) for x in points]),
+            joints=prepared.workspace.mechanism.joints,
+            position=np.array([x.q.reshape(-1, 3) for x in states]),
             reaction_force=np.array([force for force, _ in reactions]),
             reaction_torque=np.array([torque for _, torque in reactions]),
-            stiffness=np.array([self._stiffness(x) for x in points]),
+            stiffness=np.array([least_stiffness(prepared, x) if prepared.freedoms else np.nan for x in states]),
             unstable=np.array([x.unstable for x in points]),
             critical=tuple(critical),
         )
-
-
-def _unknowns(point: _Point) -> np.ndarray:
-    return np.concatenate([point.q, point.lam, [point.t]])

@@ -134,12 +134,12 @@ class _RestSearch:
         self.none, self.no_rows = np.zeros(self.p.n), np.zeros(self.p.m)
         self.q = self.p.q0.copy()
         self.tried = 0
+        #: Largest sum so far of the norms of applied and constraint forces, in the metric of the inverse mass.
         self.force = 0.0
-        """Largest sum so far of the norms of applied and constraint forces, in the metric of the inverse mass."""
         self.x, self.lam, self.imbalance = self.balance(self.q)
         stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
+        #: Imbalance that rounding errors of the positions can cause, by the largest stiffness of a coordinate.
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
-        """Imbalance that rounding errors of the positions can cause, by the largest stiffness of a coordinate."""
 
     def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the accelerations from rest (n,), the multipliers (m,), and the imbalance.

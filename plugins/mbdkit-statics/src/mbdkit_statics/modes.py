@@ -18,16 +18,14 @@ from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import (
     DENSE,
     NOISE,
-    Reduced,
     State,
     at_rest,
-    coupled_states,
     in_statics,
     lowest,
-    reduce,
+    reduce_with_states,
     symmetric_modes,
 )
-from mbdkit_statics.states_at_rest import CoupledStates
+from mbdkit_statics.states_at_rest import CoupledStates, first_order_form
 
 Where = Literal["equilibrium", "start"]
 
@@ -75,10 +73,7 @@ class Linearization:
         """Return the matrix A of the first-order form ``x' = A x``, with ``x = (y, y')`` followed by the first-order
         states.
         """
-        if self.states is not None:
-            return self.states.matrix(self.stiffness, self.damping)
-        f = len(self.stiffness)
-        return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
+        return first_order_form(self.stiffness, self.damping, self.states)
 
     def input_matrix(self) -> np.ndarray:
         """Return the matrix B (2 f + Z, U) of ``x' = A x + B u``, for the inputs of the mechanism in their order."""
@@ -218,7 +213,7 @@ def linearize(source: RunSource, *, at: Where = "equilibrium", **sections: Unpac
             f"(limit: {DENSE // 3} bodies); `modes` finds its lowest modes at rest"
         )
     with prepared.as_spec_errors():
-        small, states = _reduced(prepared, *state)
+        small, states = reduce_with_states(prepared, *state)
     warn_on_stderr(prepared.laws_out_of_range(state[0].t, state[0].q, state[0].v))
     return Linearization(
         state[0].t, prepared.equations.bodies, *_seen(state[0]), small.basis, small.stiffness, small.damping, states
@@ -281,11 +276,11 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
         if prepared.equations.n > DENSE:
             values, shapes = _few(prepared, state, count or FEW)
         else:
-            small, states = _reduced(prepared, state, z)
+            small, states = reduce_with_states(prepared, state, z)
             if states is None:
                 values, shapes = oscillations(small.stiffness, small.damping)
             else:
-                values, vectors = eig(states.matrix(small.stiffness, small.damping))
+                values, vectors = eig(first_order_form(small.stiffness, small.damping, states))
                 once = values.imag >= 0
                 values, shapes = values[once], vectors[: len(small.stiffness), once]
             shapes = small.basis @ shapes
@@ -296,13 +291,6 @@ def modes_of(prepared: PreparedMechanism, at: Where = "equilibrium", count: int 
     return Modes(
         state.t, prepared.equations.bodies, *_seen(state), values, shapes, prepared.freedoms, mechanism, outside
     )
-
-
-def _reduced(prepared: PreparedMechanism, state: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:
-    if not len(z):
-        return reduce(prepared, state), None
-    small = reduce(prepared, state, z)
-    return small, coupled_states(prepared, state, small, z)
 
 
 def state_of(prepared: PreparedMechanism, at: Where) -> tuple[State, np.ndarray]:
@@ -357,7 +345,7 @@ def _first_order(stiffness: np.ndarray, damping: np.ndarray, loose: np.ndarray) 
     f = len(stiffness)
     dragged = np.linalg.matrix_rank(damping @ loose, tol=NOISE * f * np.linalg.norm(damping)) if loose.size else 0
     zeros = 2 * loose.shape[1] - int(dragged)
-    values, vectors = eig(np.block([[np.zeros((f, f)), np.eye(f)], [-stiffness, -damping]]))
+    values, vectors = eig(first_order_form(stiffness, damping))
     squares = np.diag(stiffness)
     if not np.any(stiffness - np.diag(squares)) and np.all(squares >= 0) and np.any(squares):
         values, vectors = _with_small_ones(squares, damping, values, vectors)

@@ -7,7 +7,7 @@ directions drawn at random, which leave it on every side of each corner, and alo
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -75,7 +75,7 @@ def sides_of(statics: PreparedMechanism, at: State) -> Sides | None:
 
     def beside(direction: np.ndarray, share: float) -> np.ndarray:
         moved = basis @ direction
-        small = reduce(statics, replace(at, q=at.q + share * BESIDE * moved / np.max(np.abs(moved) / size)))
+        small = reduce(statics, at._replace(q=at.q + share * BESIDE * moved / np.max(np.abs(moved) / size)))
         turn = small.basis.T @ (p.mass[:, None] * basis)  # the basis of a null space may change its signs
         return np.asarray(turn.T @ small.stiffness @ turn)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
@@ -46,8 +47,7 @@ HELD = 1e-9
 PILOTS = 3  #: Number of inverse iterations by which `_pilot` estimates the lowest frequency.
 
 
-@dataclass(frozen=True)
-class State:
+class State(NamedTuple):
     """A state to linearise about: time [s], position, velocity, acceleration (n,) and multipliers (m,)."""
 
     t: float
@@ -77,11 +77,6 @@ class Reduced:
     damping: np.ndarray
     turning: np.ndarray
 
-    def matrix(self) -> np.ndarray:
-        """Return the matrix of the first-order form of these equations, for ``(y, y')``."""
-        f = len(self.stiffness)
-        return np.block([[np.zeros((f, f)), np.eye(f)], [-self.stiffness, -self.damping]])
-
 
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     """Return a mechanism for statics, in which the first-order states, if there are any, are functions of the
@@ -103,8 +98,11 @@ def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
     return replace(prepared, equations=StaticEquations(prepared.workspace))
 
 
-def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np.ndarray) -> CoupledStates:
-    """Return the small motions of the first-order states about a state in which their values are `z` (Z,)."""
+def reduce_with_states(prepared: PreparedMechanism, at: State, z: np.ndarray) -> tuple[Reduced, CoupledStates | None]:
+    """Return the result of `reduce`, and the small motions of the first-order states `z` (Z,), if any."""
+    small = reduce(prepared, at, z)
+    if not len(z):
+        return small, None
     states = StatesAtRest(prepared.workspace, prepared.equations)
     force, by_state = states.by_states(at.t, at.q, at.v, z)
     by_position, by_velocity = states.rates_by_motion(at.t, at.q, at.v, z)
@@ -112,9 +110,8 @@ def coupled_states(prepared: PreparedMechanism, at: State, small: Reduced, z: np
     names = tuple(item.name for item in prepared.workspace.mechanism.inputs)
     by_input, rates = states.by_inputs(at.t, at.q, at.v, z)
     by_input = np.vstack([small.basis.T @ by_input, rates])
-    return CoupledStates(
-        states.names, small.basis.T @ force, moved, by_velocity @ small.basis, by_state, names, by_input
-    )
+    by_velocity = by_velocity @ small.basis
+    return small, CoupledStates(states.names, small.basis.T @ force, moved, by_velocity, by_state, names, by_input)
 
 
 def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) -> Reduced:
@@ -135,7 +132,7 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     q, r = np.linalg.qr(scaled.T, mode="complete")
     basis = q[:, p.m :] / root[:, None]
     _refuse_side_forces_that_work(prepared, at.q, free, basis)
-    tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
+    tangents = p.tangents(*at)
     k, c = (x.toarray()[np.ix_(free, free)] for x in (tangents.stiffness, tangents.damping))
     turning = 0.5 * tangents.gamma_v.toarray()[:, free] @ basis  # d(Phi_q v + Phi_t)/dq is -gamma_v / 2
     normal = q[:, : p.m] @ np.linalg.solve(r[: p.m].T, turning)  # M^1/2 P
@@ -229,7 +226,7 @@ def is_conservative(prepared: PreparedMechanism, at: State) -> bool:
     no minimum, there may be no gyroscopic forces either, which can stabilise the equilibrium.
     """
     p = prepared.equations
-    tangents = p.tangents(at.t, at.q, at.v, at.a, at.lam)
+    tangents = p.tangents(*at)
     if p.n > DENSE:
         return _is_symmetric(tangents.stiffness) and _is_passive(tangents.damping)
     if not tangents.damping.count_nonzero() and _is_symmetric(tangents.stiffness):
@@ -289,7 +286,7 @@ def softest_motion(prepared: PreparedMechanism, at: State) -> tuple[float, np.nd
 def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     """Return the largest stiffness of a single coordinate, for unit mass [1/s^2]."""
     p = prepared.equations
-    return float(np.max(np.abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness.diagonal()) / p.mass))
+    return float(np.max(np.abs(p.tangents(*at).stiffness.diagonal()) / p.mass))
 
 
 def softest_scale(prepared: PreparedMechanism, at: State) -> float:
@@ -302,7 +299,7 @@ def softest_scale(prepared: PreparedMechanism, at: State) -> float:
     if p.n > DENSE:
         return stiffness_scale(prepared, at)
     way = np.abs(softest_motion(prepared, at)[1])
-    return float(way @ (abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness) @ way))
+    return float(way @ (abs(p.tangents(*at).stiffness) @ way))
 
 
 def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -320,9 +317,8 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     p, n = prepared.equations, prepared.equations.n
     prepared.workspace.mechanism.refuse_side_forces("the modes of a large mechanism")
     shift = 0.5 * np.sqrt(_pilot(prepared, at)[0])
-    state = at.t, at.q, at.v, at.a, at.lam
-    tangents = p.tangents(*state)
-    matrix = p.iteration_matrix(*state, mass=shift**2, damping=shift, stiffness=1.0)
+    tangents = p.tangents(*at)
+    matrix = p.iteration_matrix(*at, mass=shift**2, damping=shift, stiffness=1.0)
     no_rows = np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
@@ -350,14 +346,14 @@ def _pilot(prepared: PreparedMechanism, at: State) -> tuple[float, np.ndarray]:
     shift is also the lower bound of the estimate.
     """
     p = prepared.equations
-    state, no_rows = (at.t, at.q, at.v, at.a, at.lam), np.zeros(p.m)
+    no_rows = np.zeros(p.m)
     x = np.where(prepared.held, 0.0, np.random.default_rng(0).standard_normal(p.n))
-    stiffness = p.tangents(*state).stiffness
+    stiffness = p.tangents(*at).stiffness
     x, _ = p.solve(at.t, at.q, p.mass * x, no_rows)
     square = abs(float(x @ (stiffness @ x)) / float(x @ (p.mass * x)))
     scale = square or 1.0
     for _ in range(PILOTS):
-        x, _ = p.iteration_matrix(*state, mass=1e-9 * scale, stiffness=1.0).solve(p.mass * x, no_rows)
+        x, _ = p.iteration_matrix(*at, mass=1e-9 * scale, stiffness=1.0).solve(p.mass * x, no_rows)
         x = x / np.sqrt(float(x @ (p.mass * x)))
         square = abs(float(x @ (stiffness @ x)))
     return max(square, 1e-9 * scale), x
@@ -376,7 +372,7 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
     p = prepared.equations
     square, first = _pilot(prepared, at)
-    matrix = p.iteration_matrix(at.t, at.q, at.v, at.a, at.lam, mass=0.01 * square, stiffness=1.0)
+    matrix = p.iteration_matrix(*at, mass=0.01 * square, stiffness=1.0)
     root, no_rows = np.sqrt(p.mass), np.zeros(p.m)
 
     def inverse(x: np.ndarray) -> np.ndarray:
@@ -386,7 +382,7 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
         operator = LinearOperator((p.n, p.n), matvec=matvec, dtype=float)
         return float(eigsh(operator, k=1, which=which, v0=start, tol=tolerance, return_eigenvectors=False)[0])
 
-    if not _is_symmetric(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness) and prepared.freedoms > NEAREST + 1:
+    if not _is_symmetric(p.tangents(*at).stiffness) and prepared.freedoms > NEAREST + 1:
         operator = LinearOperator((p.n, p.n), matvec=inverse, dtype=float)
         nearest = eigs(operator, k=NEAREST, v0=root * first, tol=1e-12, return_eigenvectors=False)
         return float(np.min((1 / nearest).real)) - 0.01 * square
@@ -423,7 +419,7 @@ def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np
     The angles of point masses, which have no stiffness, are given an artificial stiffness.
     """
     p = prepared.equations
-    stiffness = p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness + diags_array(prepared.held.astype(float))
+    stiffness = p.tangents(*at).stiffness + diags_array(prepared.held.astype(float))
     jacobian = p.constraint_jacobian(at.t, at.q)
     matrix = csr_array(block_array([[stiffness, jacobian.T], [jacobian, None]]))
     factors = np.ones(matrix.shape[0])

@@ -19,14 +19,15 @@ from mbdkit_statics.reduced import (
     DENSE,
     NOISE,
     State,
-    coupled_states,
     is_conservative,
     least_stiffness,
     lowest,
     negative_stiffnesses,
     reduce,
+    reduce_with_states,
     softest_scale,
 )
+from mbdkit_statics.states_at_rest import first_order_form
 
 #: A stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms.
 NEUTRAL = 1e-11
@@ -160,12 +161,8 @@ def small_motions(prepared: PreparedMechanism, at: State, z: np.ndarray, zeros: 
     if prepared.equations.n > DENSE:
         few = _lowest_eigenvalues(prepared, at)
         return _small_motions(few, GROWS * np.abs(few), is_complete=False)
-    if len(z):
-        small = reduce(prepared, at, z)
-        matrix = coupled_states(prepared, at, small, z).matrix(small.stiffness, small.damping)
-    else:
-        matrix = reduce(prepared, at).matrix()
-    values, error = eigenvalues_with_errors(matrix)
+    small, states = reduce_with_states(prepared, at, z)
+    values, error = eigenvalues_with_errors(first_order_form(small.stiffness, small.damping, states))
     order = np.argsort(np.abs(values))[2 * zeros :]
     is_blurred = bool(np.any(error[order] > BLURRED * np.abs(values[order])))
     if not is_blurred or len(z) or prepared.freedoms < LEAST:
@@ -195,7 +192,7 @@ def shape_of(prepared: PreparedMechanism, at: State, eigenvalue: complex) -> np.
         values, shapes = lowest(prepared, at, EXAMINED)
     else:
         small = reduce(prepared, at)
-        values, vectors = eig(small.matrix())
+        values, vectors = eig(first_order_form(small.stiffness, small.damping))
         shapes = small.basis @ vectors[: len(small.stiffness)]
     return np.asarray(np.abs(shapes[:, np.argmin(np.abs(values - eigenvalue))]))
 
@@ -222,7 +219,7 @@ def _free_motions(statics: PreparedMechanism, at: State) -> tuple[int, bool]:
     small = reduce(statics, at)
     values, left, right = eig(small.stiffness, left=True, right=True)
     p = statics.equations
-    full = abs(p.tangents(at.t, at.q, at.v, at.a, at.lam).stiffness)
+    full = abs(p.tangents(*at).stiffness)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     terms = np.sum(np.abs(small.basis @ left) * (full @ np.abs(small.basis @ right)), axis=0)
     zeros = int(np.sum(np.abs(values) * overlap <= NEUTRAL * terms))

@@ -186,16 +186,17 @@ class CoupledStates:
     inputs: tuple[str, ...]
     by_input: np.ndarray
 
-    def matrix(self, stiffness: np.ndarray, damping: np.ndarray) -> np.ndarray:
-        """Return the matrix of the first-order form of the coupled equations, for ``(y, y', z)``."""
-        f, count = len(stiffness), len(self.names)
-        return np.block(
-            [
-                [np.zeros((f, f)), np.eye(f), np.zeros((f, count))],
-                [-stiffness, -damping, self.force],
-                [self.by_position, self.by_velocity, self.by_state],
-            ]
-        )
+
+def first_order_form(stiffness: np.ndarray, damping: np.ndarray, states: CoupledStates | None = None) -> np.ndarray:
+    """Return the matrix of the first-order form of ``y'' + damping y' + stiffness y = 0``, for ``(y, y')`` or, with
+    coupled states, ``(y, y', z)``.
+    """
+    f = len(stiffness)
+    rows = [[np.zeros((f, f)), np.eye(f)], [-stiffness, -damping]]
+    if states is not None:
+        rows = [[*rows[0], np.zeros((f, len(states.names)))], [*rows[1], states.force]]
+        rows.append([states.by_position, states.by_velocity, states.by_state])
+    return np.block(rows)
 
 
 class StaticEquations(EquationsOfMotion):
