@@ -142,6 +142,13 @@ def value_at(data: Any, path: Path) -> Any:
     return data
 
 
+def test_numbers_that_validation_changes_have_no_formulas() -> None:
+    # expected: none for the axis of a cuff, which validation divides by its length
+    spec, path = load_spec("knee-orthosis", ()), ("model", "cuffs", "thigh", "axis", 1)
+    assert float(value_at(json.loads(spec.canonical_json()), path)) == 1.0
+    assert assert_equal_to_ordinary(spec, [path], np.array([[1.5]])) == 0
+
+
 def test_a_traced_number_that_is_lost_has_no_formulas_even_if_the_error_is_caught() -> None:
     trace = Trace()
     number = trace.input(2.0)

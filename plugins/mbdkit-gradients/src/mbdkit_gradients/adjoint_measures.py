@@ -197,7 +197,7 @@ class AdjointMeasure(MeasureEvaluation):
         states: Any,
         expression: MeasureExpression,
         events: Sequence[PassedEvent],
-        corners: Sequence[States] = (),
+        corners: Sequence[Any] = (),
     ):
         self._columns, self._corners = Columns(expression.quantities), corners
         reductions = sum(operation.startswith("over time") for operation, _ in expression.program)
@@ -228,7 +228,7 @@ class AdjointMeasure(MeasureEvaluation):
     def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
         found = self._columns.value(states, quantity, self.count)
         if self._ends_at_event and states is self.run.rows:  # functions of time change the last state, whose time moves
-            near, distance = self.states.held
+            near, distance = cast("Any", self.states).held
             value = self._columns.value(near, quantity, self.count).value.T
             found.slope[self._end_of_events - 1, ..., -1] += rate_of(value, found.value[..., -1], distance)
         return found

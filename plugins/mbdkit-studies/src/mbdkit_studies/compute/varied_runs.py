@@ -19,7 +19,7 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.made_items import MadeItems
 
-#: Share of the runs, and their largest number in a study, that are computed in the ordinary way as well.
+#: Share of the runs that are computed in the ordinary way as well, and their largest number in a study; the smallest is 1.
 SHARE, MOST = 0.01, 200
 
 
@@ -102,7 +102,7 @@ class EnsembleRuns:
 def drawn(places: Sequence[int], runs: int) -> frozenset[int]:
     """Return the places, among those of a block of a study with this number of runs, whose runs are computed twice."""
     generator = np.random.default_rng()
-    count = len(places) * min(SHARE, MOST / runs)
+    count = len(places) * min(max(SHARE, 1 / runs), MOST / runs)
     return frozenset(generator.choice(places, math.floor(count + generator.random()), replace=False).tolist())
 
 
