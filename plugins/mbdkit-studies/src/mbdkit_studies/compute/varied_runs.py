@@ -19,7 +19,7 @@ from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_studies.points.planned_points import PlannedPoints
 from mbdkit_studies.spec.made_items import MadeItems
 
-#: Share of the runs that are computed in the ordinary way as well, and their largest number in a study; the smallest is 1.
+#: Share of the runs of a study, of which at least one, and at most how many, are computed in the ordinary way as well.
 SHARE, MOST = 0.01, 200
 
 
