@@ -50,7 +50,7 @@ def test_commands_refuse_wrong_input_in_the_words_of_the_page(command, message, 
 def test_wrong_usage_is_exit_status_2_and_says_so(arguments, mbdkit):
     result = mbdkit(*arguments)
     assert (result.exit_code, result.stdout) == (2, "")
-    assert "Error: " in result.stderr
+    assert re.search("[Ee]rror: ", result.stderr)
 
 
 def test_version(mbdkit):

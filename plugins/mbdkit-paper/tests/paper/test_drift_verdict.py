@@ -36,8 +36,8 @@ COLUMNS = WORDS.table("drift", ()).columns
 def point(family: str, method: str, status: str = "complete", reversal: str = "complete", **values: float) -> Any:
     step = values.pop("step", None)
     axes = {"method": method} | ({} if step is None else {"time.step": step})
-    row = SimpleNamespace(second_run=reversal)
-    return SimpleNamespace(family=family, axes=axes, status=status, reason="", values=values, row=row, label="")
+    texts = {"reason": "", "second_run": reversal, "label": ""}
+    return SimpleNamespace(family=family, axes=axes, status=status, values=values, **texts)
 
 
 def method(
@@ -100,7 +100,7 @@ def test_round_off_failures_and_what_is_not_installed_are_words_and_never_number
     for one, error in zip(noisy, (1e-3, 1e-2, 1e-3, 1e-2), strict=False):
         one.values["trajectory_error"] = error
     damped = method("damped", reversibility_defect=math.nan)
-    damped[-1].row.second_run = "not-reversible: dampers."
+    damped[-1].second_run = "not-reversible: dampers."
     found = {one.method: one for one in combinations(study(*broken, *absent, *few, *noisy, *damped))}
     assert found["broken"].cells() == ("failed",) * 3 + (None,) + ("failed",) * 3 + (None,) + ("failed",) * 5
     assert set(found["absent"].cells()) == {"not installed", None}
