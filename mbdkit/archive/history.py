@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body
 from mbdkit.quantities.registered_kinds import kind_of_group
-
-if TYPE_CHECKING:
-    from mbdkit.archive.recorded_data import RecordedData
 
 
 class BodyHistory(columns.Trajectory, of="trajectory"):
@@ -67,7 +64,8 @@ class BeamHistory(columns.Beams, of="beams"):
     def position(self) -> np.ndarray:
         """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
         nodes = [k for k, body in enumerate(self.source.objects(kind_of_group("trajectory"))) if self._has_node(body)]
-        return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
+        every: np.ndarray = self.source.array("trajectory/position")
+        return every[:, nodes[0] : nodes[-1] + 1]
 
     @property
     def arc_length(self) -> np.ndarray:
@@ -206,7 +204,7 @@ class Impacts:
     reaction_torque_impulse: np.ndarray
 
     @classmethod
-    def of(cls, run: RecordedData) -> Impacts:
+    def of(cls, run: Any) -> Impacts:
         """Return the impacts recorded by a run; none if it has neither rigid contacts nor `impacts: allow`."""
         joints = run.array("joints/joint")
         count = len(run.array("impacts/time")) if run.records("impacts/time") else 0
@@ -249,7 +247,7 @@ class Events(Sequence[Event]):
         self.names, self.time, self.direction, self.position, self.velocity = arrays
 
     @classmethod
-    def of(cls, run: RecordedData, watched: Sequence[str], bodies: int) -> Events:
+    def of(cls, run: Any, watched: Sequence[str], bodies: int) -> Events:
         """Return the crossings recorded by a run whose spec has the events `watched`."""
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")

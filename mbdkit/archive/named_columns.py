@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from types import new_class
-from typing import TYPE_CHECKING, Any, TypeVar, cast, overload
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from mbdkit.quantities.array import COORDINATE_UNITS, MIXED, Array, Kind, Record
 from mbdkit.quantities.registered_kinds import added_kinds, array_at, kind_of_group
 from mbdkit.registry.element_items import QuantityKind
 from mbdkit.registry.manager import use
-
-if TYPE_CHECKING:
-    from mbdkit.archive.recorded_data import RecordedData
 
 
 class NotRecordedError(MbdkitError, KeyError):
@@ -112,7 +109,7 @@ class View:
         if isinstance(of, str):
             VIEWS[of] = cls
 
-    def __init__(self, source: RecordedData, name: str = "", index: int | slice | None = None):
+    def __init__(self, source: Any, name: str = "", index: int | slice | None = None):
         self.source = source
         self.name = name
         self.index = index
@@ -147,7 +144,7 @@ class Histories(ReadOnlyDict[str, V]):
     `kind`: kind of the objects, such as bodies or joints.
     """
 
-    def __init__(self, kind: Kind, run: RecordedData):
+    def __init__(self, kind: Kind, run: Any):
         self.kind = kind
         owners = list(run.objects(kind))
         counts = Counter(owners)

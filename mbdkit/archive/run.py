@@ -16,7 +16,7 @@ from mbdkit.archive.part_file import write_image
 from mbdkit.archive.recorded_data import RecordedData
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run_contents import ArchiveContents, RunContents
-from mbdkit.archive.run_views import Animation, RunPlots
+from mbdkit.archive.run_views import Animation, RunPlots, StatedErrors
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import ArchiveError, RunError, SpecError
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
-    from mbdkit.archive.accuracy_summary import RunErrors
     from mbdkit.registry.feature_items import SpecKind
 
 
@@ -181,11 +180,11 @@ class Run(RecordedData, HtmlView):
         return kind_of(self.spec)
 
     @property
-    def errors(self) -> RunErrors:
+    def errors(self) -> StatedErrors:
         """What is known of the errors of the run, and how it is stated."""
         of_kind = self.spec_kind.errors
         stated = higher_layers.run_errors if of_kind is None else of_kind()
-        return cast("Callable[[Run], RunErrors]", stated)(self)
+        return cast("Callable[[Run], StatedErrors]", stated)(self)
 
     @cached_property
     def integrals(self) -> Integrals:

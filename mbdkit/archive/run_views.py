@@ -8,10 +8,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Protocol
 
+import numpy as np
+
 from mbdkit.registry.manager import registry
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from mbdkit.archive.largest_values import LargestValues
 
 
 Names = str | Sequence[str] | None  #: Names of the elements to draw; None for those with the largest values.
@@ -29,6 +33,40 @@ class Animation(Protocol):
         """Write the animation to a file ending in .gif, .html or .mp4, and return its path."""
 
     def _repr_html_(self) -> str: ...
+
+
+class StatedErrors(Protocol):
+    """What is known of the errors of a run, and how it is stated; see `mbdkit.archive.accuracy_summary.RunErrors`."""
+
+    @property
+    def are_estimated(self) -> bool:
+        """Whether the errors of the results were estimated."""
+
+    @property
+    def unknown_times(self) -> str:
+        """Phrase with the times at which errors are unknown although they were estimated; empty if there are none."""
+
+    @property
+    def excluded(self) -> str:
+        """Error that the estimates do not include; empty if there is none."""
+
+    force_in: str
+    """Words for the force of a joint, before its name."""
+
+    @property
+    def without_suspicion(self) -> str:
+        """Clause for a run whose verdict has no reasons."""
+
+    def of_largest(
+        self, quantity: str, names: Sequence[str], size: np.ndarray, errors: np.ndarray | None = None
+    ) -> LargestValues:
+        """Return the largest values of elements with their bars."""
+
+    def missed(self, quantity: str, names: Sequence[str], size: np.ndarray) -> np.ndarray | None:
+        """Return by how much the largest values (E,) exceed those of the rows; None if nothing happens between rows."""
+
+    def sentence(self, *, with_force: bool = True) -> str:
+        """Return a sentence on the errors."""
 
 
 class RunPlots:

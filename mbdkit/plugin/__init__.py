@@ -39,7 +39,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
         FunctionJoint as FunctionJoint, Pose as Pose, PoseFunction as PoseFunction, SideForce as SideForce,
     )
     from mbdkit.mechanism.joint_friction import regularised_friction as regularised_friction
-    from mbdkit.mechanism.joints import Driver as Driver, Joint as Joint, Revolute as Revolute
+    from mbdkit.mechanism.joints import Joint as Joint, Revolute as Revolute
     from mbdkit.mechanism.mechanism import Mechanism as Mechanism
     from mbdkit.mechanism.pathways import LineForce as LineForce, Segment as Segment
     from mbdkit.mechanism.state_values import Expression as Expression

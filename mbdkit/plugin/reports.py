@@ -10,7 +10,7 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_report.export import export as export
     from mbdkit_report.figures.curves import band_over_time as band_over_time, bands as bands
     from mbdkit_report.figures.page_model import (
-        Axis as Axis, Band as Band, Column as Column, columns_of as columns_of, Figure as Figure,
+        Axis as Axis, Band as Band, columns_of as columns_of, Figure as Figure,
         Guide as Guide, Line as Line, Mark as Mark, Section as Section, Table as Table,
     )
     from mbdkit_report.notebook.result_views import object_view as object_view, View as View

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.engine.force_laws import CompiledLaw
-    from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedSteps
     from mbdkit.integrators.run.sampled_control import Sampler
 
 
@@ -104,7 +103,7 @@ class DifferentiatedSampler:
         The sampler of the run.
     """
 
-    def __init__(self, steps: DifferentiatedSteps, sampler: Sampler):
+    def __init__(self, steps: Any, sampler: Sampler):
         self._steps, self._sampler, width = steps, sampler, np.asarray(steps.run.q).shape[-1]
         self._pending = [np.zeros((*one.shape, width)) for one in sampler._pending]
         self._last = -math.inf

@@ -17,7 +17,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.compared_settings import Comparison, compare
 from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
 from mbdkit_design.design_spec import DesignSpec
-from mbdkit_design.design_verdict import comparison_table, front_table
+from mbdkit_design.design_tables import comparison_table, front_table
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.front import pareto_front
 from mbdkit_design.gains import (

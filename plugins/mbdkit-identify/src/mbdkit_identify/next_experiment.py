@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -16,14 +16,13 @@ from mbdkit_identify.measured_data import SignalData
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
 
-if TYPE_CHECKING:
-    from mbdkit_identify.identify import _Identification
-
 TIMES = 101  #: Number of times at which the interval of a quantity is computed.
 
 
-def next_experiment(done: _Identification) -> NextExperiment:
+def next_experiment(done: Any) -> NextExperiment:
     """Return the expected intervals after each candidate was added to the experiments.
+
+    `done`: the identification, see `mbdkit_identify.identify`.
 
     The derivatives of the candidate's signals at the estimates are added to those of the experiments. To be narrowed is
     what `narrow` of the spec says, or the first of `intervals.of`, or else the parameter whose interval is widest
@@ -46,7 +45,7 @@ def next_experiment(done: _Identification) -> NextExperiment:
     return NextExperiment(narrows, widths, best)
 
 
-def _asked(done: _Identification) -> list[Goal]:
+def _asked(done: Any) -> list[Goal]:
     """Return what `narrow` of the spec asks for, if it does, as one goal for each time of its run."""
     if (narrow := done.spec.narrow) is None:
         return []
@@ -60,7 +59,7 @@ def _asked(done: _Identification) -> list[Goal]:
     return [Goal(narrow.quantity, lambda x: np.nan, lambda x, slope=slope: slope) for slope in wide]  # type: ignore[misc]
 
 
-def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
+def _widths(done: Any, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
     norms = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     _, values, directions = np.linalg.svd(jacobian[:, free] / norms, full_matrices=False)
@@ -75,7 +74,7 @@ def _widths(done: _Identification, goals: list[Goal], jacobian: np.ndarray, free
     return found
 
 
-def _with_candidate(done: _Identification, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _with_candidate(done: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives of the whitened residuals with those of a candidate, and which unknowns are free."""
     spec, problem = done.spec, done.problem
     candidate = spec.candidates[name]
