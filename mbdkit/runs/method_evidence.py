@@ -74,7 +74,8 @@ def code_digest(origin: Origin) -> str:
     lines = [f"{name} {machine_code.digest(name)}" for name in built]
     lines += _lines(str(_OWN), *(name for name in _files(str(_OWN), *_OWN_CODE) if name not in built))
     if code != _OWN:
-        lines += _lines(str(code), *_files(str(code)))
+        # machine code is that of the installed platforms
+        lines += _lines(str(code), *(name for name in _files(str(code)) if not name.startswith("stored/")))
     return _joined(lines)
 
 
