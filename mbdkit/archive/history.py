@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 
 from mbdkit.archive import recorded_columns as columns
-from mbdkit.archive.named_columns import Histories
+from mbdkit.archive.named_columns import Histories, Source
 from mbdkit.base.errors import UnknownNameError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
@@ -64,8 +64,7 @@ class BeamHistory(columns.Beams, of="beams"):
     def position(self) -> np.ndarray:
         """Position (x, y) and angle of every node, (T, nodes, 3), m and rad."""
         nodes = [k for k, body in enumerate(self.source.objects(kind_of_group("trajectory"))) if self._has_node(body)]
-        every: np.ndarray = self.source.array("trajectory/position")
-        return every[:, nodes[0] : nodes[-1] + 1]
+        return self.source.array("trajectory/position")[:, nodes[0] : nodes[-1] + 1]
 
     @property
     def arc_length(self) -> np.ndarray:
@@ -204,7 +203,7 @@ class Impacts:
     reaction_torque_impulse: np.ndarray
 
     @classmethod
-    def of(cls, run: Any) -> Impacts:
+    def of(cls, run: Source) -> Impacts:
         """Return the impacts recorded by a run; none if it has neither rigid contacts nor `impacts: allow`."""
         joints = run.array("joints/joint")
         count = len(run.array("impacts/time")) if run.records("impacts/time") else 0
@@ -247,7 +246,7 @@ class Events(Sequence[Event]):
         self.names, self.time, self.direction, self.position, self.velocity = arrays
 
     @classmethod
-    def of(cls, run: Any, watched: Sequence[str], bodies: int) -> Events:
+    def of(cls, run: Source, watched: Sequence[str], bodies: int) -> Events:
         """Return the crossings recorded by a run whose spec has the events `watched`."""
         if watched and run.records("events/time"):
             names = ("name", "time", "direction", "position", "velocity")

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from types import new_class
-from typing import Any, TypeVar, cast, overload
+from typing import Any, Protocol, TypeVar, cast, overload
 
 import numpy as np
 
@@ -32,6 +32,35 @@ class NotRecordedError(MbdkitError, KeyError):
 
     def __str__(self) -> str:
         return str(self.args[0])
+
+
+class Source(Protocol):
+    """Interface of the run from which histories are read."""
+
+    def array(self, path: str) -> np.ndarray:
+        """Return the whole array at `path`."""
+        ...
+
+    def records(self, path: str) -> bool:
+        """Return whether the run recorded the array at `path`."""
+        ...
+
+    def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
+        """Return the array at `path`, restricted to an `index` of its second axis and a `part` of its third."""
+        ...
+
+    def text(self, path: str, index: int | slice | None) -> str:
+        """Return one of the texts at `path`; empty if the archive lacks them."""
+        ...
+
+    def objects(self, kind: Kind) -> Sequence[str]:
+        """Return the name of the object of each element along the axis of a kind."""
+        ...
+
+    @property
+    def joint_misalignments(self) -> np.ndarray:
+        """Largest misalignment of each joint over all steps."""
+        ...
 
 
 class Column:
@@ -109,7 +138,7 @@ class View:
         if isinstance(of, str):
             VIEWS[of] = cls
 
-    def __init__(self, source: Any, name: str = "", index: int | slice | None = None):
+    def __init__(self, source: Source, name: str = "", index: int | slice | None = None):
         self.source = source
         self.name = name
         self.index = index
@@ -144,7 +173,7 @@ class Histories(ReadOnlyDict[str, V]):
     `kind`: kind of the objects, such as bodies or joints.
     """
 
-    def __init__(self, kind: Kind, run: Any):
+    def __init__(self, kind: Kind, run: Source):
         self.kind = kind
         owners = list(run.objects(kind))
         counts = Counter(owners)

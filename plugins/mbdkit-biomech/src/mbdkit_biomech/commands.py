@@ -123,7 +123,7 @@ def validate_inverse(source: str | Document, name: str, assignments: list[str]) 
     for label, text in ({} if spec.person is None else spec.person.lines()).items():
         show(f"{label:<12} {text}")
     show(f"motion       {counted(len(time), 'row')} from {time[0]:g} to {time[-1]:g} s: {', '.join(measured.names)}")
-    for key, text in problem.unused.items():
+    for key, text in problem.unused.notes.items():
         show(f"{UNUSED_DATA[key]:<12} {text}")
     if problem.loads:
         show(f"loads        {', '.join(problem.loads)}")

@@ -256,6 +256,20 @@ def test_markers_without_data_and_columns_that_are_not_used_are_told(tmp_path: P
         ] == ["markers SHIN of the model", "columns SHYN and emg of the data"]
 
 
+def test_a_marker_that_differs_in_case_and_signs_only_is_asked_about() -> None:
+    m = mbdkit.Mechanism()
+    m.body("rod", mass=1.0, inertia=0.1)
+    for name, at in (("HIP", -0.2), ("KNEE", 0.2), ("shin_1", 0.1)):
+        m.marker(name, "rod", point=(at, 0.0))
+    t = np.linspace(0.0, 1.0, 21)
+    places = {"HIP": -0.2, "KNEE": 0.2, "Shin-1": 0.1}
+    data = {f"{name}.{axis}": (0 * t + at * (axis == "x")).tolist() for name, at in places.items() for axis in "xy"}
+    motion = {"data": {"time": t.tolist()} | data, "errors": "none"}
+    found = mbdkit.inverse({"mbdkit": 1, "model": m.to_spec(), "motion": motion})
+    assert any("markers Shin-1 of the table are not used" in text for text in found.warnings)
+    assert any("did you mean shin_1?" in text for text in found.warnings)
+
+
 @pytest.mark.parametrize("name", ["t.csv", "t.c3d"])
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
 def test_a_table_that_is_a_pipe_is_not_read(name: str, tmp_path: Path) -> None:

@@ -140,7 +140,7 @@ class Design:
         if self.derivatives:
             lines.append(self.derivatives)
         if len(self.front) > 1:
-            points = front_table(self)
+            points = front_table(self.spec, self.front, self.best)
             more = f"{len(self.front) - ROWS} more points are in design.json." if len(self.front) > ROWS else ""
             lines.append(table_text(replace(points, rows=points.rows[:ROWS], note=more)))
         if self.compared:
@@ -150,7 +150,10 @@ class Design:
                 for text in (comparison.confirmation(*goals.values()), comparison.reason)
                 if text
             )
-            lines += [table_text(comparison_table(self)), *remarks]
+            lines += [
+                table_text(comparison_table(self.spec, self.best, self.compared, is_feasible=self.is_feasible)),
+                *remarks,
+            ]
         return "\n".join([*lines, *self.warnings])
 
     def both_points(self, form: str = "{:.4g}") -> Iterator[tuple[str, str, str]]:

@@ -1,21 +1,26 @@
-"""Tables of the points of a design, for its summary and its report; see `mbdkit_design.design.Design`."""
+"""Tables of the points of a design, for its summary and its report."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
 from mbdkit.spec.yaml_reader import write_yaml
+from mbdkit_design.compared_settings import Comparison
+from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.gains import goal_units, variable_unit
+from mbdkit_design.known_points import DesignPoint
 from mbdkit_report import Cell, Column, Table, key_words
 
 
-def comparison_table(design: Any) -> Table:
+def comparison_table(
+    spec: DesignSpec, best: DesignPoint, compared: Sequence[Comparison], *, is_feasible: bool
+) -> Table:
     """Return the table of the best points of this design and of the searches with other settings of the runs."""
-    (goal,) = design.best.goals
-    best, names = design.best, [*design.spec.single]
+    (goal,) = best.goals
+    names = [*spec.single]
     own, value = (best.variables[name] for name in names), best.goals[goal]
-    rows: list[tuple[Cell, ...]] = [("this design", *own, value, value, "yes" if design.is_feasible else "no")]
-    for comparison in design.compared:
+    rows: list[tuple[Cell, ...]] = [("this design", *own, value, value, "yes" if is_feasible else "no")]
+    for comparison in compared:
         if comparison.believed is None or comparison.actual is None:
             rows.append((comparison.name, *(None for _ in names), None, None, "no best point"))
         else:
@@ -30,36 +35,35 @@ def comparison_table(design: Any) -> Table:
                     limits,
                 )
             )
-    unit = goal_units(design.spec)[goal]
+    unit = goal_units(spec)[goal]
     columns = (
         Column("best point with"),
-        *(Column(key_words(name), variable_unit(design.spec, name)) for name in names),
+        *(Column(key_words(name), variable_unit(spec, name)) for name in names),
         Column("goal with it", unit),
         Column("goal in fact", unit),
         Column("satisfies limits"),
     )
     text = "; ".join(
-        f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}"
-        for name, settings in design.spec.compare.items()
+        f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}" for name, settings in spec.compare.items()
     )
     note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {text}."
     return Table("compared", "Results with other settings", columns, tuple(rows), note)
 
 
-def front_table(design: Any) -> Table:
+def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoint) -> Table:
     """Return the table of the points of a Pareto front."""
-    units = goal_units(design.spec)
+    units = goal_units(spec)
     columns = (
         Column("point"),
-        *(Column(name, units[name]) for name in design.best.goals),
-        *(Column(key_words(name), variable_unit(design.spec, name)) for name in design.spec.single),
+        *(Column(name, units[name]) for name in best.goals),
+        *(Column(key_words(name), variable_unit(spec, name)) for name in spec.single),
     )
     rows = tuple(
         (
-            f"{number}{' (best)' * (point == design.best)}",
+            f"{number}{' (best)' * (point == best)}",
             *point.goals.values(),
-            *map(point.variables.get, design.spec.single),
+            *map(point.variables.get, spec.single),
         )
-        for number, point in enumerate(design.front, 1)
+        for number, point in enumerate(front, 1)
     )
     return Table("front-points", "Points of the Pareto front", columns, rows)

@@ -120,9 +120,9 @@ def _tables(design: Design) -> Iterator[Table]:
         yield Table(f"table-{number}", f"Values of {key_words(name)}", heads, tuple(of_table), table.remark(best))
     yield _goal_table(design)
     if design.compared:
-        yield comparison_table(design)
+        yield comparison_table(design.spec, design.best, design.compared, is_feasible=design.is_feasible)
     if len(design.front) > 1:
-        yield front_table(design)
+        yield front_table(design.spec, design.front, design.best)
 
 
 def _goal_table(design: Design) -> Table:

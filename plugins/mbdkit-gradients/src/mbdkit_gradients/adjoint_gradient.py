@@ -171,22 +171,27 @@ class AdjointRun:
         time, q, v = [work.t0], [work.q0], [work.v0]
         while not (stepper.finished or stepper.failure):
             rows = stepper.advance()
-            now = np.array([stepper.time]), [stepper.run_state.q.copy()], [stepper.run_state.v.copy()]
-            found = (rows.time, rows.q, rows.v) if self._sided is None else now  # parts of steps have no rows
-            if len(found[0]) and found[0][-1] > time[-1]:
-                time.extend(found[0].tolist())
-                q.extend(found[1])
-                v.extend(found[2])
+            if self._sided is None:
+                time.extend(rows.time.tolist())
+                q.extend(rows.q)
+                v.extend(rows.v)
+            elif stepper.time > time[-1]:  # parts of steps have no rows
+                time.append(stepper.time)
+                q.append(stepper.run_state.q.copy())
+                v.append(stepper.run_state.v.copy())
         if stepper.failure:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
         return time, q, v
 
     def _take_corners(self, stepper: SidedStepper) -> None:
-        """Note the discontinuities of force laws, at each of which a step ends."""
-        names = [one.sides for one in stepper.history]
-        for corner, before, after in zip(stepper.corners, names, names[1:], strict=False):
+        """Note the discontinuities of force laws, at which steps end; one at the end of the run has no effect."""
+        for corner, (before, after) in zip(
+            stepper.corners, pairwise(one.sides for one in stepper.history), strict=True
+        ):
             node = int(np.argmin(np.abs(self.time - corner.before.time[0])))
+            if node == len(self.time) - 1:
+                break
             condition = stepper.conditions[corner.number]
             assert isinstance(condition, ForceCondition)
             if node == 0 or (self._corners and self._corners[-1].node == node):
@@ -213,7 +218,7 @@ class AdjointRun:
 
     def _event(self, event: PassedEvent) -> AdjointEvent:
         """Return an event with its state, at the end of a piece of a step; end the run there if the event does."""
-        n = min(int(np.searchsorted(self.time, event.time)), len(self.time) - 1) - 1
+        n = int(np.clip(np.searchsorted(self.time, event.time), 1, len(self.time) - 1)) - 1
         share = min(1.0, (event.time - self.time[n]) / (self.time[n + 1] - self.time[n]))
         (number,) = (k for k, part in enumerate(self.parts) if part.begin <= n < part.end)
         part = replace(self.parts[number], begin=0, end=1)

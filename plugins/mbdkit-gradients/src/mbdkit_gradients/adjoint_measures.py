@@ -197,7 +197,7 @@ class AdjointMeasure(MeasureEvaluation):
         states: Any,
         expression: MeasureExpression,
         events: Sequence[PassedEvent],
-        corners: Sequence[Any] = (),
+        corners: Sequence[Any],
     ):
         self._columns, self._corners = Columns(expression.quantities), corners
         reductions = sum(operation.startswith("over time") for operation, _ in expression.program)
@@ -299,10 +299,8 @@ class AdjointMeasure(MeasureEvaluation):
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
         parts = self.run.motions[0].parts
-        begin, end = parts[number].span
-        following = parts[number + 1].corner is not None if number + 1 < len(parts) else False
-        is_at_corner = peak.time == (end if following else begin if parts[number].corner is not None else np.nan)
-        if peak.switch >= 0 or is_at_corner:
+        corners = [part.span[0] for part in parts if part.corner is not None]
+        if peak.switch >= 0 or peak.time in corners:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is not smooth")
         if self._reads and self._peak_of == index:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is attained at several times")
@@ -314,8 +312,6 @@ class AdjointMeasure(MeasureEvaluation):
     def _read_at(self, number: int, time: float, index: int) -> DerivedValue:
         states = self.states.at(number, np.array([time]))
         here = self._of_operand(index, states)
-        if self._ends_at_event and time == self.run.rows.time[-1]:
-            return self._at_end(here)
         return self._noted(here.value, [(number, states, np.ones(1), here.slope)])
 
     def _at(self, functional: Functional | None, index: int, time: DerivedValue, operand: DerivedValue) -> DerivedValue:
@@ -325,9 +321,11 @@ class AdjointMeasure(MeasureEvaluation):
         if number is None:
             return DerivedValue.constant(np.full((*operand.value.shape[:-1], 1), np.nan), self.count)
         moved = time.slope.reshape(self.count, time.value.size)[:, 0]
-        if at == self.run.rows.time[-1]:
-            moved = moved - self.run.end
-        elif moved.any() and number != self._part_at(replace(functional, reduction="after"), at):
+        if self._ends_at_event and at == self.run.rows.time[-1]:
+            found = self._moved(self._at_end(operand[-1:]), number, at, index, moved - self.run.end)
+            self._functionals[functional.text] = found
+            return found
+        if moved.any() and number != self._part_at(replace(functional, reduction="after"), at):
             raise NotByAdjointError("a time that the parameters change is that of a stop")
         found = self._moved(self._read_at(number, at, index), number, at, index, moved)
         self._functionals[functional.text] = found

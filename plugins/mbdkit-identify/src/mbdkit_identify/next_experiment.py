@@ -3,26 +3,46 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from mbdkit.plugin import SpecError, path_text
 from mbdkit.plugin.studies import PreparedSensitivities
+from mbdkit_identify.estimation import Fit
 from mbdkit_identify.identification import NextExperiment
+from mbdkit_identify.identify_spec import IdentifySpec
 from mbdkit_identify.intervals import Goal, covariance_of
 from mbdkit_identify.loading import overridden
-from mbdkit_identify.measured_data import SignalData
+from mbdkit_identify.measured_data import ExperimentData, SignalData
 from mbdkit_identify.problem import Problem
 from mbdkit_identify.segments import segments_of
 
 TIMES = 101  #: Number of times at which the interval of a quantity is computed.
 
 
-def next_experiment(done: Any) -> NextExperiment:
-    """Return the expected intervals after each candidate was added to the experiments.
+class Done(Protocol):
+    """What is known after the estimation; see `mbdkit_identify.identify`."""
 
-    `done`: the identification, see `mbdkit_identify.identify`.
+    spec: IdentifySpec
+    problem: Problem
+    fit: Fit
+    names: list[str]
+    data: list[ExperimentData]
+    level: float
+
+    def goals(self) -> list[Goal]:
+        """Return the parameters and expressions whose intervals are computed."""
+
+    def is_determined(self, slope: np.ndarray) -> bool:
+        """Return whether the data determine a goal with these derivatives (n,)."""
+
+    def base_data(self, x: np.ndarray) -> dict[str, Any]:
+        """Return the base with unknowns x (n,) as plain data."""
+
+
+def next_experiment(done: Done) -> NextExperiment:
+    """Return the expected intervals after each candidate was added to the experiments.
 
     The derivatives of the candidate's signals at the estimates are added to those of the experiments. To be narrowed is
     what `narrow` of the spec says, or the first of `intervals.of`, or else the parameter whose interval is widest
@@ -45,7 +65,7 @@ def next_experiment(done: Any) -> NextExperiment:
     return NextExperiment(narrows, widths, best)
 
 
-def _asked(done: Any) -> list[Goal]:
+def _asked(done: Done) -> list[Goal]:
     """Return what `narrow` of the spec asks for, if it does, as one goal for each time of its run."""
     if (narrow := done.spec.narrow) is None:
         return []
@@ -59,7 +79,7 @@ def _asked(done: Any) -> list[Goal]:
     return [Goal(narrow.quantity, lambda x: np.nan, lambda x, slope=slope: slope) for slope in wide]  # type: ignore[misc]
 
 
-def _widths(done: Any, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
+def _widths(done: Done, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray) -> dict[str, float]:
     covariance = covariance_of(jacobian, free)
     norms = np.maximum(np.linalg.norm(jacobian[:, free], axis=0), 1e-300)
     _, values, directions = np.linalg.svd(jacobian[:, free] / norms, full_matrices=False)
@@ -74,7 +94,7 @@ def _widths(done: Any, goals: list[Goal], jacobian: np.ndarray, free: np.ndarray
     return found
 
 
-def _with_candidate(done: Any, name: str) -> tuple[np.ndarray, np.ndarray]:
+def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the derivatives of the whitened residuals with those of a candidate, and which unknowns are free."""
     spec, problem = done.spec, done.problem
     candidate = spec.candidates[name]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
@@ -10,7 +11,7 @@ if TYPE_CHECKING:
     from mbdkit.plugin import States
 
 
-class JointWatcher:
+class JointWatcher(ABC):
     """A watcher of states whose own state is the arrays `ARRAYS`; each is an attribute with an underscore before it."""
 
     ARRAYS: ClassVar[tuple[str, ...]]
@@ -20,9 +21,9 @@ class JointWatcher:
         if len(states.time):
             self._note(states)
 
+    @abstractmethod
     def _note(self, states: States) -> None:
         """Take note of one state or more."""
-        raise NotImplementedError
 
     def stored(self) -> dict[str, np.ndarray]:
         """Return the state as plain values, for a checkpoint."""

@@ -42,7 +42,7 @@ from mbdkit_biomech.inverse_dynamics.motion.reduced_motion import (
     motion_of_series,
 )
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import smoothed
-from mbdkit_biomech.inverse_dynamics.motion.unused_data import unused_data
+from mbdkit_biomech.inverse_dynamics.motion.unused_data import UnusedData
 from mbdkit_biomech.inverse_dynamics.muscles.knees import knee_forces
 from mbdkit_biomech.inverse_dynamics.muscles.measured_targets import measured_targets
 from mbdkit_biomech.inverse_dynamics.muscles.recruited import Recruited
@@ -81,7 +81,7 @@ class InverseProblem:
     recruiter
         Recruits the muscles; None without `recruitment`.
     unused
-        Markers of the model without data, and columns of the table that are not used, see `unused_data`.
+        Markers of the model without data, and columns of the table that are not used.
     followers
         Bodies that follow the motion, such as worn devices, by name.
     is_loaded
@@ -97,7 +97,7 @@ class InverseProblem:
     actuators: list[NamedActuator]
     source: InverseSpec
     recruiter: Recruiter | None = None
-    unused: dict[str, str] = field(default_factory=dict)
+    unused: UnusedData = field(default_factory=UnusedData)
     followers: Mapping[str, Follower] = field(default_factory=dict)
     is_loaded: bool = True
 
@@ -113,7 +113,7 @@ class InverseProblem:
         texts = [f"{warning}." for warning in (*mechanism.warnings, *mechanism.left_out_of_runs)]
         if self.names.mechanism.muscles and self.recruiter is None:
             texts.append("the model has muscles, which exert no force because the spec has no `recruitment`.")
-        texts += remarks_of(self)
+        texts += [*self.unused.warnings, *remarks_of(self)]
         if any(actuator.is_residual for actuator in self.actuators):
             texts += [f"{warning}." for warning in light_roots(self.names.mechanism)]
         return tuple(texts)
@@ -146,7 +146,7 @@ class InverseProblem:
         prepared = AssembledMechanism.at(spec, float(measured.time[0]), float(measured.time[-1]))
         measured = measured.near(prepared.equations.q0)
         fitter = Fitter(Manifold(prepared), prepared.workspace.mechanism.bodies)
-        unused = unused_data(spec, names, measured, table)
+        unused = UnusedData.of(spec, names, measured, table)
         problem = cls(spec, prepared, fitter, names, measured, loads, actuators, source, recruiter, unused, followers)
         try:
             sources_of(problem)  # before the computation, so that wrong names are found early

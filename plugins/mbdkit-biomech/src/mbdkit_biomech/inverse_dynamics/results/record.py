@@ -100,7 +100,7 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
     gaps = {} if fitted.placed is None else {"placed_gaps": fitted.placed.to_json(fitted.measured.names)}
     person = result.problem.source.person
     own = {} if person is None else {"person": json_text(person.to_dict()), **person.lines()}
-    return model_provenance(result.problem.spec) | result.problem.unused | gaps | own
+    return model_provenance(result.problem.spec) | result.problem.unused.notes | gaps | own
 
 
 def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> MeasuredValues:
