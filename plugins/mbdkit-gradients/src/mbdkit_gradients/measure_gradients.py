@@ -29,8 +29,9 @@ from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit.trust.finding import Doubts
 from mbdkit.trust.measure_error import natural_scales, natural_size
-from mbdkit_gradients.adjoint_gradient import AdjointRun, is_ready, why_forward
+from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
+from mbdkit_gradients.backward_sweep import is_ready
 from mbdkit_gradients.derivative_doubts import start_doubts
 from mbdkit_gradients.differentiated_expressions import Definitions, Measures, definitions_of, expressions_of
 from mbdkit_gradients.differentiated_run import DifferentiatedRun, Needs, differentiated_run, refuse

@@ -20,8 +20,9 @@ from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.spec import RunSpec, load_spec
 from mbdkit.spec.loading import _examples
 from mbdkit.spec.sections import GradientMode
-from mbdkit_gradients.adjoint_gradient import ARRAYS, AdjointRun, why_forward
+from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
+from mbdkit_gradients.backward_sweep import ARRAYS
 from mbdkit_gradients.differentiated_expressions import expressions_of
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.measured_derivatives import derived_measures, needs_of

@@ -1,0 +1,247 @@
+"""The way back through the steps of a run, by the kernels of the adjoint."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from mbdkit.base.errors import PluginError
+from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.iteration_matrix import classes_of
+from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, RESIDUAL_Q, STIFFNESS
+from mbdkit.engine.kernels.system import DIVERGED, OK
+from mbdkit.engine.kernels.table_rows import SPRING
+from mbdkit.engine.native import machine_code
+from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.native.levels import chosen_level
+from mbdkit.engine.native.number_arrays import ITEM, new_duals
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.duals.differentiated_stepper import dual_laws
+from mbdkit.integrators.duals.dual_run import Seeds, dual_states, new_dual_run
+from mbdkit.laws.tabulated import LAW as TABLE
+from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
+from mbdkit.runs.continuous_motion import MotionPart
+from mbdkit_gradients.adjoint_measures import Bars, NotByAdjointError
+from mbdkit_gradients.kernels import adjoint as kernels
+
+#: Arrays of a mechanism with respect to which the adjoint gives derivatives; `weight` follows from `mass`.
+ARRAYS = ("mass", "gravity", "pair_parameters", "spring_points", "linear", "law_parameters", "load_points")
+
+
+def is_ready() -> bool:
+    """Return whether the machine code of the kernels is stored; to compile it takes minutes."""
+    symbol = kernels.differentiate_back.symbol
+    return machine_code.IN_PYTHON or machine_code.stored_file(symbol, chosen_level()) is not None
+
+
+@dataclass(frozen=True)
+class SweptPart:
+    """The motion between two stops: numbers of its first and last step end, and its motion; see `MotionPart`."""
+
+    begin: int
+    end: int
+    motion: MotionPart
+    corner: int | None  #: Number of the discontinuity of a force law at which it begins; None if there is none.
+    use: Callable[[], None]  #: Makes force laws use their sides in this part.
+
+    @property
+    def plain(self) -> MotionPart:
+        """The motion, with the sides of force laws that apply in this part."""
+        self.use()
+        return self.motion
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time of the part [s]."""
+        time = self.motion.ends.time
+        return float(time[0]), float(time[-1])
+
+
+class SweptSteps(Protocol):
+    """Steps through which derivatives are carried back: their method, times (N + 1,), sizes (N,) [s], positions and
+    velocities (N + 1, n + 3) of their ends, and parts.
+    """
+
+    method: ExplicitRungeKutta | ImplicitRungeKutta
+    time: np.ndarray
+    size: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+
+    @property
+    def parts(self) -> Sequence[SweptPart]:
+        """The parts between stops and discontinuities of force laws."""
+
+
+class BackwardSweep:
+    """The kernels of the adjoint for a workspace, and derivatives with respect to numbers of its mechanism."""
+
+    def __init__(self, workspace: Workspace, seeds: Seeds):
+        self.workspace = workspace
+        mechanism, top = workspace.mechanism, workspace.mechanism.topology
+        classes, terms = classes_of(workspace), workspace.terms
+        keep = np.isin(classes, (STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q))
+        columns = (terms.source[keep], terms.row[keep], terms.column[keep], classes[keep])
+        laws = top.springs[:, SPRING.law]
+        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in laws]
+        size, pairs, springs = mechanism.size, len(top.pairs), len(top.springs)
+        slots = np.zeros((pairs, 6, 12)), np.zeros((springs, 6, 12))
+        for k in range(6):
+            slots[0][:, k, k] = slots[1][:, k, 6 + k] = 1.0
+        units = Seeds({"pair_parameters": slots[0], "spring_points": slots[1]}, np.ones(12))
+        wanted = np.any(seeds.get("law_parameters"), axis=-1) if seeds.get("law_parameters") is not None else None
+        wants_points = any(seeds.get(name) is not None for name in ("pair_parameters", "spring_points"))
+        try:
+            rows = dual_laws(workspace) if wanted is not None else top.laws
+        except PluginError as error:
+            raise NotByAdjointError(str(error)) from None
+        self._run = new_dual_run(workspace, units, rows, 0, 0)
+        states = dual_states(self._run, workspace, np.zeros(2), new_duals(2, size), new_duals(2, size))
+        self._recorded = PinnedBundle(states._replace(top=self._run.top._replace(baumgarte=states.top.baumgarte)))
+        self._stepping = PinnedBundle(states._replace(top=self._run.top))
+        w = self._run.w
+        gradients = {name: np.zeros(getattr(top, name).shape) for name in ARRAYS}
+        self.bundle = kernels.Adjoint(
+            terms=np.ascontiguousarray(np.column_stack(columns).astype(np.int64)),
+            wants=np.array([wants_points, wanted is not None], dtype=np.int64),
+            laws_wanted=(np.zeros(len(top.law_parameters)) if wanted is None else wanted).astype(np.int64),
+            kinds=np.array(kinds, dtype=np.int64),
+            mu=np.zeros(size), nu=np.zeros((pairs, 2)), rest=np.zeros(size), rest_rows=np.zeros((pairs, 2)),
+            right=np.zeros(mechanism.unknowns), lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
+            **gradients,
+            jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
+            tension=np.asarray(w.tension), values=np.asarray(w.law_values), rate=np.asarray(states.v)[0, :2],
+        )  # fmt: skip
+        assert self.bundle.jac.shape[-1] == ITEM
+        self._pinned = PinnedBundle(self.bundle)
+
+    def use(self, sides: np.ndarray, places: list[int]) -> None:
+        """Use other numbers of force laws, at `places`."""
+        for numbers in (self._run.top.law_parameters, self._run.w.law_values):
+            np.asarray(numbers)[places, 0] = sides
+
+    def clear(self) -> None:
+        """Set the derivatives to zero."""
+        for name in ARRAYS:
+            getattr(self.bundle, name)[...] = 0.0
+
+    def _call(self, engine: int, duals: PinnedBundle, given: int, task: int, first: int, end: int) -> tuple[int, int]:
+        arguments = engine, duals.address, self._pinned.address, given, given, task, first, end
+        status, place = kernels.differentiate_back(*arguments)
+        return int(status), int(place)
+
+    def _retried(self, call: Callable[[int], tuple[int, int]], begin: int, end: int) -> None:
+        """Call a kernel from `begin` on until it arrives at `end`; choose new pivots for a state whose system it cannot
+        solve.
+        """
+        failed, place = -1, begin
+        while True:
+            status, place = call(place)
+            if status == OK and place == end:
+                return
+            if status == DIVERGED:
+                raise NotByAdjointError("a fixed-point iteration for the stages of a step does not converge")
+            try:
+                if status == OK or failed == place:
+                    raise SingularSystemError
+                self.workspace.use_pivots()
+            except SingularSystemError:
+                raise NotByAdjointError(
+                    "the equations at a stage of a step have no solution, because their system is singular or the "
+                    "iteration for the stages diverges"
+                ) from None
+            failed = place
+
+    def pulled(self, one: Bars) -> tuple[np.ndarray, np.ndarray]:
+        """Return the derivatives (T, n + 3) with respect to positions and velocities of T states."""
+        work, count = self.workspace, len(one.states.time)
+        work.clamp_motions(-np.inf, np.inf)
+        given = kernels.Given(
+            np.ascontiguousarray(one.states.time), np.ascontiguousarray(one.states.q),
+            np.ascontiguousarray(one.states.v), one.acc, one.reactions, one.forces, one.kinetic, one.gravity,
+            one.q.copy(), one.v.copy(), np.zeros((2, one.q.shape[1])), np.zeros((len(self.bundle.nu), 2)),
+        )  # fmt: skip
+
+        def call(begin: int) -> tuple[int, int]:
+            rest = kernels.Given(*(x[begin:] if k < 10 else x for k, x in enumerate(given)))
+            pinned = PinnedBundle(rest)
+            status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)
+            return status, begin + row
+
+        self._retried(call, 0, count)
+        return given.q_bar, given.v_bar
+
+    def _steps(self, run: SweptSteps, **arrays: Any) -> Any:
+        a, b, c = run.method.tableau.floats()
+        stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
+        schur = self.workspace.solver.schur
+        names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")
+        vectors = {name: np.zeros((stages, size)) for name in names}
+        is_implicit = not isinstance(run.method, ExplicitRungeKutta)
+        none = np.zeros((0, size))
+        return kernels.Steps(
+            a=np.ascontiguousarray(a), b=np.ascontiguousarray(b), c=np.ascontiguousarray(c),
+            **{"q_bar": none, "v_bar": none, "stage_q_bar": none, "stage_v_bar": none, **arrays},
+            time=np.ascontiguousarray(run.time[:-1]), size=np.ascontiguousarray(run.size), q=run.q, v=run.v,
+            lam=np.zeros((stages, pairs, 2)), diagonal=np.zeros((stages, *schur.diagonal.shape)),
+            below=np.zeros((stages, *schur.below.shape)), **vectors, next=np.zeros(size),
+            is_implicit=np.array([int(is_implicit)]),
+            source=np.zeros((stages if is_implicit else 0, len(self.workspace.scratch.source))),
+        )  # fmt: skip
+
+    def stages(self, run: SweptSteps) -> tuple[np.ndarray, ...]:
+        """Return times, weights, positions and velocities of the stages of all steps."""
+        _, b, c = run.method.tableau.floats()
+        time = (run.time[:-1, None] + run.size[:, None] * c[: len(b)]).ravel()
+        weight = np.multiply.outer(run.size, b).ravel()
+        q, v = (np.zeros((len(time), run.q.shape[1])) for _ in range(2))
+        self._write_stages(run, self._steps(run, stage_q_bar=q, stage_v_bar=v))
+        return time, weight, q, v
+
+    def end(self, piece: SweptSteps) -> tuple[np.ndarray, np.ndarray]:
+        """Return position and velocity at the end of a step."""
+        q, v = (np.zeros((len(piece.method.tableau.floats()[1]), piece.q.shape[1])) for _ in range(2))
+        steps = self._steps(piece, stage_q_bar=q, stage_v_bar=v)
+        self._write_stages(piece, steps)
+        weight = piece.size[0] * steps.b
+        return piece.q[0] + weight @ steps.v_stage, piece.v[0] + weight @ steps.acc
+
+    def _write_stages(self, run: SweptSteps, steps: Any) -> None:
+        """Write the stages of all steps of a run."""
+        pinned = PinnedBundle(steps)
+        for part in run.parts:
+            self.workspace.clamp_motions(*part.plain.sides)
+
+            def call(begin: int, end: int = part.end) -> tuple[int, int]:
+                engine = self.workspace.stepping_engine  # which new pivots may move
+                return self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, end)
+
+            self._retried(call, part.begin, part.end)
+
+    def sweep(
+        self,
+        run: SweptSteps,
+        q_bar: np.ndarray,
+        v_bar: np.ndarray,
+        stage_bars: Any,
+        pass_corner: Callable[[int], None] | None = None,
+    ) -> None:
+        """Carry the derivatives with respect to step ends back to the start, whose row of `q_bar`, `v_bar` changes;
+        `pass_corner` changes them at a discontinuity of a force law.
+        """
+        more = dict(zip(("stage_q_bar", "stage_v_bar"), stage_bars, strict=False))
+        pinned = PinnedBundle(self._steps(run, q_bar=q_bar, v_bar=v_bar, **more))
+        work = self.workspace
+        for part in reversed(run.parts):
+            work.clamp_motions(*part.plain.sides)
+
+            def call(left: int, begin: int = part.begin) -> tuple[int, int]:
+                return self._call(work.stepping_engine, self._stepping, pinned.address, kernels.SWEEP, begin, left)
+
+            self._retried(call, part.end, part.begin)
+            if part.corner is not None and pass_corner is not None:
+                pass_corner(part.corner)
+        work.clamp_motions(-np.inf, np.inf)
