@@ -188,14 +188,16 @@ def _compute_block(
                 some_runs = list(_varied_runs(plan, left, runs_of_numbers, notify, twice))
                 computed = {number for part in some_runs for number in part.numbers}
                 left = [place for place in left if place + 1 not in computed]
-                runs += unfinished.added(some_runs)
+                runs += some_runs
+                unfinished.add(some_runs)
             members = {place + 1: _spec_of(plan.points[place], varied, skip, mark) for place in left}
             known = _taken_over(saved, members)
             runs += known.values()
             missing = {number: spec for number, spec in members.items() if number not in known}
             for numbers, result in _results(missing, lanes, plan.expressions, mark, notify):
                 specs = [spec for number in numbers if isinstance(spec := missing[number], RunSpec)]
-                runs += unfinished.added([_own_runs(plan, numbers, specs, result)])
+                runs.append(_own_runs(plan, numbers, specs, result))
+                unfinished.add(runs[-1:])
         write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)

@@ -78,10 +78,8 @@ class UnfinishedBlock:
         same = all(str(then.get(name)) == str(now[name]) for name in DECIDE_LAST_BITS)
         return same and piece.study_sha256 == self._heading.study_sha256 and piece.is_sound()
 
-    def added(self, runs: Sequence[BlockRuns]) -> Sequence[BlockRuns]:
-        """Add runs, save all that have not been saved if enough time has passed since the last file, and return the
-        added ones.
-        """
+    def add(self, runs: Sequence[BlockRuns]) -> None:
+        """Add runs, and save all that have not been saved if enough time has passed since the last file."""
         self._unsaved += runs
         self._bytes += sum(
             array.nbytes for some in runs if some.results is not None for array in some.results.arrays.values()
@@ -89,13 +87,12 @@ class UnfinishedBlock:
         processor, wall = self._begin
         passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
         if passed < INTERVAL or self._bytes > LARGEST_RATE * passed:
-            return runs
+            return
         path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")
         points = BlockPoints(sorted(number for some in self._unsaved for number in some.numbers))
         with suppress(OSError):  # the disk may be full, as an error says when the block itself is written
             path.write_bytes(block_image(self._heading, points, self._unsaved))
         self._unsaved, self._bytes, self._begin = [], 0, (time.process_time(), time.monotonic())
-        return runs
 
     def remove(self) -> None:
         """Remove the files, after the block itself has been written."""
