@@ -229,7 +229,8 @@ def test_a_thin_leaf_is_checked_by_a_guard_on_the_index_2_equations() -> None:
     spec = load_spec("leaf-spring").model_dump(mode="json")
     spec["model"]["joints"]["motor"]["motion"] = "-pi/6*(1 - cos(2*pi*t/5))"
     with mbdkit.run(spec, time={"end": 2.5, "step": 0.005}, output={"every": 20}, check=True) as run:
-        assert run.verdict == "good"
+        assert run.accuracy.known_until == run.time[-1]
+        assert all("record more rows" in reason for reason in run.verdict_reasons)
         assert "confirmed by a run with adaptive radau-iia of order 9 and index 2" in run.accuracy.method
 
 
