@@ -47,6 +47,7 @@ def test_the_result_of_a_folder_is_that_of_the_design(whole: Path) -> None:
     found = mbdkit.load_design(whole)
     written = json.loads((whole / "design.json").read_text("utf-8"))
     assert written.pop("mbdkit_result") == 1
+    assert written.pop("sha256")
     assert found.to_dict() == mbdkit.design(tuned()).to_dict() == written
     assert sorted(path.name for path in whole.iterdir()) == [
         "best.h5", "design.json", "design.yaml", "points.jsonl", "start.h5"]  # fmt: skip
