@@ -115,8 +115,8 @@ def test_the_bar_of_the_added_force_is_that_of_misfits_computed_one_by_one() -> 
     added = run.added_force("knee")
     np.testing.assert_allclose(added.added_error, 1.96 * change, rtol=0.1, atol=0.05)
     assert "misfit y of brace" in run.contributions("knee").shares
-    # with one uncertain number, the bar of a change that is linear in it is 1.96 times half the difference of its values
-    # at both ends; a largest force is not, because its time changes
+    # with one uncertain number, the bar of a change that is linear in it is 1.96 times half the difference of its
+    # values at both ends; a largest force is not, because its time changes
     pairs = [side.added_force("knee").changes for side in sides]
     for one, first, second in list(zip(added.changes, *pairs, strict=True))[1:3]:
         half = abs(first.difference - second.difference) / 2
