@@ -54,7 +54,9 @@ def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
         return f"the formulation is {spec.formulated.name}"
     if spec.stabilized.kind == "projection":
         return "states are projected"
-    if unknown := [name for name in seeds.arrays if name not in (*ARRAYS, "weight", "q", "v", "marker_points")]:
+    # lines of joints are read by their travel alone, which the adjoint does not differentiate
+    taken = (*ARRAYS, "weight", "q", "v", "marker_points", "joint_lines")
+    if unknown := [name for name in seeds.arrays if name not in taken]:
         known = {"motion_values": "motions or loads that are functions of time", "section_parameters": "beams"}
         of_measure = "numbers of measures" if "." in unknown[0] else "other elements"
         return f"parameters change {known.get(unknown[0], of_measure)}"

@@ -337,3 +337,21 @@ def test_adjoint_agrees_with_dual_numbers_where_a_rod_strikes_a_stop(method: dic
     size = np.max(np.abs(one.jacobian), axis=1, keepdims=True)
     assert np.all(size > 0.0)
     assert_within((other.jacobian - one.jacobian) / size, 3e-11)
+
+
+def test_a_named_length_of_a_slider_crank_may_be_a_parameter() -> None:
+    # expected: the forward way; the line of the slide follows from the length, too
+    m = mbdkit.Mechanism()
+    crank = m.body("crank", mass=1.0, inertia=0.01, position=(0.1, 0.0))
+    rod = m.body("rod", mass=2.0, inertia=0.1, position=(0.5, 0.0))
+    m.revolute("A", m.ground, crank, at=(0, 0))
+    m.revolute("B", crank, rod, at=(0.2, 0))
+    m.point_on_line("C", m.ground, rod, at=(0.8, 0), axis=(1, 0))
+    spec = {"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"}, "time": {"end": 0.2, "step": 0.005}}
+    spec |= {"parameters": {"rod": 0.6}}
+    spec["model"]["joints"]["C"]["points"] = [["0.2 + rod", 0.0], ["rod/2", 0.0]]
+    spec["model"]["joints"]["B"]["points"] = [[0.1, 0.0], ["-rod/2", 0.0]]
+    spec["model"]["bodies"]["rod"]["position"] = ["0.2 + rod/2", 0.0]
+    texts = ["final(rod.x)", "mean(abs(joints.C.force))"]
+    one, other = (mbdkit.gradient(spec, texts, "rod", mode=mode, check=False) for mode in MODES)
+    np.testing.assert_allclose(other.jacobian, one.jacobian, rtol=1e-10)
