@@ -17,21 +17,19 @@ from mbdkit.engine.input_schedule import same_time
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.criteria import BranchSuspicion
 
+#: A stop and the end of a fixed step, or of the run, count as equal if they differ by less than this number times the
+#: margin of the stop.
 SAME_TIME = 16.0
-"""A stop and the end of a fixed step, or of the run, count as equal if they differ by less than this number times the
-margin of the stop."""
 
-SAME_INSTANT = 4e-16
-"""Times that differ by less than this, in seconds or relative to their size, are equal."""
+SAME_INSTANT = 4e-16  #: Times that differ by less than this, in seconds or relative to their size, are equal.
 
+#: Times that differ by less than this, in seconds or relative to times above 1 s, are the same instant.
 SIMULTANEOUS = 1e-12
-"""Times that differ by less than this, in seconds or relative to times above 1 s, are the same instant."""
 
-ROUNDING = 2e-15
-"""Rows and ends of steps that differ by less than this, relative to the times of the run, are equal."""
+ROUNDING = 2e-15  #: Rows and ends of steps that differ by less than this, relative to the times of the run, are equal.
 
+#: Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s.
 STRETCH = 0.1
-"""Seconds after which a compiled loop should return to Python, so that it stays well below the promised 0.2 s."""
 
 
 @dataclass(frozen=True)
@@ -198,18 +196,13 @@ def closeness(time: float) -> float:
 class Goal(NamedTuple):
     """Where an open run pauses: after a number of whole fixed steps, at a stop of its plan, or at a stop of its own."""
 
-    time: float
-    """The time [s]."""
-    reached: float
-    """The time less the margin of the stop there [s]."""
-    whole: int = -1
-    """Number of fixed steps after which the run pauses; -1 if it pauses at a stop."""
-    pause: float = math.inf
-    """Time of the additional stop [s]; infinite if there is none."""
+    time: float  #: The time [s].
+    reached: float  #: The time less the margin of the stop there [s].
+    whole: int = -1  #: Number of fixed steps after which the run pauses; -1 if it pauses at a stop.
+    pause: float = math.inf  #: Time of the additional stop [s]; infinite if there is none.
 
 
-ENDLESS = Goal(math.inf, math.inf)
-"""The goal of a run that does not pause."""
+ENDLESS = Goal(math.inf, math.inf)  #: The goal of a run that does not pause.
 
 
 def on_grid(time: float, start: float, step: float, end: float) -> float:
@@ -221,8 +214,8 @@ def on_grid(time: float, start: float, step: float, end: float) -> float:
     return whole if abs(whole - time) <= same_time(start, end) else time
 
 
+#: A state: positions and velocities (3 (B + 1),), ground last, and first-order states (Z,).
 Moment = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""A state: positions and velocities (3 (B + 1),), ground last, and first-order states (Z,)."""
 
 
 @dataclass
@@ -230,20 +223,17 @@ class Stretch:
     """The recorded states of one stretch (part) of a run: T rows."""
 
     time: np.ndarray
-    q: np.ndarray
-    """(T, 3 (B + 1)) positions, ground last."""
+    q: np.ndarray  #: (T, 3 (B + 1)) positions, ground last.
     v: np.ndarray
     work: np.ndarray
     dissipated: np.ndarray
+    #: (T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends with each row.
     intervals: np.ndarray
-    """(T, 6) float: time, steps, size, iterations, iterations_max, rejected of the interval that ends with each row."""
-    multipliers: np.ndarray | None = None
-    """(T, m) multipliers computed by the method itself, if there are any."""
+    multipliers: np.ndarray | None = None  #: (T, m) multipliers computed by the method itself, if there are any.
+    #: (T, 4) of the interval that ends with each row, if the run is stabilized: number of projections, largest
+    #: correction of positions [m] and of velocities [m/s] in the mass metric, largest Baumgarte term [m/s^2, rad/s^2].
     corrections: np.ndarray | None = None
-    """(T, 4) of the interval that ends with each row, if the run is stabilized: number of projections, largest
-    correction of positions [m] and of velocities [m/s] in the mass metric, largest Baumgarte term [m/s^2, rad/s^2]."""
-    z: np.ndarray | None = None
-    """(T, Z) first-order states of force elements; may be None if there are none."""
+    z: np.ndarray | None = None  #: (T, Z) first-order states of force elements; may be None if there are none.
 
     def rows(self, part: slice | np.ndarray) -> Stretch:
         """Return the rows in a slice or a mask (T,)."""
@@ -300,13 +290,10 @@ class Nodes:
 class ConsecutiveSteps(NamedTuple):
     """States at the start and at the ends of K steps, between which no velocity or first-order state jumps."""
 
-    time: np.ndarray
-    """(K + 1,) times [s]."""
-    q: np.ndarray
-    """(K + 1, 3 (B + 1)) positions and velocities, ground last."""
+    time: np.ndarray  #: (K + 1,) times [s].
+    q: np.ndarray  #: (K + 1, 3 (B + 1)) positions and velocities, ground last.
     v: np.ndarray
-    z: np.ndarray
-    """(K + 1, Z) first-order states."""
+    z: np.ndarray  #: (K + 1, Z) first-order states.
 
     def every(self, count: int) -> ConsecutiveSteps:
         """Return each `count`-th state, from the first one on."""

@@ -31,15 +31,13 @@ from mbdkit.engine.native.arithmetic import any_of, renewed
 from mbdkit.engine.native.calls import call_entry
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 
+#: Differences between the friction in a joint and the value of its law, relative to the friction, up to this size count
+#: as zero.
 SETTLED = 4.0 * np.finfo(float).eps
-"""Differences between the friction in a joint and the value of its law, relative to the friction, up to this size count
-as zero."""
-NEARLY_SETTLED = 1e-11
-"""Relative differences up to this size count as round-off if they no longer decrease."""
-MOST_PASSES = 30
-"""Largest number of Newton steps for the friction in joints; three are usual."""
+NEARLY_SETTLED = 1e-11  #: Relative differences up to this size count as round-off if they no longer decrease.
+MOST_PASSES = 30  #: Largest number of Newton steps for the friction in joints; three are usual.
+#: Largest accepted residual of the pivoted system, relative to the largest row sum; above it, new pivots are chosen.
 KKT_TOLERANCE = 1e-9
-"""Largest accepted residual of the pivoted system, relative to the largest row sum; above it, new pivots are chosen."""
 
 
 @subkernel

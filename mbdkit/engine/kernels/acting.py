@@ -10,8 +10,8 @@ from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.calls import HAS_POTENTIAL
 from mbdkit.engine.native.functions import subkernel
 
+#: Kinds of the coordinate of a joint: relative angle, or distance along a line of the first body.
 ANGLE, TRAVEL = range(2)
-"""Kinds of the coordinate of a joint: relative angle, or distance along a line of the first body."""
 
 _RELATIVE_ANGLE = PATHWAYS["relative_angle"]
 

@@ -38,14 +38,13 @@ from mbdkit.engine.native.functions import inlined, subkernel
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
 _TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
-BEHIND = np.pi / 6
-"""A string sweeps an angle from minus this to 2 pi minus this about its circle."""
+BEHIND = np.pi / 6  #: A string sweeps an angle from minus this to 2 pi minus this about its circle.
+#: Beyond this angle, a string would change sides, and its length would jump; a step turns it by less than `BEHIND`.
 FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
-"""Beyond this angle, a string would change sides, and its length would jump; a step turns it by less than `BEHIND`."""
+#: Kinds of inputs of expressions of the state: a coordinate, its velocity; length, rate and tension of a pathway.
 POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(5)
-"""Kinds of inputs of expressions of the state: a coordinate, its velocity; length, rate and tension of a pathway."""
+#: Kinds of loads. A POINT_FORCE is given in the global frame, a BODY_FORCE in the frame of its body.
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
-"""Kinds of loads. A POINT_FORCE is given in the global frame, a BODY_FORCE in the frame of its body."""
 
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
 coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient

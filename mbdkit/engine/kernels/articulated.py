@@ -18,9 +18,9 @@ from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, turned
 from mbdkit.engine.native.functions import subkernel
 
+#: Columns of `bodies` (B + 1, 13): entries of M; h; I, later 1 / I; b; c; the vector r from the pin of the body to its
+#: centre of mass; and the vector d to this pin from that of the body before. The second pass puts A into the first two.
 MXX, MXY, MYY, HX, HY, INERTIA, BX, BY, TORQUE, RX, RY, DX, DY, ARTICULATED = range(14)
-"""Columns of `bodies` (B + 1, 13): entries of M; h; I, later 1 / I; b; c; the vector r from the pin of the body to its
-centre of mass; and the vector d to this pin from that of the body before. The second pass puts A into the first two."""
 
 
 @subkernel

@@ -29,8 +29,8 @@ RealCube = Annotated[np.ndarray, np.float64, 3]
 RealTensor = Annotated[np.ndarray, np.float64, 4]
 ComplexVector = Annotated[np.ndarray, np.complex128, 1]
 ComplexMatrix = Annotated[np.ndarray, np.complex128, 2]
+#: Vector of real or complex numbers; the dtype is the same for all such fields of a bundle.
 NumberVector = Annotated[np.ndarray, None, 1]
-"""Vector of real or complex numbers; the dtype is the same for all such fields of a bundle."""
 
 Bundle = TypeVar("Bundle", bound=tuple[object, ...])
 

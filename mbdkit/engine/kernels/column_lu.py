@@ -28,12 +28,11 @@ from mbdkit.engine.kernels.bundle_types import (
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, subkernel
 
-DONE, NO_ROOM = -1, -2
-"""Results of a factorization that succeeded, and of one whose factors need more room."""
+DONE, NO_ROOM = -1, -2  #: Results of a factorization that succeeded, and of one whose factors need more room.
 
+#: Columns of `ColumnFactors.search`: the last column that reached a row; rows of the search; the position in each of
+#: their columns; rows of the present column, in the order of computation.
 MARK, STACK, PLACE, REACHED = 0, 1, 2, 3
-"""Columns of `ColumnFactors.search`: the last column that reached a row; rows of the search; the position in each of
-their columns; rows of the present column, in the order of computation."""
 
 
 class ColumnFactors(NamedTuple):
@@ -42,22 +41,16 @@ class ColumnFactors(NamedTuple):
     start: IntVector
     row: IntVector
     value: NumberVector
-    column_of: IntVector
-    """(n,) column at each pivot position."""
-    row_of: IntVector
-    """(n,) row at each pivot position."""
-    place: IntVector
-    """(n,) pivot position of each row, -1 before it has one."""
+    column_of: IntVector  #: (n,) column at each pivot position.
+    row_of: IntVector  #: (n,) row at each pivot position.
+    place: IntVector  #: (n,) pivot position of each row, -1 before it has one.
     l_start: IntVector
-    l_row: IntVector
-    """Rows of the entries of L; its unit diagonal is not stored."""
+    l_row: IntVector  #: Rows of the entries of L; its unit diagonal is not stored.
     lower: NumberVector
     u_start: IntVector
-    u_place: IntVector
-    """Pivot positions of the rows of the entries of U above its diagonal."""
+    u_place: IntVector  #: Pivot positions of the rows of the entries of U above its diagonal.
     upper: NumberVector
-    pivot: NumberVector
-    """(n,) diagonal of U."""
+    pivot: NumberVector  #: (n,) diagonal of U.
     work: NumberVector
     search: Annotated[IntMatrix, 4]
 

@@ -18,8 +18,8 @@ from mbdkit.engine.native.functions import subkernel
 
 __all__ = ["KINDS", "constraint_accelerations", "constraint_positions", "constraint_tangents", "turn_bodies"]
 
+#: Code of each kind of constraint; it is stored in the first column of ``Topology.pairs``.
 KINDS = {name: code for code, name in enumerate(CONSTRAINT_KINDS)}
-"""Code of each kind of constraint; it is stored in the first column of ``Topology.pairs``."""
 
 
 @subkernel

@@ -14,10 +14,9 @@ from mbdkit.engine.kernels.element_kernels import section_forces, section_tangen
 from mbdkit.engine.kernels.table_rows import SECTION
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: Numbers of values per cross-section in ``Scratch.section`` and ``Topology.section_parameters``.
 STATE, PARAMETERS = 10, 16
-"""Numbers of values per cross-section in ``Scratch.section`` and ``Topology.section_parameters``."""
-NODES = 3
-"""Largest number of nodes of an element."""
+NODES = 3  #: Largest number of nodes of an element.
 
 
 @subkernel

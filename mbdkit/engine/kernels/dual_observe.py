@@ -26,17 +26,12 @@ class DualStates(NamedTuple):
     top: Topology
     w: Scratch
     solver: DualSolver
-    time: np.ndarray
-    """(T,) times [s]; numbers."""
-    q: np.ndarray
-    """(T, 3 (B + 1)) positions and velocities, ground last."""
+    time: np.ndarray  #: (T,) times [s]; numbers.
+    q: np.ndarray  #: (T, 3 (B + 1)) positions and velocities, ground last.
     v: np.ndarray
-    observed: Observed
-    """Values of the states; the distance to singularity is not computed."""
-    power: np.ndarray
-    """(T, 2) power of loads, drivers and active laws, and the dissipated power [W]."""
-    lack: np.ndarray
-    """(T, 3 (B + 1)) residual forces ``M a + Phi_q^T lam - Q`` of states with given accelerations."""
+    observed: Observed  #: Values of the states; the distance to singularity is not computed.
+    power: np.ndarray  #: (T, 2) power of loads, drivers and active laws, and the dissipated power [W].
+    lack: np.ndarray  #: (T, 3 (B + 1)) residual forces ``M a + Phi_q^T lam - Q`` of states with given accelerations.
 
 
 def _example() -> DualStates:

@@ -29,33 +29,24 @@ from mbdkit.engine.native.arithmetic import value_of, with_value
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 from mbdkit.engine.native.number_arrays import new_duals
 
+#: Steps of Newton's method for the derivatives of the friction in joints.
+#:
+#: The error of its matrix, about 1e-6 due to differences, is the factor by which each step reduces their error.
 PASSES = 3
-"""Steps of Newton's method for the derivatives of the friction in joints.
-
-The error of its matrix, about 1e-6 due to differences, is the factor by which each step reduces their error.
-"""
 
 
 class DualSolver(NamedTuple):
     """Solver of the index-1 system of dual numbers. Arrays are dual unless stated otherwise."""
 
-    numbers: Engine
-    """Mechanism, working arrays and solver of the values."""
-    factors: Factors
-    """Factors of the pivoted system of the values, with a dual work array."""
-    row_index: IntMatrix
-    """Numbers: as in `mbdkit.engine.kernels.engine_bundles.Solver`."""
-    v: np.ndarray
-    """(3 (B + 1),) velocities and accelerations; numbers."""
+    numbers: Engine  #: Mechanism, working arrays and solver of the values.
+    factors: Factors  #: Factors of the pivoted system of the values, with a dual work array.
+    row_index: IntMatrix  #: Numbers: as in `mbdkit.engine.kernels.engine_bundles.Solver`.
+    v: np.ndarray  #: (3 (B + 1),) velocities and accelerations; numbers.
     acc: np.ndarray
-    lam: np.ndarray
-    """(P, 2) multipliers; numbers."""
-    lack: np.ndarray
-    """(3 (B + 1),) residual of the equations of motion, then change of the accelerations."""
-    rows: np.ndarray
-    """(P, 2) residual of the constraint rows, then change of the multipliers."""
-    right: np.ndarray
-    """(n,) right side of the pivoted system, then its solution."""
+    lam: np.ndarray  #: (P, 2) multipliers; numbers.
+    lack: np.ndarray  #: (3 (B + 1),) residual of the equations of motion, then change of the accelerations.
+    rows: np.ndarray  #: (P, 2) residual of the constraint rows, then change of the multipliers.
+    right: np.ndarray  #: (n,) right side of the pivoted system, then its solution.
 
 
 def new_dual_solver(numbers: Engine, row_index: np.ndarray) -> DualSolver:

@@ -41,27 +41,24 @@ from mbdkit.engine.kernels.vectors import BEYOND
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import inlined, kernel
 
+#: Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq.
+#:
+#: A `Matrix` has one coefficient for each class.
 MASS, JACOBIAN, DAMPING, STIFFNESS, GAMMA_V, RESIDUAL_Q = range(6)
-"""Classes of the terms of a `Matrix`: M; Phi_q and its transpose; C; K; d gamma/dv; d(Phi_q a - gamma)/dq.
-
-A `Matrix` has one coefficient for each class."""
 
 
 class Equations(NamedTuple):
     """The bundle of `mbdkit.engine.equations_of_motion.EquationsOfMotion`: a mechanism and its working arrays."""
 
+    #: The mechanism, with its own gravity vector, which is zero if the caller supplies the right-hand side.
     top: Topology
-    """The mechanism, with its own gravity vector, which is zero if the caller supplies the right-hand side."""
-    gravity: RealVector
-    """(2,) gravity of the mechanism."""
+    gravity: RealVector  #: (2,) gravity of the mechanism.
     w: Scratch
     solver: Solver
-    q: RealVector
-    """(3 (B + 1),) positions of the caller, ground last; `v` and `a` hold velocities and accelerations."""
+    q: RealVector  #: (3 (B + 1),) positions of the caller, ground last; `v` and `a` hold velocities and accelerations.
     v: RealVector
     a: RealVector
-    lam: RealMatrix
-    """(P, 2) multipliers of the caller."""
+    lam: RealMatrix  #: (P, 2) multipliers of the caller.
 
 
 class Matrix(NamedTuple):
@@ -69,8 +66,7 @@ class Matrix(NamedTuple):
 
     pattern: Pattern
     factors: Factors
-    scatter: IntMatrix
-    """(N, 3) index into ``Scratch.source``, index into the values of the matrix, class of the term."""
+    scatter: IntMatrix  #: (N, 3) index into ``Scratch.source``, index into the values of the matrix, class of the term.
     right: NumberVector
     solution: NumberVector
     correction: NumberVector

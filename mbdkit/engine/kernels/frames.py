@@ -31,16 +31,11 @@ from mbdkit.engine.native.functions import kernel
 class Frames(NamedTuple):
     """Terms of the equations of motion at T states; n = 3 B coordinates, m independent rows of the constraints."""
 
-    phi: RealMatrix
-    """(T, m) constraint residuals Phi."""
-    rate: RealMatrix
-    """(T, m) time derivatives of the residuals, Phi_q v + Phi_t."""
-    gamma: RealMatrix
-    """(T, m) right-hand side of ``Phi_q a = gamma``."""
-    jacobian: RealCube
-    """(T, m, n) Jacobian Phi_q."""
-    force: RealMatrix
-    """(T, n) generalized applied forces Q, gravity included."""
+    phi: RealMatrix  #: (T, m) constraint residuals Phi.
+    rate: RealMatrix  #: (T, m) time derivatives of the residuals, Phi_q v + Phi_t.
+    gamma: RealMatrix  #: (T, m) right-hand side of ``Phi_q a = gamma``.
+    jacobian: RealCube  #: (T, m, n) Jacobian Phi_q.
+    force: RealMatrix  #: (T, n) generalized applied forces Q, gravity included.
 
     @staticmethod
     def zeros(states: int, n: int, m: int) -> Frames:
@@ -52,14 +47,11 @@ class Frames(NamedTuple):
 class Reactions(NamedTuple):
     """Constraint forces at T states; P is the number of pairs of constraint rows."""
 
-    lam: RealCube
-    """(T, P, 2) multipliers of all rows; redundant directions carry no force."""
+    lam: RealCube  #: (T, P, 2) multipliers of all rows; redundant directions carry no force.
+    #: (T, P, 3) force (x, y) and torque of each pair on its second body, at its joint point [N, N m].
     reactions: RealCube
-    """(T, P, 3) force (x, y) and torque of each pair on its second body, at its joint point [N, N m]."""
-    residual: RealCube
-    """(T, P, 2) constraint residuals Phi of all rows."""
-    powers: RealMatrix
-    """(T, 2) power of loads, drivers and active laws of the model, and the dissipated power [W]."""
+    residual: RealCube  #: (T, P, 2) constraint residuals Phi of all rows.
+    powers: RealMatrix  #: (T, 2) power of loads, drivers and active laws of the model, and the dissipated power [W].
 
     @staticmethod
     def zeros(states: int, pairs: int) -> Reactions:

@@ -14,14 +14,13 @@ from mbdkit.engine.kernels.applied_forces import evaluate_tension, path_rate, ta
 from mbdkit.engine.kernels.table_rows import MULTIPLIER, SPRING, TENSION
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: Smallest pivot of the matrix of Newton's method for friction. It is 1 where friction does not change the reactions of
+#: its own joint, and 0 where the joint locks itself.
 LOCKED = 1e-3
-"""Smallest pivot of the matrix of Newton's method for friction. It is 1 where friction does not change the reactions of
-its own joint, and 0 where the joint locks itself."""
-NUDGE = 1e-6
-"""Relative change of a friction by which the laws are differentiated."""
+NUDGE = 1e-6  #: Relative change of a friction by which the laws are differentiated.
+#: Least scale of a friction relative to the largest multiplier; differences from the law of 1e-11 of the scale count as
+#: round-off.
 LEAST = 1e-4
-"""Least scale of a friction relative to the largest multiplier; differences from the law of 1e-11 of the scale count as
-round-off."""
 
 
 @inlined

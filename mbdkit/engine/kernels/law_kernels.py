@@ -105,10 +105,10 @@ def one_sided(program, length, rate, time, parameters, out):
     results = numbers_at(out, 0, 4, length)
     results[0], results[1], results[2], results[3] = _one_sided(length, rate, time, given)
 
+#: Names of the parameters of each law.
 PARAMETERS = {
     "exponential": ('damping', 'free_length', 'growth', 'scale', 'side'),
     "gas_spring": ('damping', 'divisor', 'exponent', 'extended', 'isothermal', 'preload', 'shortest', 'shrinkage', 'slope'),
     "linear": ('damping', 'free_length', 'stiffness'),
     "one_sided": ('begin', 'damping', 'free_length', 'side', 'stiffness'),
 }
-"""Names of the parameters of each law."""

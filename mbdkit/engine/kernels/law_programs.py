@@ -24,32 +24,28 @@ from mbdkit.engine.native.calls import integers_at, new_registers, numbers_at
 from mbdkit.engine.native.functions import inlined, law_function, overload, subkernel
 from mbdkit.laws import tabulated
 
-REGISTERS = 512
-"""Largest number of registers of a program."""
-HEAD = 3
-"""Number of integers in front of the registers of the results."""
-WORDS = 5
-"""Number of integers of an instruction."""
+REGISTERS = 512  #: Largest number of registers of a program.
+HEAD = 3  #: Number of integers in front of the registers of the results.
+WORDS = 5  #: Number of integers of an instruction.
 
 _BINARY = ("add", "subtract", "multiply", "divide", "power", "remainder")
 _COMPARED = ("less", "less_equal", "greater", "greater_equal", "equal", "not_equal")
 _LOGICAL = ("and", "or", "not")
 _OTHERS = ("negate", "power_of_integer", "select", "abs", "floor", "ceil")
+#: Functions of one operand that are also defined for dual numbers.
 SMOOTH = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh")
-"""Functions of one operand that are also defined for dual numbers."""
 _SMOOTH_OF_TWO = ("atan2", "hypot")
 _OF_NUMBERS = (
     "asinh", "acosh", "atanh", "expm1", "log1p", "log10", "log2", "erf", "erfc", "gamma", "lgamma", "copysign",
 )  # fmt: skip
+#: Code of each operation.
 OPCODES = {
     name: code
     for code, name in enumerate(
         (*_BINARY, *_COMPARED, *_LOGICAL, *_OTHERS, *SMOOTH, *_SMOOTH_OF_TWO, *_OF_NUMBERS, "table")
     )
 }  # fmt: skip
-"""Code of each operation."""
-ONLY_OF_NUMBERS = frozenset(_OF_NUMBERS)
-"""Operations that dual numbers lack."""
+ONLY_OF_NUMBERS = frozenset(_OF_NUMBERS)  #: Operations that dual numbers lack.
 
 _ADD, _SUBTRACT, _MULTIPLY, _DIVIDE, _POWER, _REMAINDER = (OPCODES[name] for name in _BINARY)
 _LESS, _LESS_EQUAL, _GREATER, _GREATER_EQUAL, _EQUAL, _NOT_EQUAL = (OPCODES[name] for name in _COMPARED)

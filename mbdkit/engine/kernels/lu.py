@@ -14,8 +14,7 @@ from mbdkit.engine.kernels.bundle_types import IntVector, NumberVector, RealVect
 from mbdkit.engine.native.arithmetic import is_refused, usable, where
 from mbdkit.engine.native.functions import inlined
 
-WORN = 1e-6
-"""If a pivot shrinks to this fraction of its original size, new pivots are chosen."""
+WORN = 1e-6  #: If a pivot shrinks to this fraction of its original size, new pivots are chosen.
 
 
 class Pattern(NamedTuple):
@@ -30,16 +29,12 @@ class Pattern(NamedTuple):
     l_column: IntVector
     u_start: IntVector
     u_column: IntVector
-    row_of: IntVector
-    """(n,) original row at each pivot position."""
-    column_of: IntVector
-    """(n,) original unknown at each pivot position."""
+    row_of: IntVector  #: (n,) original row at each pivot position.
+    column_of: IntVector  #: (n,) original unknown at each pivot position.
+    #: (n,) factors that equilibrate the rows, in original order; powers of two, so that scaling is exact.
     row_scale: RealVector
-    """(n,) factors that equilibrate the rows, in original order; powers of two, so that scaling is exact."""
-    column_scale: RealVector
-    """(n,) factors that equilibrate the columns, also powers of two."""
-    weight: RealVector
-    """(nnz,) product of row and column factor for every entry of A."""
+    column_scale: RealVector  #: (n,) factors that equilibrate the columns, also powers of two.
+    weight: RealVector  #: (nnz,) product of row and column factor for every entry of A.
 
 
 class Factors(NamedTuple):
@@ -48,12 +43,9 @@ class Factors(NamedTuple):
     a: NumberVector
     lower: NumberVector
     upper: NumberVector
-    pivot: NumberVector
-    """(n,) inverse pivots."""
-    reference: RealVector
-    """(n,) sizes of the pivots in the first factorization after they were chosen; 0 before it."""
-    work: NumberVector
-    """(n,) one row during the factorization, the intermediate solution during substitution."""
+    pivot: NumberVector  #: (n,) inverse pivots.
+    reference: RealVector  #: (n,) sizes of the pivots in the first factorization after they were chosen; 0 before it.
+    work: NumberVector  #: (n,) one row during the factorization, the intermediate solution during substitution.
 
 
 @inlined

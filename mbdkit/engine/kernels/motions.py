@@ -23,10 +23,9 @@ from mbdkit.expressions.program import MAX_DEPTH
 
 _BINARY = [one for one in OPERATIONS.values() if one.arity == 2]
 _UNARY = [one for one in OPERATIONS.values() if one.arity == 1]
+#: Code of each instruction; instructions with two operands come before those with one.
 OPCODES = {name: code for code, name in enumerate(("const", "t", "table", *(one.name for one in (*_BINARY, *_UNARY))))}
-"""Code of each instruction; instructions with two operands come before those with one."""
-OF_CENTER = 4
-"""Number of programs of a center."""
+OF_CENTER = 4  #: Number of programs of a center.
 
 _CONST, _T, _TABLE, _POWI = (OPCODES[name] for name in ("const", "t", "table", "powi"))
 _FIRST_UNARY = 3 + len(_BINARY)

@@ -14,15 +14,14 @@ from math import sqrt
 from mbdkit.engine.kernels.bundle_types import IntVector, RealCube, RealMatrix, RealVector
 from mbdkit.engine.native.functions import kernel, subkernel
 
-MOST_SWEEPS = 40
-"""Largest number of sweeps of Jacobi rotations. Random matrices of 100 rows need 8."""
+MOST_SWEEPS = 40  #: Largest number of sweeps of Jacobi rotations. Random matrices of 100 rows need 8.
 
+#: Rows count as orthogonal if the cosine of their angle is at most this times the square root of their length.
 ORTHOGONAL = 1e-15
-"""Rows count as orthogonal if the cosine of their angle is at most this times the square root of their length."""
 
+#: Rows whose squared norm is below this share of that of the matrix are rounding errors, and count as orthogonal to all
+#: others.
 VANISHED = 1e-32
-"""Rows whose squared norm is below this share of that of the matrix are rounding errors, and count as orthogonal to all
-others."""
 
 
 @subkernel

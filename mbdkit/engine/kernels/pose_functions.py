@@ -14,15 +14,12 @@ from mbdkit.engine.kernels.table_rows import FUNCTION, LAW_ROW
 from mbdkit.engine.native.arithmetic import is_lanes, is_refused, put_in_place
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 
+#: Numbers that the two laws of a function write: value with first and second derivatives; third derivatives.
 VALUES, THIRD = 21, 35
-"""Numbers that the two laws of a function write: value with first and second derivatives; third derivatives."""
 VALUE_ROWS = VALUES // 3
-ROWS = VALUE_ROWS + (THIRD + 2) // 3
-"""Rows of ``Scratch.u`` of a function."""
-OF_TIME = 4
-"""Claim (`LawRow.claims`) of a function that depends on the time, so that its constraint does work."""
-POSE = 4
-"""Number of parameters of the laws that hold the pose; they come before the parameters of the function."""
+ROWS = VALUE_ROWS + (THIRD + 2) // 3  #: Rows of ``Scratch.u`` of a function.
+OF_TIME = 4  #: Claim (`LawRow.claims`) of a function that depends on the time, so that its constraint does work.
+POSE = 4  #: Number of parameters of the laws that hold the pose; they come before the parameters of the function.
 
 
 @inlined

@@ -16,24 +16,21 @@ from mbdkit.engine.native.functions import subkernel
 
 EPS = float(np.finfo(float).eps)
 
+#: Residuals and changes below this many `EPS` times the largest coordinate (at least 1) count as zero. Lengths are in
+#: units of the characteristic length of the mechanism if it is below 1 m, and otherwise in metres.
+#:
+#: A residual or a stage position is a sum of a few products, each rounded once.
 FEW_ROUNDINGS = 4.0
-"""Residuals and changes below this many `EPS` times the largest coordinate (at least 1) count as zero. Lengths are in
-units of the characteristic length of the mechanism if it is below 1 m, and otherwise in metres.
 
-A residual or a stage position is a sum of a few products, each rounded once.
-"""
-
+#: Iterations after which a projection of positions counts as failed.
+#:
+#: Newton's method takes 3 to 6 from a state near the constraints; 20 leave room for a start far from them.
 MOST_ITERATIONS = 20
-"""Iterations after which a projection of positions counts as failed.
 
-Newton's method takes 3 to 6 from a state near the constraints; 20 leave room for a start far from them.
-"""
-
+#: A residual or change that no longer decreases counts as round-off only up to this relative size (a chosen value).
+#:
+#: Larger ones are never accepted, however ill-conditioned the equations are.
 STAGNANT = 1e-9
-"""A residual or change that no longer decreases counts as round-off only up to this relative size (a chosen value).
-
-Larger ones are never accepted, however ill-conditioned the equations are.
-"""
 
 
 @subkernel

@@ -16,32 +16,27 @@ from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.arithmetic import is_refused, usable
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: If elimination shrinks a pivot block to this fraction, ten digits have been lost and the pivoted solver is used.
 TOO_SMALL = 1e-10
-"""If elimination shrinks a pivot block to this fraction, ten digits have been lost and the pivoted solver is used."""
 
 
 class Schur(NamedTuple):
     """Schedule and storage of the block factorization; P pairs, E blocks below the diagonal."""
 
-    start: IntVector
-    """(P + 1,) first block of each column."""
-    row: IntVector
-    """(E,) block row of each block."""
+    start: IntVector  #: (P + 1,) first block of each column.
+    row: IntVector  #: (E,) block row of each block.
+    #: Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
+    #: product is subtracted.
     update: IntVector
-    """Targets of the updates: for each column and each two of its blocks, in order of use, the block from which their
-    product is subtracted."""
+    #: (C, 6) contributions to the blocks of S off the diagonal, one for each shared body: the block; the pair of its
+    #: row, and the first column of the body in the Jacobian of this pair; the same two numbers for the pair of its
+    #: column; the body.
     coupling: Annotated[IntMatrix, 6]
-    """(C, 6) contributions to the blocks of S off the diagonal, one for each shared body: the block; the pair of its
-    row, and the first column of the body in the Jacobian of this pair; the same two numbers for the pair of its column;
-    the body."""
-    diagonal: Annotated[RealMatrix, 3]
-    """(P, 3) entries (xx, xy, yy) of the inverse pivot blocks."""
-    whole: Annotated[RealMatrix, 2]
-    """(P, 2) entries xx and yy of the diagonal blocks before elimination."""
-    below: Annotated[RealMatrix, 4]
-    """(E, 4) blocks of the unit lower factor, row by row."""
+    diagonal: Annotated[RealMatrix, 3]  #: (P, 3) entries (xx, xy, yy) of the inverse pivot blocks.
+    whole: Annotated[RealMatrix, 2]  #: (P, 2) entries xx and yy of the diagonal blocks before elimination.
+    below: Annotated[RealMatrix, 4]  #: (E, 4) blocks of the unit lower factor, row by row.
+    #: (E, 4) scratch array: blocks of S, later of L D, that is, before multiplication by the inverse pivot block.
     scaled: Annotated[RealMatrix, 4]
-    """(E, 4) scratch array: blocks of S, later of L D, that is, before multiplication by the inverse pivot block."""
 
 
 @inlined

@@ -24,30 +24,29 @@ from mbdkit.engine.kernels.system import prepare, solved_rows
 from mbdkit.engine.native.arithmetic import any_of, where
 from mbdkit.engine.native.functions import inlined, kernel, overload, subkernel
 
+#: Residual of the Ritz vector, relative to its Ritz value, at which the iteration ends; chosen. It bounds the relative
+#: error of the eigenvalue, which is the square of the distance. Recorded distances of the packaged examples differ from
+#: the smallest singular value by 2e-4 at most, because the error of a Ritz value is of second order in that of its Ritz
+#: vector.
 CLOSE = 0.03
-"""Residual of the Ritz vector, relative to its Ritz value, at which the iteration ends; chosen. It bounds the relative
-error of the eigenvalue, which is the square of the distance. Recorded distances of the packaged examples differ from
-the smallest singular value by 2e-4 at most, because the error of a Ritz value is of second order in that of its Ritz
-vector."""
 
+#: Largest number of iterations; chosen. After that the current Ritz value is used, which is an upper bound.
 MOST_ITERATIONS = 40
-"""Largest number of iterations; chosen. After that the current Ritz value is used, which is an upper bound."""
 
-FEWEST_AT_FIRST = 4
-"""Smallest number of iterations if there are no vectors from a previous row; chosen."""
+FEWEST_AT_FIRST = 4  #: Smallest number of iterations if there are no vectors from a previous row; chosen.
 
+#: Weight of a fixed vector that is added to the second vector; chosen. Without it, a direction that both vectors lack
+#: would never be found, however small its eigenvalue becomes.
 NOISE = 0.1
-"""Weight of a fixed vector that is added to the second vector; chosen. Without it, a direction that both vectors lack
-would never be found, however small its eigenvalue becomes."""
 
+#: If the squared norm of the second image shrinks below this fraction when it is orthogonalized against the first, the
+#: remainder is rounding error, and only the first vector is used; chosen.
 INDEPENDENT = 1e-12
-"""If the squared norm of the second image shrinks below this fraction when it is orthogonalized against the first, the
-remainder is rounding error, and only the first vector is used; chosen."""
 
+#: First columns of the parts of `near` (P, 11), and the number of columns. The array is reused from one recorded row to
+#: the next. For each pair of constraint rows it holds two entries of the vectors x and y and of their images, and the
+#: entries of the Cholesky factor L of the pair.
 X, Y, X_IMAGE, Y_IMAGE, L_XX, L_YX, L_YY, COLUMNS = 0, 2, 4, 6, 8, 9, 10, 11
-"""First columns of the parts of `near` (P, 11), and the number of columns. The array is reused from one recorded row to
-the next. For each pair of constraint rows it holds two entries of the vectors x and y and of their images, and the
-entries of the Cholesky factor L of the pair."""
 
 
 @subkernel

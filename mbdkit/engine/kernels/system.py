@@ -24,8 +24,8 @@ from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.arithmetic import any_of, is_dual, is_lanes
 from mbdkit.engine.native.functions import inlined, overload, subkernel
 
+#: Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence.
 OK, REPIVOT, REPIVOT_STAGES, NOT_FINITE, DIVERGED = range(5)
-"""Status of a kernel: success; the index-1 system or the stage matrix needs new pivots; overflow; no convergence."""
 
 
 @inlined

@@ -9,70 +9,52 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-BODIES = slice(1, 3)
-"""Columns of both bodies in tables of pairs, springs, joints and loads."""
+BODIES = slice(1, 3)  #: Columns of both bodies in tables of pairs, springs, joints and loads.
 
 
 class PairRow(NamedTuple):
     """A pair of constraint rows."""
 
-    kind: int
-    """`mbdkit.engine.kernels.constraints.KINDS`."""
-    first: int
-    """First body."""
-    second: int
-    """Second body."""
+    kind: int  #: `mbdkit.engine.kernels.constraints.KINDS`.
+    first: int  #: First body.
+    second: int  #: Second body.
+    #: Motion, first function of a moving center, or first row of a function of the pose in `Scratch.u`; -1 for none.
     motion: int
-    """Motion, first function of a moving center, or first row of a function of the pose in `Scratch.u`; -1 for none."""
 
 
 class FunctionRow(NamedTuple):
     """A constraint that is a function of the pose of its second body in the frame of its first body."""
 
-    first: int
-    """First body."""
-    second: int
-    """Second body."""
-    pair: int
-    """Its pair of constraint rows."""
-    law: int
-    """Row of the law of its value and first two derivatives; the next row is that of its third derivatives."""
-    row: int
-    """First row of its values in `Scratch.u`."""
+    first: int  #: First body.
+    second: int  #: Second body.
+    pair: int  #: Its pair of constraint rows.
+    law: int  #: Row of the law of its value and first two derivatives; the next row is that of its third derivatives.
+    row: int  #: First row of its values in `Scratch.u`.
 
 
 class SpareRow(NamedTuple):
     """A redundant direction."""
 
     pair: int
-    body: int
-    """Body in whose frame the direction is fixed."""
+    body: int  #: Body in whose frame the direction is fixed.
 
 
 class SpringRow(NamedTuple):
     """A segment of a force element on a pathway."""
 
-    pathway: int
-    """`mbdkit.engine.kernels.applied_forces.PATHWAYS`."""
-    first: int
-    """First body."""
-    second: int
-    """Second body."""
-    law: int
-    """Row of the table of laws; -1 for a linear spring."""
-    leader: int
-    """First segment of the same spring."""
-    segments: int
-    """Number of segments of the spring; 0 for all but its first one."""
+    pathway: int  #: `mbdkit.engine.kernels.applied_forces.PATHWAYS`.
+    first: int  #: First body.
+    second: int  #: Second body.
+    law: int  #: Row of the table of laws; -1 for a linear spring.
+    leader: int  #: First segment of the same spring.
+    segments: int  #: Number of segments of the spring; 0 for all but its first one.
 
 
 class CouplingRow(NamedTuple):
     """An ordered pair of different segments of the same spring."""
 
-    of_force: int
-    """Segment whose generalized force is differentiated."""
-    of_coordinates: int
-    """Segment with respect to whose coordinates it is differentiated."""
+    of_force: int  #: Segment whose generalized force is differentiated.
+    of_coordinates: int  #: Segment with respect to whose coordinates it is differentiated.
 
 
 class LinearColumns(NamedTuple):
@@ -87,35 +69,26 @@ class TensionColumns(NamedTuple):
     """Columns of the values of a law on a pathway."""
 
     force: int
-    by_length: int
-    """Derivative of the force with respect to the length."""
-    by_rate: int
-    """Derivative of the force with respect to the rate of the length."""
+    by_length: int  #: Derivative of the force with respect to the length.
+    by_rate: int  #: Derivative of the force with respect to the rate of the length.
     potential: int
 
 
 class LawRow(NamedTuple):
     """A force law."""
 
-    address: int
-    """Address of its machine code."""
-    parameters: int
-    """Index of its number of parameters in `law_parameters`; their values follow."""
-    claims: int
-    """`HAS_POTENTIAL` and `PASSIVE` as bits."""
-    program: int
-    """Address of its program (`mbdkit.engine.native.calls`)."""
+    address: int  #: Address of its machine code.
+    parameters: int  #: Index of its number of parameters in `law_parameters`; their values follow.
+    claims: int  #: `HAS_POTENTIAL` and `PASSIVE` as bits.
+    program: int  #: Address of its program (`mbdkit.engine.native.calls`).
 
 
 class StateRow(NamedTuple):
     """A first-order state."""
 
-    segment: int
-    """First segment of its force element; -1 for none."""
-    parameter: int
-    """Index of its value in `law_parameters`."""
-    rate: int
-    """Row of the law of its rate; -1 if it is held between samples."""
+    segment: int  #: First segment of its force element; -1 for none.
+    parameter: int  #: Index of its value in `law_parameters`.
+    rate: int  #: Row of the law of its rate; -1 if it is held between samples.
 
 
 class StateUse(NamedTuple):
@@ -128,20 +101,16 @@ class StateUse(NamedTuple):
 class InputRow(NamedTuple):
     """An input of an expression of the state."""
 
-    kind: int
-    """`POSITION_INPUT` or another kind of `mbdkit.engine.kernels.applied_forces`."""
-    source: int
-    """Coordinate, or first segment of a spring."""
-    parameter: int
-    """Index of its value in `law_parameters`."""
+    kind: int  #: `POSITION_INPUT` or another kind of `mbdkit.engine.kernels.applied_forces`.
+    source: int  #: Coordinate, or first segment of a spring.
+    parameter: int  #: Index of its value in `law_parameters`.
 
 
 class LoadValueRow(NamedTuple):
     """A component of a load that is an expression of the state."""
 
     law: int
-    motion: int
-    """Motion whose value is replaced."""
+    motion: int  #: Motion whose value is replaced.
 
 
 class SlopeRow(NamedTuple):
@@ -151,8 +120,7 @@ class SlopeRow(NamedTuple):
     component: int
     law: int
     input: int
-    segment: int
-    """Segment of the pathway that is the input; -1 for coordinates."""
+    segment: int  #: Segment of the pathway that is the input; -1 for coordinates.
 
 
 class MultiplierRow(NamedTuple):
@@ -160,22 +128,18 @@ class MultiplierRow(NamedTuple):
 
     pair: int
     row: int
-    parameter: int
-    """Index of its value in `law_parameters`."""
+    parameter: int  #: Index of its value in `law_parameters`.
     friction: int
 
 
 class LoadRow(NamedTuple):
     """A force or torque on a body."""
 
-    kind: int
-    """`TORQUE`, `POINT_FORCE` or `BODY_FORCE`."""
+    kind: int  #: `TORQUE`, `POINT_FORCE` or `BODY_FORCE`.
     body: int
     reaction_body: int
-    x: int
-    """Motion of the component x, or of the torque."""
-    y: int
-    """Motion of the component y; -1 for a torque."""
+    x: int  #: Motion of the component x, or of the torque.
+    y: int  #: Motion of the component y; -1 for a torque.
 
 
 class InteractionRow(NamedTuple):
@@ -183,18 +147,15 @@ class InteractionRow(NamedTuple):
 
     first: int
     second: int
-    law: int
-    """Row of the law of the forces; the next row is that of their derivatives."""
+    law: int  #: Row of the law of the forces; the next row is that of their derivatives.
 
 
 class SectionRow(NamedTuple):
     """A cross-section at which an element of a beam is integrated."""
 
     element: int
-    node_count: int
-    """Number of nodes of the element."""
-    node: int
-    """First node; the others follow."""
+    node_count: int  #: Number of nodes of the element.
+    node: int  #: First node; the others follow.
     second_node: int
     third_node: int
 
@@ -202,12 +163,9 @@ class SectionRow(NamedTuple):
 class JointRow(NamedTuple):
     """A joint whose angle or travel is recorded."""
 
-    kind: int
-    """`ANGLE` or `TRAVEL` (`mbdkit.engine.kernels.acting`)."""
-    first: int
-    """First body."""
-    second: int
-    """Second body."""
+    kind: int  #: `ANGLE` or `TRAVEL` (`mbdkit.engine.kernels.acting`).
+    first: int  #: First body.
+    second: int  #: Second body.
 
 
 PAIR = PairRow(*range(4))

@@ -20,10 +20,10 @@ from mbdkit.engine.kernels.system import prepare_angles, prepare_motions
 from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: Columns of a tree (B, 5), whose rows are the bodies in order from the roots: the body; the pair of constraint rows
+#: that places it (-1: none), and whether it is the second body of that pair; the pair that determines its angle (-1:
+#: none), and whether it is the second body of that pair.
 BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, COLUMNS = range(6)
-"""Columns of a tree (B, 5), whose rows are the bodies in order from the roots: the body; the pair of constraint rows
-that places it (-1: none), and whether it is the second body of that pair; the pair that determines its angle (-1:
-none), and whether it is the second body of that pair."""
 
 _LINE, _DRIVER, _CENTER = KINDS["point_on_line"], KINDS["driver_angle"], KINDS["moving_center"]
 

@@ -17,8 +17,7 @@ from mbdkit.engine.kernels.table_rows import PAIR
 from mbdkit.engine.kernels.tree import BODY, PLACE, PLACE_SIDE, TURN, TURN_SIDE, turned
 from mbdkit.engine.native.functions import subkernel
 
-AX, AY, BX, BY, UX, UY, ARMS = range(7)
-"""Columns of the arms of a tree (B, 6), whose rows are those of the tree."""
+AX, AY, BX, BY, UX, UY, ARMS = range(7)  #: Columns of the arms of a tree (B, 6), whose rows are those of the tree.
 
 _LINE, _DRIVER, _CENTER = KINDS["point_on_line"], KINDS["driver_angle"], KINDS["moving_center"]
 

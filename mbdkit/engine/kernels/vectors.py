@@ -27,9 +27,8 @@ def fill_rows(out, value):
         fill(out[i], value)
 
 
+#: Coordinates and rates of this size or above count as overflow, because energies computed from them may not be finite.
 BEYOND = 1e75
-"""Coordinates and rates of this size or above count as overflow, because energies computed from them may not be finite.
-"""
 
 
 @subkernel

@@ -16,8 +16,7 @@ from mbdkit.base import elementary
 from mbdkit.engine.native.functions import overload, placeholder, separate
 from mbdkit.engine.native.levels import WIDTH
 
-DIRECTIONS = 12
-"""Number of derivatives of a dual number. More parameters are differentiated in several passes."""
+DIRECTIONS = 12  #: Number of derivatives of a dual number. More parameters are differentiated in several passes.
 
 
 def is_lanes(kind):

@@ -19,20 +19,18 @@ import numpy as np
 
 from mbdkit.engine.native.machine_code import IN_PYTHON
 
+#: Members of an array in compiled code, in the order in which `array_words` writes them.
 ARRAY_FIELDS = ("meminfo", "parent", "nitems", "itemsize", "data", "shape", "strides")
-"""Members of an array in compiled code, in the order in which `array_words` writes them."""
-ARRAY_WORDS = 5
-"""Number of words of an array without dimensions."""
+ARRAY_WORDS = 5  #: Number of words of an array without dimensions.
 
-Bundle = tuple[Any, ...]
-"""A NamedTuple of arrays, and of NamedTuples of arrays."""
+Bundle = tuple[Any, ...]  #: A NamedTuple of arrays, and of NamedTuples of arrays.
 
 _Address, HEAD = ctypes.c_ssize_t, object.__basicsize__
+#: Bundles by the address of their block; used only with ``MBDKIT_KERNELS=python``.
 _PYTHON_BUNDLES: dict[int, Any] = {}
-"""Bundles by the address of their block; used only with ``MBDKIT_KERNELS=python``."""
 
+#: The functions made by `bundle_loader`, and their examples.
 LOADERS: list[tuple[Callable[[int], Any], Callable[[], Bundle]]] = []
-"""The functions made by `bundle_loader`, and their examples."""
 
 
 @cache

@@ -19,14 +19,14 @@ import numpy as np
 from mbdkit.engine.native.functions import placeholder
 from mbdkit.engine.native.kernel import entry_in_python
 
+#: Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential with respect to
+#: length. PASSIVE: all power that is not stored as potential energy is dissipated.
 HAS_POTENTIAL, PASSIVE = 1, 2
-"""Bits of the claims of a law. HAS_POTENTIAL: the force at zero rate is the derivative of the potential with respect to
-length. PASSIVE: all power that is not stored as potential energy is dissipated."""
 
+#: The C function of a law.
 LAW = ctypes.CFUNCTYPE(
     None, ctypes.c_int64, ctypes.c_double, ctypes.c_double, ctypes.c_double, ctypes.c_void_p, ctypes.c_void_p
 )
-"""The C function of a law."""
 
 
 @placeholder

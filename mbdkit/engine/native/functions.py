@@ -20,18 +20,17 @@ Function = TypeVar("Function", bound=Callable[..., object])
 class DeclaredFunctions(NamedTuple):
     """All functions that modules imported so far have declared."""
 
+    #: Functions with machine code of their own, by the name of its symbol; so are the next two.
     kernels: dict[str, Kernel]
-    """Functions with machine code of their own, by the name of its symbol; so are the next two."""
     entries: dict[str, Entry]
     laws: dict[str, LawFunction]
+    #: Functions that only compiled code calls, and whether they are copied into their callers.
     subkernels: dict[Callable[..., object], bool]
-    """Functions that only compiled code calls, and whether they are copied into their callers."""
-    separate: set[Callable[..., object]]
-    """Subkernels that are not copied into their callers."""
+    separate: set[Callable[..., object]]  #: Subkernels that are not copied into their callers.
+    #: Overloaded functions, each with a function that returns its source for given types of arguments.
     overloads: list[tuple[Callable[..., object], Callable[..., object]]]
-    """Overloaded functions, each with a function that returns its source for given types of arguments."""
+    #: Functions that only the compiler can express; in Python, they are not called or have a body of their own.
     placeholders: set[Callable[..., object]]
-    """Functions that only the compiler can express; in Python, they are not called or have a body of their own."""
 
 
 DECLARED = DeclaredFunctions({}, {}, {}, {}, set(), [], set())

@@ -72,6 +72,7 @@ class Platform:
         return PLATFORMS.get(self, ())
 
 
+#: Levels by platform, the best one first.
 PLATFORMS = {
     Platform("linux", "x86_64"): (
         Level("x86-64-v4", 8, _V4, "x86-64-v4", "-prefer-256-bit", shared=(("gradients", "x86-64-v3"),)),
@@ -83,7 +84,6 @@ PLATFORMS = {
     Platform("macos", "x86_64"): _X86_64,
     Platform("windows", "x86_64"): _X86_64,
 }
-"""Levels by platform, the best one first."""
 
 _SYSTEMS = {"linux": "linux", "darwin": "macos", "win32": "windows"}
 _ARCHITECTURES = {"amd64": "x86_64", "x64": "x86_64", "arm64": "aarch64"}
@@ -165,5 +165,4 @@ def chosen_level() -> Level:
     return next(filter(is_able, levels), levels[-1])
 
 
-WIDTH = chosen_level().lanes
-"""Number of lanes. The results of a run do not depend on it."""
+WIDTH = chosen_level().lanes  #: Number of lanes. The results of a run do not depend on it.

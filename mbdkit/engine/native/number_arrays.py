@@ -9,8 +9,7 @@ import numpy as np
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.engine.native.levels import WIDTH
 
-ITEM = 1 + DIRECTIONS
-"""Number of doubles of a dual number in memory: the value, then the derivatives."""
+ITEM = 1 + DIRECTIONS  #: Number of doubles of a dual number in memory: the value, then the derivatives.
 
 
 class Lanes(np.ndarray):

@@ -11,8 +11,7 @@ from mbdkit.engine.native.functions import inlined, overload
 from mbdkit.expressions import operations
 from mbdkit.expressions.operations import Operation
 
-Code = int
-"""Value by which a kernel identifies an operation."""
+Code = int  #: Value by which a kernel identifies an operation.
 
 
 @overload(operations.where)

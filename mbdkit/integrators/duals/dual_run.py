@@ -30,8 +30,8 @@ from mbdkit.engine.workspace import Workspace, example_workspace, scratch_of
 from mbdkit.integrators.run.run_state import MODIFIED
 
 MOST_PROJECTIONS = 50
+#: Largest number of iterations of a projection, and relative change of the derivatives at which the iteration ends.
 NEGLIGIBLE = 1e-14
-"""Largest number of iterations of a projection, and relative change of the derivatives at which the iteration ends."""
 
 
 class DualRun(NamedTuple):
@@ -41,51 +41,39 @@ class DualRun(NamedTuple):
     still: Topology
     w: Scratch
     solver: DualSolver
-    has_power: np.ndarray
-    """(1,) number: whether work or dissipated energy can change."""
-    q: State
-    """State between two steps."""
+    has_power: np.ndarray  #: (1,) number: whether work or dissipated energy can change.
+    q: State  #: State between two steps.
     v: State
     z: State
     energy: State
-    from_q: np.ndarray
-    """Base state of the step."""
+    from_q: np.ndarray  #: Base state of the step.
     from_v: np.ndarray
     from_z: np.ndarray
     q_low: np.ndarray
-    v_low: np.ndarray
-    """Low parts of compensated sums; numbers that are zero here."""
-    base_state: State
-    """(1,) number: ``RunState.base_state`` before the step."""
+    v_low: np.ndarray  #: Low parts of compensated sums; numbers that are zero here.
+    base_state: State  #: (1,) number: ``RunState.base_state`` before the step.
     dq: np.ndarray
     dv: np.ndarray
     dz: np.ndarray
     gain: np.ndarray
-    projected: np.ndarray
-    """(1,) number: whether the run has projected the end of the step."""
+    projected: np.ndarray  #: (1,) number: whether the run has projected the end of the step.
+    #: (1,) dual number: each derivative is 1 over the size of its parameter, or 0 if there is no parameter for it.
     unit: np.ndarray
-    """(1,) dual number: each derivative is 1 over the size of its parameter, or 0 if there is no parameter for it."""
-    rest: np.ndarray
-    """Velocities of a mechanism at rest: zeros."""
-    end_q: np.ndarray
-    """Positions at the end of a step, before projection."""
-    push: np.ndarray
-    """(3 (B + 1),) and (P, 2) work arrays of projections, and of stages on the constraints."""
+    rest: np.ndarray  #: Velocities of a mechanism at rest: zeros.
+    end_q: np.ndarray  #: Positions at the end of a step, before projection.
+    push: np.ndarray  #: (3 (B + 1),) and (P, 2) work arrays of projections, and of stages on the constraints.
     mu: np.ndarray
     miss: np.ndarray
-    counts: np.ndarray
-    """(5,) numbers: counts of the kernels that are called, which nothing reads."""
-    row_q: np.ndarray
-    """Recorded states, (R, ...)."""
+    counts: np.ndarray  #: (5,) numbers: counts of the kernels that are called, which nothing reads.
+    row_q: np.ndarray  #: Recorded states, (R, ...).
     row_v: np.ndarray
     row_energy: np.ndarray
+    #: Stages of the steps, if they are stored: (N,) times and (N,) weights, which are numbers, and (N, ...) states.
     node_time: np.ndarray
-    """Stages of the steps, if they are stored: (N,) times and (N,) weights, which are numbers, and (N, ...) states."""
     node_weight: np.ndarray
     node_q: np.ndarray
     node_v: np.ndarray
-    nodes: State
-    """(2,) numbers: whether the stages are stored, and how many there are in `node_time`."""
+    nodes: State  #: (2,) numbers: whether the stages are stored, and how many there are in `node_time`.
 
 
 @dataclass(frozen=True)
@@ -118,8 +106,7 @@ class Seeds:
         return Seeds({name: x[..., some] for name, x in self.arrays.items()}, self.scale[some])
 
 
-NO_SEEDS = Seeds({}, np.zeros(0))
-"""No parameters."""
+NO_SEEDS = Seeds({}, np.zeros(0))  #: No parameters.
 
 
 def constants(values: np.ndarray, derivatives: np.ndarray | None = None) -> Duals:

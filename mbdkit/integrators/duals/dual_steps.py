@@ -105,26 +105,24 @@ def differentiated_explicit(dual: int, run: int, method: int, t: float, h: float
     return advance(c, n, row)
 
 
+#: Newton iterations for the derivatives of first-order states in each iteration for those of the accelerations.
 STATE_ITERATIONS = 2
-"""Newton iterations for the derivatives of first-order states in each iteration for those of the accelerations."""
 MOST_ITERATIONS = 100
+#: The iteration ends when its rate of convergence predicts that the derivatives of the step will change by less than
+#: this relative amount.
 SMALL = 1e-14
-"""The iteration ends when its rate of convergence predicts that the derivatives of the step will change by less than
-this relative amount."""
+#: A relative change counts as round-off if it is below `NEGLIGIBLE`, and its ratio to the previous change exceeds
+#: `STALLED`.
 STALLED, NEGLIGIBLE = 0.5, 1e-9
-"""A relative change counts as round-off if it is below `NEGLIGIBLE`, and its ratio to the previous change exceeds
-`STALLED`."""
+#: A change whose ratio to the previous one exceeds `STALLED` is also round-off if it moves positions by less than this.
+#:
+#: Forces that cancel, as in a driven mechanism, leave their round-off in accelerations that are small.
 FEW_ROUNDINGS = 1e-15
-"""A change whose ratio to the previous one exceeds `STALLED` is also round-off if it moves positions by less than this.
-
-Forces that cancel, as in a driven mechanism, leave their round-off in accelerations that are small.
-"""
+#: After `PATIENCE` iterations, relative changes of positions below `MOST_ROUNDINGS` count as round-off, whatever the
+#: ratio of successive changes.
+#:
+#: In beams, whose forces are small differences of large ones, the changes vary between 1e-15 and 5e-15.
 PATIENCE, MOST_ROUNDINGS = 30, 1e-13
-"""After `PATIENCE` iterations, relative changes of positions below `MOST_ROUNDINGS` count as round-off, whatever the
-ratio of successive changes.
-
-In beams, whose forces are small differences of large ones, the changes vary between 1e-15 and 5e-15.
-"""
 
 
 def dual_stages(m: Stages) -> Stages:
@@ -317,12 +315,11 @@ def _constrained_changes(c, n, m, k, t, h):
 class _Formulation(NamedTuple):
     """The parts of a formulation that `_step` calls; Numba compiles `_step` once for each of these records."""
 
+    #: ``(c, n, m, k, t, h)``: write the changes of the derivatives by one iteration; return a status.
     changes: Callable[..., int]
-    """``(c, n, m, k, t, h)``: write the changes of the derivatives by one iteration; return a status."""
+    #: ``(c, m, h)``: return the relative change that has to converge, and that of the positions.
     sizes: Callable[..., tuple[float, float]]
-    """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
-    powers: Callable[..., int]
-    """``(c, m, t, h)``: evaluate the powers of the stages; return a status."""
+    powers: Callable[..., int]  #: ``(c, m, t, h)``: evaluate the powers of the stages; return a status.
 
 
 @inlined

@@ -26,12 +26,9 @@ from mbdkit.integrators.run.run_state import add_increments
 class LaneBatch(NamedTuple):
     """Simulations in G vectors of lanes."""
 
-    runs: np.ndarray
-    """(G,) addresses of the `LaneRun` of each vector."""
-    taken: np.ndarray
-    """(G,) number of steps since the start of each simulation; lanes."""
-    observed: np.ndarray
-    """(1,) whether the last state of a call is observed."""
+    runs: np.ndarray  #: (G,) addresses of the `LaneRun` of each vector.
+    taken: np.ndarray  #: (G,) number of steps since the start of each simulation; lanes.
+    observed: np.ndarray  #: (1,) whether the last state of a call is observed.
 
 
 def new_lane_batch(vectors: int) -> LaneBatch:
@@ -54,8 +51,7 @@ class BatchState(NamedTuple):
     worst: Lanes
     lost: Lanes
     row_time: Lanes
-    observed: Observed
-    """(G, 1, ...) values computed for the last state."""
+    observed: Observed  #: (G, 1, ...) values computed for the last state.
 
     @classmethod
     def like(cls, run: LaneRun, vectors: int) -> BatchState:

@@ -48,8 +48,7 @@ class StagePivots(NamedTuple):
 
     pattern: Pattern
     scatter: Scatter
-    size: float
-    """Size of the first step [s]."""
+    size: float  #: Size of the first step [s].
 
     @property
     def key(self) -> tuple[bytes, ...]:

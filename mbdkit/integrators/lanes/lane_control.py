@@ -45,63 +45,53 @@ from mbdkit.integrators.run.step_guards import begin_energy, distance_by_pivots,
 from mbdkit.integrators.stages.explicit import add_up_stages, estimate_errors, evaluate_point, evaluate_stages
 from mbdkit.trust.criteria import ENERGY_JUMP
 
-STEPS, SIZE, REJECTED = range(3)
-"""Indices of `LaneControl.work`."""
+STEPS, SIZE, REJECTED = range(3)  #: Indices of `LaneControl.work`.
 
-ENDED, FULL = 0, 1
-"""Results of `drive_controlled`: all runs have ended, or the buffer of recorded states is full."""
+ENDED, FULL = 0, 1  #: Results of `drive_controlled`: all runs have ended, or the buffer of recorded states is full.
 
 
 class LaneStep(NamedTuple):
     """The parts of a method that `drive_controlled` calls; `s` is the `LaneControl`."""
 
+    #: ``(s, t, h, running)``: write the increments of the steps of size `h` from `t`, the estimates of their errors,
+    #: and the distance to singularity if joints close a loop. Counts change only where `running`. Return in which lanes
+    #: the stage equations have not been solved, so that single runs reject the step.
     attempt: Callable[..., bool]
-    """``(s, t, h, running)``: write the increments of the steps of size `h` from `t`, the estimates of their errors,
-    and the distance to singularity if joints close a loop. Counts change only where `running`. Return in which lanes
-    the stage equations have not been solved, so that single runs reject the step."""
+    #: ``(s, t, h, due)``: evaluate what only dense output needs, and count it where it is `due`.
     evaluate_further: Callable[..., None]
-    """``(s, t, h, due)``: evaluate what only dense output needs, and count it where it is `due`."""
+    #: ``(c, m, t, h, theta, s)``: write the state of the run at the share `theta` of its step into arrays of `s`.
     evaluate_point: Callable[..., None]
-    """``(c, m, t, h, theta, s)``: write the state of the run at the share `theta` of its step into arrays of `s`."""
 
 
 class LaneControl(NamedTuple):
     """`WIDTH` runs with controlled step size. Shapes of vectors and of recorded values are as in `LaneRun`."""
 
     run: LaneRun
+    #: Its fields with tolerances and sizes hold lanes, the others numbers: the controller is the same in all lanes.
     control: ControlData
-    """Its fields with tolerances and sizes hold lanes, the others numbers: the controller is the same in all lanes."""
-    progress: Progress
-    """All its fields hold lanes; the attempted size is 0 in lanes that are not running."""
-    running: np.ndarray
-    """(1,) 1 in lanes that have not ended and are not lost."""
-    est_q: np.ndarray
-    """Estimates of the local error, see `mbdkit.integrators.run.run_state.RunState`."""
+    progress: Progress  #: All its fields hold lanes; the attempted size is 0 in lanes that are not running.
+    running: np.ndarray  #: (1,) 1 in lanes that have not ended and are not lost.
+    est_q: np.ndarray  #: Estimates of the local error, see `mbdkit.integrators.run.run_state.RunState`.
     est_v: np.ndarray
     est_z: np.ndarray
     second_q: np.ndarray
     second_v: np.ndarray
     second_z: np.ndarray
-    new_q: np.ndarray
-    """State at the end of the attempted step."""
+    new_q: np.ndarray  #: State at the end of the attempted step.
     new_v: np.ndarray
-    point_q: np.ndarray
-    """Result of dense output."""
+    point_q: np.ndarray  #: Result of dense output.
     point_v: np.ndarray
     point_z: np.ndarray
     point_gain: np.ndarray
+    #: (3,) STEPS, SIZE, REJECTED: steps since the last recorded state, size of the last one, rejected steps.
     work: np.ndarray
-    """(3,) STEPS, SIZE, REJECTED: steps since the last recorded state, size of the last one, rejected steps."""
-    row_work: np.ndarray
-    """(R, 3) the values of `work` at each recorded state."""
+    row_work: np.ndarray  #: (R, 3) the values of `work` at each recorded state.
+    #: (WIDTH,) number of recorded states of each run; an array of numbers, as are the next two fields.
     rows: np.ndarray
-    """(WIDTH,) number of recorded states of each run; an array of numbers, as are the next two fields."""
+    #: (1,) distance of recorded states in time [s], if `LaneRun.every` is 0, which otherwise counts accepted steps.
     interval: np.ndarray
-    """(1,) distance of recorded states in time [s], if `LaneRun.every` is 0, which otherwise counts accepted steps."""
-    attempts: np.ndarray
-    """(1,) number of turns of the loop so far."""
-    max_steps: np.ndarray
-    """(1,) number of accepted steps after which a run that has not ended is lost; lanes."""
+    attempts: np.ndarray  #: (1,) number of turns of the loop so far.
+    max_steps: np.ndarray  #: (1,) number of accepted steps after which a run that has not ended is lost; lanes.
 
 
 @subkernel

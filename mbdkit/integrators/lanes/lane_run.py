@@ -24,9 +24,9 @@ from mbdkit.integrators.run.step_guards import GuardState, new_guard_state
 from mbdkit.integrators.stages.explicit import Explicit, explicit_on
 from mbdkit.methods.kinds import ExplicitRungeKutta
 
+#: Fields of `Topology` that functions of ordinary numbers read; their shape is (WIDTH, N), so that the values of a run
+#: are contiguous.
 BY_LANE = ("motion_values", "law_parameters")
-"""Fields of `Topology` that functions of ordinary numbers read; their shape is (WIDTH, N), so that the values of a run
-are contiguous."""
 
 
 class LaneWatch(NamedTuple):
@@ -34,27 +34,21 @@ class LaneWatch(NamedTuple):
     after another. The fields are arrays of numbers.
     """
 
-    has_loops: np.ndarray
-    """(1,) whether joints close a loop."""
-    guards: np.ndarray
-    """(WIDTH,) addresses of the `GuardState` of each run."""
-    mass: np.ndarray
-    """(WIDTH, B + 1, 3) masses."""
-    dq: np.ndarray
-    """(3 (B + 1),) increment and velocity of one lane."""
+    has_loops: np.ndarray  #: (1,) whether joints close a loop.
+    guards: np.ndarray  #: (WIDTH,) addresses of the `GuardState` of each run.
+    mass: np.ndarray  #: (WIDTH, B + 1, 3) masses.
+    dq: np.ndarray  #: (3 (B + 1),) increment and velocity of one lane.
     v: np.ndarray
-    distance: np.ndarray
-    """(1,) distance to singularity in the last step; lanes."""
+    distance: np.ndarray  #: (1,) distance to singularity in the last step; lanes.
 
 
 class InLanes(NamedTuple):
     """The vectorized form of a family of methods."""
 
-    drive: Callable[[int], int]
-    """Loop over fixed steps, and over controlled ones."""
+    drive: Callable[[int], int]  #: Loop over fixed steps, and over controlled ones.
     drive_controlled: Callable[[int], Any]
+    #: Returns the bundle of the method, from the method, a workspace, pivots, and the control of the step size.
     bundle: Callable[..., Any]
-    """Returns the bundle of the method, from the method, a workspace, pivots, and the control of the step size."""
 
 
 class LaneRun(NamedTuple):
@@ -63,8 +57,7 @@ class LaneRun(NamedTuple):
     top: Topology
     w: Scratch
     solver: LaneSolver
-    method: Any
-    """`Explicit`, or `mbdkit.integrators.stages.collocation_stages.Stages`."""
+    method: Any  #: `Explicit`, or `mbdkit.integrators.stages.collocation_stages.Stages`.
     has_power: np.ndarray
     q: np.ndarray
     q_low: np.ndarray
@@ -74,8 +67,7 @@ class LaneRun(NamedTuple):
     z_low: np.ndarray
     energy: np.ndarray
     energy_low: np.ndarray
-    from_q: np.ndarray
-    """The same arrays as `q`, `v` and `z`: steps are neither rejected nor projected."""
+    from_q: np.ndarray  #: The same arrays as `q`, `v` and `z`: steps are neither rejected nor projected.
     from_v: np.ndarray
     from_z: np.ndarray
     dq: np.ndarray
@@ -85,32 +77,24 @@ class LaneRun(NamedTuple):
     worst: np.ndarray
     counts: np.ndarray
     report: np.ndarray
-    interval: np.ndarray
-    """(2,) iterations since the last recorded state, and the largest number of them in one step."""
-    guards: GuardState
-    """State of the energy guard; the other fields are not used."""
+    interval: np.ndarray  #: (2,) iterations since the last recorded state, and the largest number of them in one step.
+    guards: GuardState  #: State of the energy guard; the other fields are not used.
     watch: LaneWatch
-    times: Times
-    """Without stops; the number of steps is the same for all lanes."""
-    every: np.ndarray
-    """(1,) number of steps between recorded states; the same for all lanes."""
-    squared_misalignment: np.ndarray
-    """(P,) and (1,) limits, see `mbdkit.integrators.run.run_plan.GuardLimits`."""
+    times: Times  #: Without stops; the number of steps is the same for all lanes.
+    every: np.ndarray  #: (1,) number of steps between recorded states; the same for all lanes.
+    squared_misalignment: np.ndarray  #: (P,) and (1,) limits, see `mbdkit.integrators.run.run_plan.GuardLimits`.
     energy_share: np.ndarray
-    lost: np.ndarray
-    """(1,) 1 in lanes whose run must be repeated alone."""
-    near: np.ndarray
-    """(P, 11) vectors from which the distance to singularity is computed."""
+    lost: np.ndarray  #: (1,) 1 in lanes whose run must be repeated alone.
+    near: np.ndarray  #: (P, 11) vectors from which the distance to singularity is computed.
+    #: (R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) positions and velocities; (R, Z)
+    #: first-order states; (R, 2) energies; (R, 2) `interval`.
     row_time: np.ndarray
-    """(R,) times of the recorded states, the initial one first; (R, 3 (B + 1)) positions and velocities; (R, Z)
-    first-order states; (R, 2) energies; (R, 2) `interval`."""
     row_q: np.ndarray
     row_v: np.ndarray
     row_z: np.ndarray
     row_energy: np.ndarray
     row_interval: np.ndarray
-    observed: Observed
-    """Values of the recorded states."""
+    observed: Observed  #: Values of the recorded states.
 
 
 def widened(given: Any) -> Any:

@@ -25,16 +25,15 @@ from mbdkit.engine.native.functions import subkernel
 from mbdkit.integrators.run.run_plan import NO_PROJECTION, SYMMETRIC
 from mbdkit.integrators.run.run_state import MODIFIED, PROJECTIONS, load_run_state
 
-MAX_TRIALS = 100
-"""Largest number of iterations of a symmetric projection, each with a step of the method; chosen."""
+MAX_TRIALS = 100  #: Largest number of iterations of a symmetric projection, each with a step of the method; chosen.
 
+#: Smallest divisor of a change by Broyden's method; with a smaller one, the approximation begins anew.
 LEAST_DIVISOR = 0.1
-"""Smallest divisor of a change by Broyden's method; with a smaller one, the approximation begins anew."""
 
+#: Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its
+#: residual is below `STAGNANT`, the level of rounding errors, but above `IDLE_RATIO` times the smallest residual so
+#: far.
 IDLE, IDLE_RATIO = 2, 0.9
-"""Number of iterations without progress after which the iteration ends; chosen. An iteration makes no progress if its
-residual is below `STAGNANT`, the level of rounding errors, but above `IDLE_RATIO` times the smallest residual so far.
-"""
 
 
 @subkernel

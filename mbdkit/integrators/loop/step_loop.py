@@ -62,26 +62,23 @@ from mbdkit.integrators.run.step_guards import (
 )
 from mbdkit.integrators.run.step_path import has_room, load_path, store_end, store_state
 
-TOO_SMALL = 5
-"""Status: the step size fell below the smallest one."""
+TOO_SMALL = 5  #: Status: the step size fell below the smallest one.
 
-AT_STOP = 8
-"""Status: a step has ended at a stop; the values that the method stores are not valid for the next step."""
+AT_STOP = 8  #: Status: a step has ended at a stop; the values that the method stores are not valid for the next step.
 
+#: Statuses of attempts: `CompiledMethod.resume` is to be called before another one, or no step can succeed.
 PAUSED, REFUSED = 9, 10
-"""Statuses of attempts: `CompiledMethod.resume` is to be called before another one, or no step can succeed."""
 
+#: Status of a look into a step (`Reacting.add_forces`): it is to be taken again with the size that is now
+#: ``tried_size``.
 SHORTER = 11
-"""Status of a look into a step (`Reacting.add_forces`): it is to be taken again with the size that is now
-``tried_size``.
-"""
 
+#: Least size of the step after one that was shortened by a look into it, relative to the size planned before.
 LEAST_AFTER = 0.1
-"""Least size of the step after one that was shortened by a look into it, relative to the size planned before."""
 
+#: A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
+#: end.
 ROW_MARGIN = 1e-9
-"""A row recorded by `interval` that is closer to the end than this share of the interval is replaced by the row at the
-end."""
 
 
 @subkernel

@@ -38,23 +38,17 @@ class WatchedStep(NamedTuple):
 
     guards: GuardState
     limits: GuardLimits
-    worst: np.ndarray
-    """(P,) largest squared misalignments so far, those of the step included [m^2, rad^2]."""
+    worst: np.ndarray  #: (P,) largest squared misalignments so far, those of the step included [m^2, rad^2].
+    #: (1,) whether the energy balance can be checked, because stabilization does no work within the step.
     booked: np.ndarray
-    """(1,) whether the energy balance can be checked, because stabilization does no work within the step."""
-    from_q: np.ndarray
-    """State at the start of the step."""
+    from_q: np.ndarray  #: State at the start of the step.
     from_v: np.ndarray
-    made_q: np.ndarray
-    """State at its end, before a projection."""
+    made_q: np.ndarray  #: State at its end, before a projection.
     made_v: np.ndarray
-    q: np.ndarray
-    """State at its end."""
+    q: np.ndarray  #: State at its end.
     v: np.ndarray
-    gain: np.ndarray
-    """(2,) work done in the step, and energy dissipated [J]."""
-    dq: np.ndarray
-    """Work arrays: displacement, accelerations, (P, 2) multipliers."""
+    gain: np.ndarray  #: (2,) work done in the step, and energy dissipated [J].
+    dq: np.ndarray  #: Work arrays: displacement, accelerations, (P, 2) multipliers.
     acc: np.ndarray
     lam: np.ndarray
 

@@ -20,28 +20,26 @@ if TYPE_CHECKING:
     from mbdkit.engine.stabilization import Stabilization
     from mbdkit.integrators.run.step_control import Control
 
+#: Projection modes: none, after each step, symmetrically before and after it, or after steps near singular positions.
+#:
+#: `NEAR_SINGULARITY` applies to controlled steps without stabilization. With drift, the path through a singular
+#: position is deformed into a sharp but smooth bend onto another branch (another possible motion), which small steps
+#: follow; if the constraints are satisfied, there is no such bend.
 NO_PROJECTION, PLAIN, SYMMETRIC, NEAR_SINGULARITY = range(4)
-"""Projection modes: none, after each step, symmetrically before and after it, or after steps near singular positions.
 
-`NEAR_SINGULARITY` applies to controlled steps without stabilization. With drift, the path through a singular position
-is deformed into a sharp but smooth bend onto another branch (another possible motion), which small steps follow; if the
-constraints are satisfied, there is no such bend.
-"""
-
+#: Share of the largest distance to singularity so far below which controlled steps are projected; chosen.
+#:
+#: The share matters little. When it was chosen, with an earlier pivoted solver, 23 of 40 adaptive runs of linkages
+#: through singular (flat) positions were correct with 0.1, 25 with 0.5, and 27 if every step was projected. Guards
+#: detect the wrong runs.
 NEAR = 0.2
-"""Share of the largest distance to singularity so far below which controlled steps are projected; chosen.
 
-The share matters little. When it was chosen, with an earlier pivoted solver, 23 of 40 adaptive runs of linkages through
-singular (flat) positions were correct with 0.1, 25 with 0.5, and 27 if every step was projected. Guards detect the
-wrong runs.
-"""
-
+#: Number of iterations of a symmetric projection after which the approximation of its matrix begins anew; chosen. The
+#: iterations converge in about ten, or do not converge.
 CHANGES = 20
-"""Number of iterations of a symmetric projection after which the approximation of its matrix begins anew; chosen. The
-iterations converge in about ten, or do not converge."""
 
+#: Smallest controlled step size, relative to the largest time of the run: a few rounding errors of the time.
 MIN_SIZE = 16 * float(np.finfo(float).eps)
-"""Smallest controlled step size, relative to the largest time of the run: a few rounding errors of the time."""
 
 
 class Times(NamedTuple):
@@ -49,59 +47,45 @@ class Times(NamedTuple):
 
     start: np.ndarray
     end: np.ndarray
-    step: np.ndarray
-    """Size of a fixed step [s]."""
-    last_step: np.ndarray
-    """Size of the last fixed step [s]."""
-    steps: np.ndarray
-    """Number of fixed steps."""
-    stops: np.ndarray
-    """(S,) times at which steps end, in order [s]."""
-    margins: np.ndarray
-    """(S,) margin of each stop [s]; see `Timetable`."""
-    impacts: np.ndarray
-    """(S,) whether an impulse changes the velocities at a stop."""
+    step: np.ndarray  #: Size of a fixed step [s].
+    last_step: np.ndarray  #: Size of the last fixed step [s].
+    steps: np.ndarray  #: Number of fixed steps.
+    stops: np.ndarray  #: (S,) times at which steps end, in order [s].
+    margins: np.ndarray  #: (S,) margin of each stop [s]; see `Timetable`.
+    impacts: np.ndarray  #: (S,) whether an impulse changes the velocities at a stop.
 
 
 class Recording(NamedTuple):
     """Which states are recorded; each array has one element."""
 
-    every: np.ndarray
-    """Number k: every k-th step and the end are recorded; 0 if states are recorded by `interval`."""
-    interval: np.ndarray
-    """Distance of recorded states in time [s]; the end is recorded as well."""
-    start_of_step: np.ndarray
-    """Whether the state at the start of the last step is stored in ``before_q, before_v``."""
+    every: np.ndarray  #: Number k: every k-th step and the end are recorded; 0 if states are recorded by `interval`.
+    interval: np.ndarray  #: Distance of recorded states in time [s]; the end is recorded as well.
+    start_of_step: np.ndarray  #: Whether the state at the start of the last step is stored in ``before_q, before_v``.
 
 
 class ProjectionPlan(NamedTuple):
     """When states are projected onto the constraints; each array has one element."""
 
-    mode: np.ndarray
-    """NO_PROJECTION, PLAIN, SYMMETRIC or NEAR_SINGULARITY."""
-    every: np.ndarray
-    """Project after every k-th step."""
-    bound: np.ndarray
-    """Project only if a constraint is violated by more than this; 0 means always."""
-    near: np.ndarray
-    """Share of the largest distance to singularity so far below which NEAR_SINGULARITY projects."""
+    mode: np.ndarray  #: NO_PROJECTION, PLAIN, SYMMETRIC or NEAR_SINGULARITY.
+    every: np.ndarray  #: Project after every k-th step.
+    bound: np.ndarray  #: Project only if a constraint is violated by more than this; 0 means always.
+    near: np.ndarray  #: Share of the largest distance to singularity so far below which NEAR_SINGULARITY projects.
+    #: (K, 2, P, 2) work array: changes of the multipliers in the iterations of a symmetric projection; else no rows.
     changes: np.ndarray
-    """(K, 2, P, 2) work array: changes of the multipliers in the iterations of a symmetric projection; else no rows."""
 
 
+#: Share of rounding errors that no change of the energy balance exceeds; zero times infinity would not be a limit.
 LARGEST = 1e300
-"""Share of rounding errors that no change of the energy balance exceeds; zero times infinity would not be a limit."""
 
 
 class GuardLimits(NamedTuple):
     """Limits at which a run stops."""
 
-    squared_misalignment: np.ndarray
-    """(P,) largest squared misalignment of each pair of constraint rows [m^2, rad^2]."""
+    squared_misalignment: np.ndarray  #: (P,) largest squared misalignment of each pair of constraint rows [m^2, rad^2].
+    #: (1,) change of the energy balance in a step, as a share of the largest kinetic energy so far; infinite: off.
     energy_jump: np.ndarray
-    """(1,) change of the energy balance in a step, as a share of the largest kinetic energy so far; infinite: off."""
+    #: (1,) change of the energy balance, in the same form, above which step size control rejects a step.
     rejected_jump: np.ndarray
-    """(1,) change of the energy balance, in the same form, above which step size control rejects a step."""
 
 
 class RunPlan(NamedTuple):
@@ -111,8 +95,7 @@ class RunPlan(NamedTuple):
     recording: Recording
     control: ControlData
     projection: ProjectionPlan
-    baumgarte: np.ndarray
-    """(1,) whether Baumgarte's terms are part of the equations, so that their size is recorded."""
+    baumgarte: np.ndarray  #: (1,) whether Baumgarte's terms are part of the equations, so that their size is recorded.
     limits: GuardLimits
 
 

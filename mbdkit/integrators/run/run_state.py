@@ -20,60 +20,45 @@ from mbdkit.integrators.run.step_guards import GuardState, new_guard_state
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
+#: Relation of the base state of an attempt to the last attempt: equal to its end, equal to its start, or modified.
+#: Accordingly, methods may reuse values of the last stage of the last attempt, those of its first stage, or none.
 AT_END_OF_LAST, AT_START_OF_LAST, MODIFIED = range(3)
-"""Relation of the base state of an attempt to the last attempt: equal to its end, equal to its start, or modified.
-Accordingly, methods may reuse values of the last stage of the last attempt, those of its first stage, or none."""
 
+#: Indices of ``counts``: right-hand sides, Jacobians, factorizations, Newton iterations, projections.
 RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS = range(5)
-"""Indices of ``counts``: right-hand sides, Jacobians, factorizations, Newton iterations, projections."""
 
 
 class Progress(NamedTuple):
     """Progress of a run; each array has one element."""
 
-    time: np.ndarray
-    """Time reached [s], and the low part of its compensated sum."""
+    time: np.ndarray  #: Time reached [s], and the low part of its compensated sum.
     time_low: np.ndarray
-    next_size: np.ndarray
-    """Size of the next step with step size control [s]."""
-    last_size: np.ndarray
-    """Size of the last accepted step [s]."""
+    next_size: np.ndarray  #: Size of the next step with step size control [s].
+    last_size: np.ndarray  #: Size of the last accepted step [s].
+    #: Size of the part of the attempted step that the method has taken [s], if that ends at an event of the method; 0
+    #: for whole steps.
     part: np.ndarray
-    """Size of the part of the attempted step that the method has taken [s], if that ends at an event of the method; 0
-    for whole steps."""
+    #: Scaled error of the last accepted step; 0 before the first, and if it says nothing about the next step.
     last_error: np.ndarray
-    """Scaled error of the last accepted step; 0 before the first, and if it says nothing about the next step."""
-    earlier_error: np.ndarray
-    """Scaled error of the accepted step before that one, in the same way, and its size [s]."""
+    earlier_error: np.ndarray  #: Scaled error of the accepted step before that one, in the same way, and its size [s].
     earlier_size: np.ndarray
-    next_row: np.ndarray
-    """Number of the next row to be recorded at equidistant times."""
-    tried_begin: np.ndarray
-    """Start and size of the last attempt [s]."""
+    next_row: np.ndarray  #: Number of the next row to be recorded at equidistant times.
+    tried_begin: np.ndarray  #: Start and size of the last attempt [s].
     tried_size: np.ndarray
-    restart: np.ndarray
-    """Start of the next step after a stop or a part of a step [s]."""
+    restart: np.ndarray  #: Start of the next step after a stop or a part of a step [s].
+    #: Time of a soft stop besides those of the plan, at which an open run pauses [s]; infinite if there is none.
     pause: np.ndarray
-    """Time of a soft stop besides those of the plan, at which an open run pauses [s]; infinite if there is none."""
-    accepted: np.ndarray
-    """Number of accepted steps."""
-    rejected: np.ndarray
-    """Number of rejected steps."""
+    accepted: np.ndarray  #: Number of accepted steps.
+    rejected: np.ndarray  #: Number of rejected steps.
+    #: Whether there is a pending step: it is accepted, but its rows are not yet written, and the state is still that at
+    #: its start.
     pending: np.ndarray
-    """Whether there is a pending step: it is accepted, but its rows are not yet written, and the state is still that at
-    its start."""
-    retrying: np.ndarray
-    """Whether the last attempt was rejected."""
-    whole: np.ndarray
-    """Number of accepted fixed steps; one that is split at a stop counts once."""
-    passed: np.ndarray
-    """Number of stops passed."""
-    at_stop: np.ndarray
-    """Whether the step accepted last ends at a stop."""
-    after_stop: np.ndarray
-    """Whether the next step begins at a stop."""
-    after_part: np.ndarray
-    """Whether the step accepted last is a part of a step, so that the next one is its rest."""
+    retrying: np.ndarray  #: Whether the last attempt was rejected.
+    whole: np.ndarray  #: Number of accepted fixed steps; one that is split at a stop counts once.
+    passed: np.ndarray  #: Number of stops passed.
+    at_stop: np.ndarray  #: Whether the step accepted last ends at a stop.
+    after_stop: np.ndarray  #: Whether the next step begins at a stop.
+    after_part: np.ndarray  #: Whether the step accepted last is a part of a step, so that the next one is its rest.
 
     @property
     def counts(self) -> tuple[np.ndarray, ...]:
@@ -86,23 +71,18 @@ class Interval(NamedTuple):
 
     values: State
     steps: np.ndarray
-    last_size: np.ndarray
-    """Size of the last step [s]."""
-    iterations: np.ndarray
-    """Newton iterations, and the largest number of them in one step."""
+    last_size: np.ndarray  #: Size of the last step [s].
+    iterations: np.ndarray  #: Newton iterations, and the largest number of them in one step.
     iterations_max: np.ndarray
-    rejected: np.ndarray
-    """Rejected steps."""
+    rejected: np.ndarray  #: Rejected steps.
     projections: np.ndarray
+    #: Largest correction by a projection in the mass metric, of positions [m] and of velocities [m/s].
     position_correction: np.ndarray
-    """Largest correction by a projection in the mass metric, of positions [m] and of velocities [m/s]."""
     velocity_correction: np.ndarray
-    baumgarte_term: np.ndarray
-    """Largest of Baumgarte's terms [m/s^2, rad/s^2]."""
+    baumgarte_term: np.ndarray  #: Largest of Baumgarte's terms [m/s^2, rad/s^2].
 
 
-INTERVAL_FIELDS = Interval._fields[1:]
-"""Columns of ``row_interval``."""
+INTERVAL_FIELDS = Interval._fields[1:]  #: Columns of ``row_interval``.
 
 
 def new_progress() -> Progress:
@@ -124,104 +104,85 @@ class RunState(NamedTuple):
     Arrays that a step reads of the previous step are declared as `State`; see `mbdkit.engine.kernels.bundle_types`.
     """
 
-    top: Topology
-    """The mechanism, with Baumgarte's terms if the run is stabilized by them."""
+    top: Topology  #: The mechanism, with Baumgarte's terms if the run is stabilized by them.
+    #: The mechanism without gravity and without Baumgarte's terms, for systems with a given right-hand side.
     still: Topology
-    """The mechanism without gravity and without Baumgarte's terms, for systems with a given right-hand side."""
     w: Scratch
     solver: Solver
-    has_power: np.ndarray
-    """(1,) whether work or dissipated energy can change."""
+    has_power: np.ndarray  #: (1,) whether work or dissipated energy can change.
+    #: State between two steps. `q_low`, `v_low`, `z_low` and `energy_low` are the low parts of compensated sums.
     q: State
-    """State between two steps. `q_low`, `v_low`, `z_low` and `energy_low` are the low parts of compensated sums."""
     q_low: State
     v: State
     v_low: State
-    z: State
-    """(Z,) first-order states of force elements, z' = f(t, q, v, z)."""
+    z: State  #: (Z,) first-order states of force elements, z' = f(t, q, v, z).
     z_low: State
-    energy: State
-    """(2,) work of loads and drivers, and dissipated energy [J]."""
+    energy: State  #: (2,) work of loads and drivers, and dissipated energy [J].
     energy_low: State
+    #: Base state of an attempt: the state, or in a symmetric projection the state plus the first correction.
     from_q: State
-    """Base state of an attempt: the state, or in a symmetric projection the state plus the first correction."""
     from_v: State
     from_z: State
+    #: (1,) AT_END_OF_LAST, AT_START_OF_LAST or MODIFIED: relation of the base state to the last attempt.
     base_state: State
-    """(1,) AT_END_OF_LAST, AT_START_OF_LAST or MODIFIED: relation of the base state to the last attempt."""
-    dq: State
-    """Result of an attempt: increments of positions, velocities and first-order states."""
+    dq: State  #: Result of an attempt: increments of positions, velocities and first-order states.
     dv: State
     dz: State
-    gain: State
-    """(2,) increments of the energies, integrated with the weights of the method."""
-    own_lam: Record
-    """Multipliers computed by the method itself, at the end of the step, in the rows of the pairs."""
-    est_q: np.ndarray
-    """Estimates of the local error, if requested."""
+    gain: State  #: (2,) increments of the energies, integrated with the weights of the method.
+    own_lam: Record  #: Multipliers computed by the method itself, at the end of the step, in the rows of the pairs.
+    est_q: np.ndarray  #: Estimates of the local error, if requested.
     est_v: np.ndarray
     est_z: np.ndarray
-    second_q: np.ndarray
-    """Second estimates, of lower order, for methods with two estimates."""
+    second_q: np.ndarray  #: Second estimates, of lower order, for methods with two estimates.
     second_v: np.ndarray
     second_z: np.ndarray
+    #: Result of dense output: positions, velocities, first-order states, energies gained since the start of the step,
+    #: multipliers.
     point_q: np.ndarray
-    """Result of dense output: positions, velocities, first-order states, energies gained since the start of the step,
-    multipliers."""
     point_v: np.ndarray
     point_z: np.ndarray
     point_gain: np.ndarray
     point_lam: np.ndarray
-    new_q: np.ndarray
-    """State at the end of the current step, with projection if there is one."""
+    new_q: np.ndarray  #: State at the end of the current step, with projection if there is one.
     new_v: np.ndarray
-    shift_q: State
-    """Change of the state at the end of the step by projection."""
+    shift_q: State  #: Change of the state at the end of the step by projection.
     shift_v: State
+    #: (P, 2) multipliers of the symmetric projection, for positions and for velocities; the iteration of a step starts
+    #: from those of the last step.
     mu: State
-    """(P, 2) multipliers of the symmetric projection, for positions and for velocities; the iteration of a step starts
-    from those of the last step."""
     nu: State
-    rest: np.ndarray
-    """Velocities of a mechanism at rest: zeros."""
-    x: np.ndarray
-    """Work arrays of projections."""
+    rest: np.ndarray  #: Velocities of a mechanism at rest: zeros.
+    x: np.ndarray  #: Work arrays of projections.
     lam: np.ndarray
     miss: np.ndarray
-    before_q: np.ndarray
-    """State at the start of the last step, if the plan asks for it."""
+    before_q: np.ndarray  #: State at the start of the last step, if the plan asks for it.
     before_v: np.ndarray
     before_z: np.ndarray
-    worst: Record
-    """(P,) largest squared norm so far of the constraint residuals Phi of each pair of rows."""
-    counts: Record
-    """(5,) RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS."""
-    report: np.ndarray
-    """(3,) on divergence: largest change, its coordinate, number of iterations."""
+    worst: Record  #: (P,) largest squared norm so far of the constraint residuals Phi of each pair of rows.
+    counts: Record  #: (5,) RHS, JACOBIANS, FACTORIZATIONS, ITERATIONS, PROJECTIONS.
+    report: np.ndarray  #: (3,) on divergence: largest change, its coordinate, number of iterations.
     progress: Annotated[Progress, STATE]
     interval: Interval
     guards: Annotated[GuardState, STATE]
-    first_row: np.ndarray
-    """(1,) number of recorded rows in the buffer that have not been collected yet."""
+    first_row: np.ndarray  #: (1,) number of recorded rows in the buffer that have not been collected yet.
+    #: Recorded rows: (R,) times, (R, 3 (B + 1)) positions and velocities, (R, Z) first-order states, (R, 2) energies,
+    #: (R, 9) intervals, (R, P, 2) multipliers.
     row_time: np.ndarray
-    """Recorded rows: (R,) times, (R, 3 (B + 1)) positions and velocities, (R, Z) first-order states, (R, 2) energies,
-    (R, 9) intervals, (R, P, 2) multipliers."""
     row_q: np.ndarray
     row_v: np.ndarray
     row_z: np.ndarray
     row_energy: np.ndarray
     row_interval: np.ndarray
-    row_lam: np.ndarray
-    """Empty if the method does not compute multipliers."""
+    row_lam: np.ndarray  #: Empty if the method does not compute multipliers.
+    #: Stages of accepted steps, if they are stored as quadrature nodes of time integrals: (N,) times and weights [s],
+    #: and (N, 3 (B + 1)) positions and velocities.
     node_time: np.ndarray
-    """Stages of accepted steps, if they are stored as quadrature nodes of time integrals: (N,) times and weights [s],
-    and (N, 3 (B + 1)) positions and velocities."""
     node_weight: np.ndarray
     node_q: np.ndarray
     node_v: np.ndarray
+    #: (3,) address of the function ``keep`` of the method, or 0 if stages are not stored; number of stages stored in
+    #: `node_time`; number of stages of a step.
     nodes: np.ndarray
-    """(3,) address of the function ``keep`` of the method, or 0 if stages are not stored; number of stages stored in
-    `node_time`; number of stages of a step."""
 
 
 def new_run_state(

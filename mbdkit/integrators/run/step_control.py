@@ -44,32 +44,27 @@ if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
     from mbdkit.methods.step_filter import StepFilter
 
-SAFETY = 0.9
-"""Safety factor S of a new step size: the default of DOPRI5, DOP853 and RADAU5 (``SAFE``), and of SciPy."""
+SAFETY = 0.9  #: Safety factor S of a new step size: the default of DOPRI5, DOP853 and RADAU5 (``SAFE``), and of SciPy.
 
+#: Bounds on h_new / h: the lower one of DOPRI5 (and SciPy), the upper one of DOP853.
+#:
+#: Other methods allow steps to grow by 8 (RADAU5) or 10 (DOPRI5, SciPy).
 MIN_FACTOR, MAX_FACTOR = 0.2, 6.0
-"""Bounds on h_new / h: the lower one of DOPRI5 (and SciPy), the upper one of DOP853.
 
-Other methods allow steps to grow by 8 (RADAU5) or 10 (DOPRI5, SciPy).
-"""
-
+#: h_new / h after a step whose equations could not be solved, as in CVODE (Hindmarsh et al. 2005, ``ETACF``).
+#:
+#: RADAU5 and SciPy's Radau use 0.5.
 SOLVER_FAILURE_FACTOR = 0.25
-"""h_new / h after a step whose equations could not be solved, as in CVODE (Hindmarsh et al. 2005, ``ETACF``).
 
-RADAU5 and SciPy's Radau use 0.5.
-"""
+MIN_LAST_ERROR = 1e-4  #: Lower bound of e_(n-1) (DOPRI5, ``FACOLD``): one very accurate step must not shorten the next.
 
-MIN_LAST_ERROR = 1e-4
-"""Lower bound of e_(n-1) (DOPRI5, ``FACOLD``): one very accurate step must not shorten the next."""
+INTEGRAL_SHARE = 0.75  #: Reduction of the exponent of e_n per beta (DOPRI5, ``EXPO1``; DOP853 has 0.2).
 
-INTEGRAL_SHARE = 0.75
-"""Reduction of the exponent of e_n per beta (DOPRI5, ``EXPO1``; DOP853 has 0.2)."""
-
+#: Weight of the square of the second estimate in the error of DOP853 (Hairer, Norsett and Wanner 1993, II.10).
 ROUGH_WEIGHT = 0.01
-"""Weight of the square of the second estimate in the error of DOP853 (Hairer, Norsett and Wanner 1993, II.10)."""
 
+#: A step that would end within 1 % of its size before the end of the run is extended to the end (DOPRI5, DOP853).
 END_MARGIN = 1.01
-"""A step that would end within 1 % of its size before the end of the run is extended to the end (DOPRI5, DOP853)."""
 
 
 @dataclass(frozen=True)
@@ -143,31 +138,20 @@ class Control:
 class ControlData(NamedTuple):
     """Step-size control as the kernels read it; arrays without a shape have one element."""
 
-    controlled: np.ndarray
-    """Whether the error controls the step size; otherwise, the other fields are not used."""
-    rtol: np.ndarray
-    """Relative tolerance of the estimate."""
-    atol: np.ndarray
-    """(3,) absolute tolerances of the estimate for x, y and the angle of a body."""
-    exponent: np.ndarray
-    """1 / k."""
-    safety: np.ndarray
-    """Safety factor of a size that follows from the last error alone."""
-    limits: np.ndarray
-    """(2,) bounds on h_new / h."""
-    alone: np.ndarray
-    """Power of e_n in h_new / h as long as there are too few earlier errors."""
-    gain: np.ndarray
-    """Factor of h_new / h besides the powers below."""
-    powers: np.ndarray
-    """(5,) powers of e_n, e_(n-1), e_(n-2), h / h_(n-1) and h_(n-1) / h_(n-2) in h_new / h."""
+    controlled: np.ndarray  #: Whether the error controls the step size; otherwise, the other fields are not used.
+    rtol: np.ndarray  #: Relative tolerance of the estimate.
+    atol: np.ndarray  #: (3,) absolute tolerances of the estimate for x, y and the angle of a body.
+    exponent: np.ndarray  #: 1 / k.
+    safety: np.ndarray  #: Safety factor of a size that follows from the last error alone.
+    limits: np.ndarray  #: (2,) bounds on h_new / h.
+    alone: np.ndarray  #: Power of e_n in h_new / h as long as there are too few earlier errors.
+    gain: np.ndarray  #: Factor of h_new / h besides the powers below.
+    powers: np.ndarray  #: (5,) powers of e_n, e_(n-1), e_(n-2), h / h_(n-1) and h_(n-1) / h_(n-2) in h_new / h.
+    #: Number of errors that the controller needs: 2 or 3; negative if it does not use sizes of steps before the last
+    #: one, so that only the first two powers are not 0.
     reach: np.ndarray
-    """Number of errors that the controller needs: 2 or 3; negative if it does not use sizes of steps before the last
-    one, so that only the first two powers are not 0."""
-    estimates: np.ndarray
-    """Number of estimates of the error, 1 or 2."""
-    min_size: np.ndarray
-    """Smallest and largest step size [s]."""
+    estimates: np.ndarray  #: Number of estimates of the error, 1 or 2.
+    min_size: np.ndarray  #: Smallest and largest step size [s].
     max_size: np.ndarray
 
 

@@ -36,85 +36,62 @@ from mbdkit.trust.criteria import BRANCH_ANGLE, BRANCH_RATIO
 if TYPE_CHECKING:
     from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
+#: Status of a step: a limit of the guards was exceeded, see `mbdkit.integrators.run.run_plan.GuardLimits`.
 FELL_APART, ENERGY_JUMP = 6, 7
-"""Status of a step: a limit of the guards was exceeded, see `mbdkit.integrators.run.run_plan.GuardLimits`."""
 
+#: Share of the sum of the absolute values of all energies that round-off may add to a jump.
+#:
+#: The kinetic energy is not used for comparison, because it is zero in a mechanism that starts at rest.
 ROUNDING = 1e-11
-"""Share of the sum of the absolute values of all energies that round-off may add to a jump.
 
-The kinetic energy is not used for comparison, because it is zero in a mechanism that starts at rest.
-"""
+DIP = 0.05  #: Share of the largest distance to singularity so far below which a minimum counts as a dip.
 
-DIP = 0.05
-"""Share of the largest distance to singularity so far below which a minimum counts as a dip."""
+WINDOW = 0.01  #: Path before and after a dip over which the velocity is compared, in characteristic lengths.
 
-WINDOW = 0.01
-"""Path before and after a dip over which the velocity is compared, in characteristic lengths."""
+SPACING = 0.002  #: Path between two samples of the velocity, in characteristic lengths.
 
-SPACING = 0.002
-"""Path between two samples of the velocity, in characteristic lengths."""
+SAMPLES = 16  #: Number of samples that are stored; more than ``WINDOW / SPACING``.
 
-SAMPLES = 16
-"""Number of samples that are stored; more than ``WINDOW / SPACING``."""
+AT_REST = 1e-12  #: Share of the largest kinetic energy so far below which the direction of the velocity is not used.
 
-AT_REST = 1e-12
-"""Share of the largest kinetic energy so far below which the direction of the velocity is not used."""
-
-MOST_TURNS = 16
-"""Number of turns that are reported."""
+MOST_TURNS = 16  #: Number of turns that are reported.
 
 
 class GuardState(NamedTuple):
     """State of the guards of a run. Arrays have one element unless a shape is given."""
 
-    energy: np.ndarray
-    """Kinetic and potential energy of the state [J]; NaN before it is known."""
-    kinetic: np.ndarray
-    """Largest kinetic energy so far [J]."""
+    energy: np.ndarray  #: Kinetic and potential energy of the state [J]; NaN before it is known.
+    kinetic: np.ndarray  #: Largest kinetic energy so far [J].
+    #: Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s].
+    #:
+    #: Jumps within round-off are ignored.
     jump: np.ndarray
-    """Largest absolute jump of the energy balance in a step so far [J], and the time at the end of that step [s].
-
-    Jumps within round-off are ignored."""
     jump_time: np.ndarray
-    exceeded: np.ndarray
-    """Whether the jump of the last step exceeded the limit of the run."""
-    jumped: np.ndarray
-    """Whether the jump of the energy balance was the reason for the last rejection of a step."""
+    exceeded: np.ndarray  #: Whether the jump of the last step exceeded the limit of the run.
+    jumped: np.ndarray  #: Whether the jump of the energy balance was the reason for the last rejection of a step.
+    #: Factor that converts the square of a displacement in the mass metric to the square of a path in characteristic
+    #: lengths [1/(kg m^2)].
     per_square: np.ndarray
-    """Factor that converts the square of a displacement in the mass metric to the square of a path in characteristic
-    lengths [1/(kg m^2)]."""
+    #: Whether joints close a loop. Otherwise no position is singular, and branches are not watched.
     has_loops: np.ndarray
-    """Whether joints close a loop. Otherwise no position is singular, and branches are not watched."""
-    path: np.ndarray
-    """Path so far in the mass metric, in characteristic lengths."""
-    distance: np.ndarray
-    """Distance to singularity in the last attempt."""
+    path: np.ndarray  #: Path so far in the mass metric, in characteristic lengths.
+    distance: np.ndarray  #: Distance to singularity in the last attempt.
+    #: (P, 11) vectors of the inverse iteration for this distance; see `mbdkit.engine.kernels.singularity_kernels`.
     vectors: np.ndarray
-    """(P, 11) vectors of the inverse iteration for this distance; see `mbdkit.engine.kernels.singularity_kernels`."""
-    farthest: np.ndarray
-    """Largest distance to singularity so far."""
-    nearest: np.ndarray
-    """Smallest distance since the last sample."""
-    samples: np.ndarray
-    """Number of samples so far."""
-    sample_path: np.ndarray
-    """(SAMPLES,) the path at each of the last samples."""
-    sample_v: np.ndarray
-    """(SAMPLES, 3 (B + 1)) the velocities at the last samples."""
-    armed: np.ndarray
-    """Whether the distance has exceeded the limit of dips since the last dip."""
-    dip_path: np.ndarray
-    """Path at the lowest point of the current dip; NaN outside of dips."""
-    dip_distance: np.ndarray
-    """Distance to singularity at the lowest point of the current dip, and the time [s]."""
+    farthest: np.ndarray  #: Largest distance to singularity so far.
+    nearest: np.ndarray  #: Smallest distance since the last sample.
+    samples: np.ndarray  #: Number of samples so far.
+    sample_path: np.ndarray  #: (SAMPLES,) the path at each of the last samples.
+    sample_v: np.ndarray  #: (SAMPLES, 3 (B + 1)) the velocities at the last samples.
+    armed: np.ndarray  #: Whether the distance has exceeded the limit of dips since the last dip.
+    dip_path: np.ndarray  #: Path at the lowest point of the current dip; NaN outside of dips.
+    dip_distance: np.ndarray  #: Distance to singularity at the lowest point of the current dip, and the time [s].
     dip_time: np.ndarray
-    dip_v: np.ndarray
-    """(3 (B + 1),) velocities before the dip, and the path at which they were sampled."""
+    dip_v: np.ndarray  #: (3 (B + 1),) velocities before the dip, and the path at which they were sampled.
     dip_begin: np.ndarray
+    #: (2,) smallest turn that is reported [rad], and smallest turn per path [rad per characteristic length].
     sharp: np.ndarray
-    """(2,) smallest turn that is reported [rad], and smallest turn per path [rad per characteristic length]."""
-    turns: np.ndarray
-    """(MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took."""
+    turns: np.ndarray  #: (MOST_TURNS, 3) time of the dip [s], turn of the velocity [rad], and the path it took.
     turn_count: np.ndarray
 
 

@@ -17,16 +17,11 @@ class StepPath(NamedTuple):
     There are no steps if a call of the step loop stores none.
     """
 
-    shares: np.ndarray
-    """(P - 1,) shares of a step, from 0 to 1."""
-    stored: np.ndarray
-    """(1,) number of steps that have been stored."""
-    attempts: np.ndarray
-    """(N,) number of attempts until the end of each step."""
-    time: np.ndarray
-    """(N,) ends of the steps [s]."""
-    q: np.ndarray
-    """(N, P, 3 (B + 1)) positions and velocities, and (N, P, Z) first-order states."""
+    shares: np.ndarray  #: (P - 1,) shares of a step, from 0 to 1.
+    stored: np.ndarray  #: (1,) number of steps that have been stored.
+    attempts: np.ndarray  #: (N,) number of attempts until the end of each step.
+    time: np.ndarray  #: (N,) ends of the steps [s].
+    q: np.ndarray  #: (N, P, 3 (B + 1)) positions and velocities, and (N, P, Z) first-order states.
     v: np.ndarray
     z: np.ndarray
 

@@ -27,11 +27,9 @@ from mbdkit.methods.tableau import ButcherTableau
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
-NEWTON, FIXED_POINT = range(2)
-"""Codes of the ways to solve the stage equations."""
+NEWTON, FIXED_POINT = range(2)  #: Codes of the ways to solve the stage equations.
 
-POSITION, VELOCITY = range(2)
-"""Items of `Settings.holds`."""
+POSITION, VELOCITY = range(2)  #: Items of `Settings.holds`.
 
 
 class StageKernels(NamedTuple):
@@ -42,45 +40,42 @@ class StageKernels(NamedTuple):
     each element of a SIMD vector.
     """
 
+    #: ``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any. The state is
+    #: that at the start of the step, with the multipliers of all pairs, or the mean of the stages. In lanes, matrices
+    #: change only where `wanted`.
     tangents: Callable[..., int]
-    """``(c, m, t, h, at_start, wanted)``: evaluate and factorize the stage matrices, if there are any. The state is
-    that at the start of the step, with the multipliers of all pairs, or the mean of the stages. In lanes, matrices
-    change only where `wanted`."""
+    #: ``(c, m, t, h, before)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
+    #: unknowns are changed in place. `before` is the relative change by the previous iteration, infinite in the first.
     changes: Callable[..., int]
-    """``(c, m, t, h, before)``: write the change of the stages by one iteration into ``m.change``; multipliers that are
-    unknowns are changed in place. `before` is the relative change by the previous iteration, infinite in the first."""
+    #: ``(c, m, h, active)``: change the accelerations, in lanes only where `active`, and evaluate the stages.
     move: Callable[..., None]
-    """``(c, m, h, active)``: change the accelerations, in lanes only where `active`, and evaluate the stages."""
+    #: ``(c, m, h)``: return the relative change that has to converge, and that of the positions.
     sizes: Callable[..., tuple[float, float]]
-    """``(c, m, h)``: return the relative change that has to converge, and that of the positions."""
+    #: ``(now)``: return whether a change that no longer decreases, of this relative size, counts as idle, that is, as
+    #: possible round-off.
     counts_as_idle: Callable[..., bool]
-    """``(now)``: return whether a change that no longer decreases, of this relative size, counts as idle, that is, as
-    possible round-off."""
+    #: ``(c, m, h, now, moved, idle)``: return whether a change that no longer decreases is round-off. `now` is the
+    #: relative change, `moved` that of the positions, and `idle` the number of idle changes so far.
     round_off: Callable[..., bool]
-    """``(c, m, h, now, moved, idle)``: return whether a change that no longer decreases is round-off. `now` is the
-    relative change, `moved` that of the positions, and `idle` the number of idle changes so far."""
-    powers: Callable[..., int] | None = None
-    """``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``."""
+    powers: Callable[..., int] | None = None  #: ``(c, m, t, h)``: evaluate the powers of the stages into ``m.power``.
+    #: ``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
+    #: velocities.
     estimate_side: Callable[..., None] | None = None
-    """``(c, m, z, b)``: write the right-hand side of the system that filters an estimate `z` of the error of
-    velocities."""
 
 
 class StageCoefficients(NamedTuple):
     """A fully implicit method of s stages, and eigenvalues of its matrix: real ones, and one of each complex pair."""
 
     a: np.ndarray
-    a2: np.ndarray
-    """(s, s) A and A A: weights of accelerations in velocities and positions of the stages."""
+    a2: np.ndarray  #: (s, s) A and A A: weights of accelerations in velocities and positions of the stages.
     b: np.ndarray
+    #: (s,) b and A^T b: weights of accelerations in the velocities and positions at the end of the step.
     b2: np.ndarray
-    """(s,) b and A^T b: weights of accelerations in the velocities and positions at the end of the step."""
     c: np.ndarray
-    inverse: np.ndarray
-    """(s, s) A^-1 for stiffly accurate methods; NaN otherwise."""
+    inverse: np.ndarray  #: (s, s) A^-1 for stiffly accurate methods; NaN otherwise.
     dense_v: np.ndarray
+    #: (s, s) and (s, s + 1) polynomials of dense output (`collocation_polynomials`); zeros where nodes coincide.
     dense_q: np.ndarray
-    """(s, s) and (s, s + 1) polynomials of dense output (`collocation_polynomials`); zeros where nodes coincide."""
     t_real: np.ndarray
     t_real_inv: np.ndarray
     mu_real: np.ndarray
@@ -117,18 +112,14 @@ class Systems(NamedTuple):
     """The linear systems of simplified Newton, one for each eigenvalue; they share one pattern."""
 
     pattern: Pattern
-    scatter: Scatter
-    """Index of each term in the matrices, grouped by factor."""
+    scatter: Scatter  #: Index of each term in the matrices, grouped by factor.
     real: Factors
-    cplx: Factors
-    """Factors of the matrices, stacked."""
-    b_real: np.ndarray
-    """(n + m,) right-hand side, and solution."""
+    cplx: Factors  #: Factors of the matrices, stacked.
+    b_real: np.ndarray  #: (n + m,) right-hand side, and solution.
     x_real: np.ndarray
     b_complex: np.ndarray
     x_complex: np.ndarray
-    z_real: np.ndarray
-    """Transformed residual; entries of the ground are zero."""
+    z_real: np.ndarray  #: Transformed residual; entries of the ground are zero.
     z_complex: np.ndarray
 
 
@@ -150,84 +141,63 @@ def _stacked(pattern: Pattern, count: int, dtype: type) -> Factors:
 class Settings(NamedTuple):
     """How the stage equations are set up and solved; arrays of one item unless a shape is given."""
 
+    #: (2,) whether the constraints are imposed on the positions and on the velocities of the stages; neither for
+    #: index-1. See `mbdkit.engine.formulation`.
     holds: np.ndarray
-    """(2,) whether the constraints are imposed on the positions and on the velocities of the stages; neither for
-    index-1. See `mbdkit.engine.formulation`."""
-    solver: np.ndarray
-    """NEWTON or FIXED_POINT."""
+    solver: np.ndarray  #: NEWTON or FIXED_POINT.
     limit: Annotated[IterationLimit, RECORD]
-    tolerance: np.ndarray
-    """Relative change at which the iteration ends."""
+    tolerance: np.ndarray  #: Relative change at which the iteration ends.
 
 
 class PreviousStep(NamedTuple):
     """The step to which the stage values belong; arrays of one item."""
 
-    begin: np.ndarray
-    """Time at which this step began [s]."""
-    size: np.ndarray
-    """Size of this step [s]; NaN if there are no stage values to extrapolate."""
+    begin: np.ndarray  #: Time at which this step began [s].
+    size: np.ndarray  #: Size of this step [s]; NaN if there are no stage values to extrapolate.
 
 
 class FirstAcceleration(NamedTuple):
     """The acceleration at the beginning of a step, for the error estimate."""
 
-    acc: np.ndarray
-    """(3 (B + 1),)."""
-    lam: Annotated[RealMatrix, 2]
-    """(P, 2) its multipliers."""
-    known: np.ndarray
-    """(1,) whether it has been evaluated."""
+    acc: np.ndarray  #: (3 (B + 1),).
+    lam: Annotated[RealMatrix, 2]  #: (P, 2) its multipliers.
+    known: np.ndarray  #: (1,) whether it has been evaluated.
 
 
 class TangentState(NamedTuple):
     """The state at which the tangents are evaluated: the start of the step, or the mean of all stages."""
 
-    time: np.ndarray
-    """(1,) time [s]."""
+    time: np.ndarray  #: (1,) time [s].
     q: np.ndarray
     v: np.ndarray
     acc: np.ndarray
     lam: Annotated[RealMatrix, 2]
-    jac: Annotated[RealMatrix, 12]
-    """(P, 12) constraint Jacobian at this state."""
+    jac: Annotated[RealMatrix, 12]  #: (P, 12) constraint Jacobian at this state.
 
 
 class StageStates(NamedTuple):
     """First-order states of force elements at the stages; see `mbdkit.integrators.stages.element_states`."""
 
-    rate: State
-    """(s, Z) derivatives with respect to time, which are unknowns of the stages."""
-    first_rate: State
-    """(Z,) derivatives at the beginning of the step."""
-    z: np.ndarray
-    """(s, Z) states."""
-    length: np.ndarray
-    """(s, Z) length of the pathway of the element of each state, and its rate."""
+    rate: State  #: (s, Z) derivatives with respect to time, which are unknowns of the stages.
+    first_rate: State  #: (Z,) derivatives at the beginning of the step.
+    z: np.ndarray  #: (s, Z) states.
+    length: np.ndarray  #: (s, Z) length of the pathway of the element of each state, and its rate.
     speed: np.ndarray
-    slope: np.ndarray
-    """(Z,) derivative of each rate with respect to its own state, at the last stage."""
-    matrix: np.ndarray
-    """(s n, s n) matrix, and (s n,) right side, of the equations of an element with n states."""
+    slope: np.ndarray  #: (Z,) derivative of each rate with respect to its own state, at the last stage.
+    matrix: np.ndarray  #: (s n, s n) matrix, and (s n,) right side, of the equations of an element with n states.
     right: np.ndarray
 
 
 class Constraints(NamedTuple):
     """Arrays of formulations that impose the constraints on the stages; empty for index 1."""
 
+    #: (N, 4) derivatives of the equations with respect to positions: index in ``Scratch.source``, row, column, class.
     by_position: np.ndarray
-    """(N, 4) derivatives of the equations with respect to positions: index in ``Scratch.source``, row, column, class.
-    """
-    jac: np.ndarray
-    """(s, P, 12) Jacobians of the stages."""
-    phi: np.ndarray
-    """(s, P, 2) Phi of the stages."""
-    mu: State
-    """(s, P, 2) the additional multipliers mu of ggl."""
-    shift: State
-    """(s, 3 (B + 1)) ``w = M^-1 Phi_q^T mu`` of the stages (ggl); no rows in other formulations."""
-    shift_change: np.ndarray
-    """Change of w by the last iteration."""
+    jac: np.ndarray  #: (s, P, 12) Jacobians of the stages.
+    phi: np.ndarray  #: (s, P, 2) Phi of the stages.
+    mu: State  #: (s, P, 2) the additional multipliers mu of ggl.
+    shift: State  #: (s, 3 (B + 1)) ``w = M^-1 Phi_q^T mu`` of the stages (ggl); no rows in other formulations.
+    shift_change: np.ndarray  #: Change of w by the last iteration.
 
 
 class LaneKept(NamedTuple):
@@ -237,12 +207,9 @@ class LaneKept(NamedTuple):
     Single runs do not use them.
     """
 
-    lam: np.ndarray
-    """(s, P, 2) multipliers of the stages."""
-    counts: np.ndarray
-    """(5,) counts."""
-    diverged: np.ndarray
-    """(1,) 1 in lanes in which the iteration of the last step has diverged with finite changes."""
+    lam: np.ndarray  #: (s, P, 2) multipliers of the stages.
+    counts: np.ndarray  #: (5,) counts.
+    diverged: np.ndarray  #: (1,) 1 in lanes in which the iteration of the last step has diverged with finite changes.
 
 
 class Stages(NamedTuple):
@@ -256,39 +223,27 @@ class Stages(NamedTuple):
     systems: Systems
     settings: Settings
     previous: Annotated[PreviousStep, STATE]
+    #: (1,) number of iterations in which `mbdkit.integrators.stages.coupled_newton` has solved for the stages of the
+    #: next attempt, which are then in `acc` and `lam`; 0 if it has not.
     solved_apart: State
-    """(1,) number of iterations in which `mbdkit.integrators.stages.coupled_newton` has solved for the stages of the
-    next attempt, which are then in `acc` and `lam`; 0 if it has not."""
+    #: (1,) whether the tangents of the stages turn with the nodes of beams (`mbdkit.integrators.stages.turning_beams`).
     turning: State
-    """(1,) whether the tangents of the stages turn with the nodes of beams
-    (`mbdkit.integrators.stages.turning_beams`).
-    """
-    nodes: np.ndarray
-    """Indices of the bodies that are nodes of beams."""
-    acc: State
-    """(s, 3 (B + 1)) accelerations of the stages."""
-    lam: State
-    """(s, P, 2) multipliers of the stages: of the pairs (index 1), or of the rows that are solved for."""
+    nodes: np.ndarray  #: Indices of the bodies that are nodes of beams.
+    acc: State  #: (s, 3 (B + 1)) accelerations of the stages.
+    lam: State  #: (s, P, 2) multipliers of the stages: of the pairs (index 1), or of the rows that are solved for.
     q_stage: np.ndarray
     v_stage: np.ndarray
-    residual: np.ndarray
-    """(s, u) residual of the stage equations; u = 3 B (index 1) or 3 B + m unknowns a stage."""
-    change: np.ndarray
-    """(s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration."""
+    residual: np.ndarray  #: (s, u) residual of the stage equations; u = 3 B (index 1) or 3 B + m unknowns a stage.
+    change: np.ndarray  #: (s, u) change of accelerations, and of multipliers that are unknowns, by the last iteration.
     states: StageStates
     constraints: Constraints
     first: Annotated[FirstAcceleration, STATE]
     tangent: TangentState
-    power: State
-    """(s, 2) powers of the stages [W]."""
-    weights: np.ndarray
-    """(s, s) scratch: weights of extrapolation."""
-    dense_weights: np.ndarray
-    """(s,) scratch: weights of dense output."""
-    spread: np.ndarray
-    """(s, 3 (B + 1)) scratch."""
-    pairs: np.ndarray
-    """(P, 2) scratch."""
+    power: State  #: (s, 2) powers of the stages [W].
+    weights: np.ndarray  #: (s, s) scratch: weights of extrapolation.
+    dense_weights: np.ndarray  #: (s,) scratch: weights of dense output.
+    spread: np.ndarray  #: (s, 3 (B + 1)) scratch.
+    pairs: np.ndarray  #: (P, 2) scratch.
     on_tree: OnTree
     kept: LaneKept
 

@@ -27,91 +27,81 @@ from mbdkit.engine.native.functions import subkernel
 if TYPE_CHECKING:
     from mbdkit.engine.workspace import Workspace
 
+#: Default tolerance of the predicted change: relative to accelerations for index 1, to the state otherwise.
+#:
+#: It is below `EPS` so that in fixed steps the iteration adds no error of its own, which would break the symmetry of
+#: the method. Measured for Gauss with four stages and a double pendulum over 200 000 steps of 0.01 s: the relative
+#: drift of the energy is 4e-10 with a tolerance of 1e-14, 1e-10 with 1e-15, 2e-11 with 1e-16, and 1e-11 with 1e-17 and
+#: with 1e-18, where it is due to rounding alone. With 1e-18, a step takes 0.05 to 0.6 iterations more than with 1e-17.
 TOLERANCE = 1e-17
-"""Default tolerance of the predicted change: relative to accelerations for index 1, to the state otherwise.
 
-It is below `EPS` so that in fixed steps the iteration adds no error of its own, which would break the symmetry of the
-method. Measured for Gauss with four stages and a double pendulum over 200 000 steps of 0.01 s: the relative drift of
-the energy is 4e-10 with a tolerance of 1e-14, 1e-10 with 1e-15, 2e-11 with 1e-16, and 1e-11 with 1e-17 and with 1e-18,
-where it is due to rounding alone. With 1e-18, a step takes 0.05 to 0.6 iterations more than with 1e-17.
-"""
-
+#: Largest contraction for which later changes are predicted (a chosen value). RADAU5 predicts them up to 0.99.
+#:
+#: The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is
+#: unreliable.
 LARGEST_CONTRACTION = 0.9
-"""Largest contraction for which later changes are predicted (a chosen value). RADAU5 predicts them up to 0.99.
 
-The predicted sum of all later changes is theta / (1 - theta) times the last one; for theta near 1 that is unreliable.
-"""
+LARGEST_RATE = 0.99  #: Contraction from which a careful iteration counts as diverging (RADAU5).
 
-LARGEST_RATE = 0.99
-"""Contraction from which a careful iteration counts as diverging (RADAU5)."""
-
+#: Contraction above which an iteration counts as stalled.
+#:
+#: Converging simplified Newton iterations contract by O(h^2), usually by 1e-2 or less. Round-off gives ratios near 1.
+#: QNERR of Deuflhard (2004) gives up at the same contraction (``THETA_MAX``).
 STALLED = 0.5
-"""Contraction above which an iteration counts as stalled.
 
-Converging simplified Newton iterations contract by O(h^2), usually by 1e-2 or less. Round-off gives ratios near 1.
-QNERR of Deuflhard (2004) gives up at the same contraction (``THETA_MAX``).
-"""
-
+#: A stalled relative change below this is round-off (a chosen value).
+#:
+#: Cancellation of forces and the solution of the linear systems amplify `EPS` by factors of some hundred to thousand.
 NEGLIGIBLE_CHANGE = 1e-12
-"""A stalled relative change below this is round-off (a chosen value).
 
-Cancellation of forces and the solution of the linear systems amplify `EPS` by factors of some hundred to thousand.
-"""
-
+#: Smallest divisor. It avoids a division by zero where the quotient is not used or its dividend is zero.
 SMALLEST = 1e-300
-"""Smallest divisor. It avoids a division by zero where the quotient is not used or its dividend is zero."""
 
+#: Stalled iterations after which weaker criteria for round-off apply.
+#:
+#: Two are not enough: a single large ratio also occurs where the iteration changes its tangent. With four instead of
+#: three, positions in the packaged examples differ by at most 4e-15 of the largest one after up to ten steps.
 PATIENCE = 3
-"""Stalled iterations after which weaker criteria for round-off apply.
 
-Two are not enough: a single large ratio also occurs where the iteration changes its tangent. With four instead of
-three, positions in the packaged examples differ by at most 4e-15 of the largest one after up to ten steps.
-"""
-
+#: Relative change above which growth counts as divergence; chosen. Smaller changes may grow by round-off alone.
 RUNAWAY = 1e-6
-"""Relative change above which growth counts as divergence; chosen. Smaller changes may grow by round-off alone."""
 
+#: Growth from one iteration to the next that counts as divergence, and the first iteration where it does; chosen.
+#:
+#: The first iterations start from free flight or from an old tangent and may grow before they converge.
 RUNAWAY_GROWTH, FIRST_RUNAWAY = 4.0, 5
-"""Growth from one iteration to the next that counts as divergence, and the first iteration where it does; chosen.
 
-The first iterations start from free flight or from an old tangent and may grow before they converge.
-"""
-
+#: Contraction above which the tangent is evaluated again within the step; chosen.
+#:
+#: Evaluating and factorizing it costs about as much as three iterations, so it must save at least that many. RADAU5
+#: keeps its Jacobian for the next step if the contraction is below 0.001 (``THET``). Here it is evaluated in every
+#: step.
 SLOW = 0.25
-"""Contraction above which the tangent is evaluated again within the step; chosen.
 
-Evaluating and factorizing it costs about as much as three iterations, so it must save at least that many. RADAU5 keeps
-its Jacobian for the next step if the contraction is below 0.001 (``THET``). Here it is evaluated in every step.
-"""
-
+#: Number of iterations with one tangent before it is evaluated again; two changes are needed to know the contraction.
 FEWEST_WITH_ONE_TANGENT = 3
-"""Number of iterations with one tangent before it is evaluated again; two changes are needed to know the contraction.
-"""
 
-MOST_ITERATIONS = 50
-"""Default limit of the iterations in a step."""
+MOST_ITERATIONS = 50  #: Default limit of the iterations in a step.
 
-CONFIRMED_GROWTH = 10.0
-"""Growth of the last change, with new tangents, up to which it counts as round-off; chosen."""
+CONFIRMED_GROWTH = 10.0  #: Growth of the last change, with new tangents, up to which it counts as round-off; chosen.
 
+#: Number of iterations over which the contraction has to be steady if the limit of iterations is extended; chosen. Over
+#: fewer iterations, steady contraction may occur by chance.
 STEADY = 10
-"""Number of iterations over which the contraction has to be steady if the limit of iterations is extended; chosen. Over
-fewer iterations, steady contraction may occur by chance."""
 
+#: Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
+#: contract by 0.94 converge within it.
 MOST_EXTENDED = 500
-"""Limit of the iterations in a fixed step that contract steadily, unless the user gives one; chosen. Iterations that
-contract by 0.94 converge within it."""
 
+#: A solution of the stage equations is rejected if its accelerations change positions in the step by more than this, in
+#: units of the largest position or displacement of the step (at least 1 m or 1 rad); chosen far above the changes that
+#: a method can resolve.
 FAR = 1e9
-"""A solution of the stage equations is rejected if its accelerations change positions in the step by more than this, in
-units of the largest position or displacement of the step (at least 1 m or 1 rad); chosen far above the changes that a
-method can resolve."""
 
+#: Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
+#:
+#: The error of an unrefined solution has no influence on iterations with larger changes.
 ROUGH_CHANGE = 1e-5
-"""Relative change below which the accelerations of the next iteration are refined to round-off (index 1); chosen.
-
-The error of an unrefined solution has no influence on iterations with larger changes.
-"""
 
 
 class IterationLimit(NamedTuple):
@@ -121,10 +111,8 @@ class IterationLimit(NamedTuple):
     extended limit, which has a second rule: see `loses_steadiness`.
     """
 
-    most: np.ndarray
-    """Iterations after which the equations count as unsolved."""
-    steady_after: np.ndarray
-    """Iterations after which contraction has to be steady."""
+    most: np.ndarray  #: Iterations after which the equations count as unsolved.
+    steady_after: np.ndarray  #: Iterations after which contraction has to be steady.
 
 
 def new_limit(given: int | None) -> IterationLimit:

@@ -30,14 +30,13 @@ if TYPE_CHECKING:
 
 MOST_ITERATIONS = 20
 
+#: Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of its column.
 LEAST_PIVOT = 0.01
-"""Smallest entry of the diagonal that is preferred as pivot, relative to the largest entry of its column."""
 
+#: Largest displacement in a step for which this iteration is used, in rad or in characteristic lengths; chosen.
+#:
+#: The equations of a longer step can have spurious solutions that do not approximate the motion.
 SHORT = 0.5
-"""Largest displacement in a step for which this iteration is used, in rad or in characteristic lengths; chosen.
-
-The equations of a longer step can have spurious solutions that do not approximate the motion.
-"""
 
 
 class CoupledNewton:
@@ -62,8 +61,8 @@ class CoupledNewton:
         self.counters = self.equations.counters
         terms, size, s = workspace.terms, workspace.unknowns, len(c)
         i, j = np.meshgrid(np.arange(s), np.arange(s), indexing="ij")
+        #: (s, s, N) whether a term occurs in the block of the equations of stage i and the unknowns of stage j.
         entry = (i == j)[..., None] | (terms.factor > 0)
-        """(s, s, N) whether a term occurs in the block of the equations of stage i and the unknowns of stage j."""
         self.entry = entry
         self.row = (size * i[..., None] + terms.row)[entry]
         self.column = (size * j[..., None] + terms.column)[entry]

@@ -24,12 +24,12 @@ from mbdkit.engine.native.arithmetic import is_lanes
 from mbdkit.engine.native.functions import inlined, overload, separate, subkernel
 
 MOST_ITERATIONS = 50
+#: Relative change of a state for difference quotients of its rate. Errors of the quotients slow the iteration, but do
+#: not change its limit.
 DIFFERENCE = 1e-7
-"""Relative change of a state for difference quotients of its rate. Errors of the quotients slow the iteration, but do
-not change its limit."""
+#: A relative change of states counts as round-off if it is at most `ROUND_OFF`, or if it is at most `NEGLIGIBLE` and at
+#: least `STALLED` times the previous change.
 ROUND_OFF, NEGLIGIBLE, STALLED = 1e-16, 1e-9, 0.5
-"""A relative change of states counts as round-off if it is at most `ROUND_OFF`, or if it is at most `NEGLIGIBLE` and
-at least `STALLED` times the previous change."""
 
 
 def solve_states(c, m, t, h):

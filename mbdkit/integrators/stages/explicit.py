@@ -45,30 +45,22 @@ if TYPE_CHECKING:
 class Explicit(NamedTuple):
     """Coefficients and stages of an explicit method: S stages of the step, E stages including those of dense output."""
 
-    a: np.ndarray
-    """(E, E) coefficients."""
-    b: np.ndarray
-    """(S,) weights of the step."""
-    c: np.ndarray
-    """(E,) nodes."""
-    error: np.ndarray
-    """(0, 1 or 2, S) weights of the error estimates; the estimate of higher order comes first."""
+    a: np.ndarray  #: (E, E) coefficients.
+    b: np.ndarray  #: (S,) weights of the step.
+    c: np.ndarray  #: (E,) nodes.
+    error: np.ndarray  #: (0, 1 or 2, S) weights of the error estimates; the estimate of higher order comes first.
+    #: (E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows if there is none.
     dense: np.ndarray
-    """(E, degree) dense output: weight i at theta is ``sum_k dense[i, k] theta^(k + 1)``; no rows if there is none."""
-    rates: State
-    """(E, 3 (B + 1)) velocities and accelerations of the stages."""
+    rates: State  #: (E, 3 (B + 1)) velocities and accelerations of the stages.
     accelerations: State
-    z_rates: State
-    """(E, Z) derivatives of the first-order states at the stages."""
+    z_rates: State  #: (E, Z) derivatives of the first-order states at the stages.
     q_stage: np.ndarray
     z_stage: np.ndarray
     lam: Annotated[RealMatrix, 2]
-    power: State
-    """(E, 2) power of loads and drivers, and dissipated power, at the stages [W]."""
-    weights: np.ndarray
-    """(E,) work array: weights of dense output."""
+    power: State  #: (E, 2) power of loads and drivers, and dissipated power, at the stages [W].
+    weights: np.ndarray  #: (E,) work array: weights of dense output.
+    #: (2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far.
     status: State
-    """(2,) whether the last stage of a step is the first one of the next; number of stages evaluated so far."""
     relative: Relative
 
 

@@ -54,19 +54,15 @@ if TYPE_CHECKING:
     from mbdkit.integrators.run.step_control import Control
     from mbdkit.methods.kinds import LobattoPair
 
-MOST_PAST = 3
-"""Number of previous steps from which each stage is extrapolated by a polynomial in time."""
+MOST_PAST = 3  #: Number of previous steps from which each stage is extrapolated by a polynomial in time.
 
 
 class PairCoefficients(NamedTuple):
     """A Lobatto IIIA-IIIB pair of s stages in second-order form."""
 
-    a: np.ndarray
-    """(s, s) a', the tableau of IIIB: weights of accelerations in the velocities of the stages."""
-    a2: np.ndarray
-    """(s, s) a a': weights of accelerations in their positions."""
-    inverse: np.ndarray
-    """(s - 1, s - 1) B^-1."""
+    a: np.ndarray  #: (s, s) a', the tableau of IIIB: weights of accelerations in the velocities of the stages.
+    a2: np.ndarray  #: (s, s) a a': weights of accelerations in their positions.
+    inverse: np.ndarray  #: (s - 1, s - 1) B^-1.
     b: np.ndarray
     c: np.ndarray
 
@@ -74,14 +70,10 @@ class PairCoefficients(NamedTuple):
 class PastSteps(NamedTuple):
     """Accelerations of previous steps, from which those of the next step are extrapolated."""
 
-    acc: np.ndarray
-    """(MOST_PAST, s, 3 (B + 1)), newest first."""
-    begin: np.ndarray
-    """(1,) start time of the newest step [s]."""
-    size: np.ndarray
-    """(1,) size of the newest step [s]."""
-    known: np.ndarray
-    """(1,) number of consecutive steps of that size that are stored."""
+    acc: np.ndarray  #: (MOST_PAST, s, 3 (B + 1)), newest first.
+    begin: np.ndarray  #: (1,) start time of the newest step [s].
+    size: np.ndarray  #: (1,) size of the newest step [s].
+    known: np.ndarray  #: (1,) number of consecutive steps of that size that are stored.
 
 
 class PairStages(NamedTuple):
@@ -89,25 +81,17 @@ class PairStages(NamedTuple):
 
     rk: PairCoefficients
     limit: Annotated[IterationLimit, RECORD]
-    tolerance: np.ndarray
-    """(1,) predicted change of positions, relative to their size, at which the iteration ends."""
-    acc: np.ndarray
-    """(s, 3 (B + 1)) accelerations of the stages."""
-    lam: np.ndarray
-    """(s, P, 2) multipliers of the independent rows at the stages."""
+    tolerance: np.ndarray  #: (1,) predicted change of positions, relative to their size, at which the iteration ends.
+    acc: np.ndarray  #: (s, 3 (B + 1)) accelerations of the stages.
+    lam: np.ndarray  #: (s, P, 2) multipliers of the independent rows at the stages.
     past: Annotated[PastSteps, STATE]
     q_stage: np.ndarray
     v_stage: np.ndarray
-    gap: np.ndarray
-    """(s - 1, P, 2) constraint residuals Phi of the stages after the first."""
-    change: np.ndarray
-    """(s - 1, 3 (B + 1)) change of accelerations."""
-    spread: np.ndarray
-    """(s, 3 (B + 1)) scratch."""
-    pairs: np.ndarray
-    """(P, 2) scratch."""
-    power: np.ndarray
-    """(s, 2) powers of the stages."""
+    gap: np.ndarray  #: (s - 1, P, 2) constraint residuals Phi of the stages after the first.
+    change: np.ndarray  #: (s - 1, 3 (B + 1)) change of accelerations.
+    spread: np.ndarray  #: (s, 3 (B + 1)) scratch.
+    pairs: np.ndarray  #: (P, 2) scratch.
+    power: np.ndarray  #: (s, 2) powers of the stages.
 
 
 def _example() -> PairStages:

@@ -16,9 +16,9 @@ from mbdkit.engine.kernels.tree import BODY, COLUMNS, PLACE, TURN, place_bodies
 from mbdkit.engine.kernels.tree_displacements import ARMS
 from mbdkit.engine.native.functions import subkernel
 
+#: Rows of `Relative.vectors`: coordinates at the base state, and their rates; coordinates of a stage, or at the end of
+#: the step, and the rates of the latter; velocities of the bodies in a stage; state of the bodies at the end.
 BASE, BASE_RATES, Y, Y_RATES, V_STAGE, END_Q, END_V, VECTORS = range(8)
-"""Rows of `Relative.vectors`: coordinates at the base state, and their rates; coordinates of a stage, or at the end of
-the step, and the rates of the latter; velocities of the bodies in a stage; state of the bodies at the end."""
 
 
 class Relative(NamedTuple):
@@ -29,13 +29,11 @@ class Relative(NamedTuple):
     the bodies: coordinates are taken from it at the beginning of each step.
     """
 
-    tree: np.ndarray
-    """(B, 5) the spanning tree; no rows in other formulations."""
-    vectors: State
-    """(7, 3 (B + 1)) one array of all vectors, because each array makes the calls of kernels slower."""
+    tree: np.ndarray  #: (B, 5) the spanning tree; no rows in other formulations.
+    vectors: State  #: (7, 3 (B + 1)) one array of all vectors, because each array makes the calls of kernels slower.
+    #: (B + 1, 13) work array of `mbdkit.engine.kernels.articulated`; no rows if the accelerations follow from the
+    #: equations with multipliers.
     bodies: np.ndarray
-    """(B + 1, 13) work array of `mbdkit.engine.kernels.articulated`; no rows if the accelerations follow from the
-    equations with multipliers."""
 
 
 def new_relative(size: int, tree: np.ndarray | None = None, *, of_pins: bool = False) -> Relative:
@@ -48,18 +46,13 @@ class OnTree(NamedTuple):
     """What the stages of a collocation method need in addition in the coordinates of a tree; empty without one."""
 
     relative: Relative
-    from_q: np.ndarray
-    """(3 (B + 1),) base state of the bodies during an attempt."""
+    from_q: np.ndarray  #: (3 (B + 1),) base state of the bodies during an attempt.
     from_v: np.ndarray
-    y: np.ndarray
-    """(s, 3 (B + 1)) coordinates of the stages, and their rates."""
+    y: np.ndarray  #: (s, 3 (B + 1)) coordinates of the stages, and their rates.
     rates: np.ndarray
-    acc: State
-    """(s, 3 (B + 1)) accelerations of the bodies in the stages."""
-    first_acc: State
-    """(3 (B + 1),) accelerations of the bodies at the beginning of the step."""
-    arms: np.ndarray
-    """(B, 6) arms of the joints of the tree at the tangent state."""
+    acc: State  #: (s, 3 (B + 1)) accelerations of the bodies in the stages.
+    first_acc: State  #: (3 (B + 1),) accelerations of the bodies at the beginning of the step.
+    arms: np.ndarray  #: (B, 6) arms of the joints of the tree at the tangent state.
 
 
 def new_on_tree(stages: int, size: int, tree: np.ndarray | None = None) -> OnTree:

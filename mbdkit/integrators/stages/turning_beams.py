@@ -23,12 +23,11 @@ from mbdkit.engine.kernels.vectors import copy, fill_rows
 from mbdkit.engine.native.arithmetic import any_of
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: Largest angle [rad] by which the node of a beam may turn in a step of this iteration; chosen.
+#:
+#: The equations of a longer step can have spurious solutions that do not approximate the motion. Iterations that
+#: converge contract by about half the angle.
 LONGEST_TURN = 0.5
-"""Largest angle [rad] by which the node of a beam may turn in a step of this iteration; chosen.
-
-The equations of a longer step can have spurious solutions that do not approximate the motion. Iterations that converge
-contract by about half the angle.
-"""
 
 
 @inlined

@@ -25,6 +25,7 @@ from mbdkit.engine.kernels.elementary import (
     trigonometric,
 )
 
+#: The functions by the names of those of the C library whose place they take.
 FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "acos": inverse_trigonometric.acos,
     "acosh": hyperbolic.acosh,
@@ -53,4 +54,3 @@ FUNCTIONS: Mapping[str, Callable[..., Any]] = {
     "tanh": hyperbolic.tanh,
     "tgamma": gamma.tgamma,
 }
-"""The functions by the names of those of the C library whose place they take."""

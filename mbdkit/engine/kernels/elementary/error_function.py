@@ -28,8 +28,9 @@ from mbdkit.engine.kernels.elementary.polynomials import polynomial
 from mbdkit.engine.native.arithmetic import lane_by_lane
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: 2 / sqrt(pi) - 1 as an unevaluated sum of two numbers.
 _SLOPE, _SLOPE_LOW = 0.1283791670955126, -1.2420116002463032e-17
-"""2 / sqrt(pi) - 1 as an unevaluated sum of two numbers."""
+#: Coefficients of P, from the last to the first.
 _NEAR = (
     -1.4762186453006475e-07,
     1.6387463110043244e-06,
@@ -41,7 +42,6 @@ _NEAR = (
     0.1128379167095522,
     -0.37612638903183754,
 )
-"""Coefficients of P, from the last to the first."""
 _A, _A_LOW, _A_REST = (
     1.2654778937343008,
     6.519252340558459e-17,
@@ -86,6 +86,7 @@ _B, _B_LOW, _B_REST = (
         0.21100360273779212,
     ),
 )
+#: G at r = 13/32, 7/32 and 5/64, and the other coefficients for x below 1.25, below 3 and above it.
 _C, _C_LOW, _C_REST = (
     1.207131342698586,
     1.0219773026215e-16,
@@ -109,7 +110,6 @@ _C, _C_LOW, _C_REST = (
         0.8592771221579341,
     ),
 )
-"""G at r = 13/32, 7/32 and 5/64, and the other coefficients for x below 1.25, below 3 and above it."""
 
 
 @inlined

@@ -15,10 +15,9 @@ import struct
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import inlined, overload, placeholder
 
-_SPLITTER = 134217729.0
-"""2^27 + 1: the product with it splits a double into two halves of 26 bits (Veltkamp)."""
+_SPLITTER = 134217729.0  #: 2^27 + 1: the product with it splits a double into two halves of 26 bits (Veltkamp).
+#: 1.5 * 2^52, and its bits: the last bits of a sum with it are the nearest integer of the other term.
 _MAGIC, _MAGIC_BITS = 6755399441055744.0, 0x4338000000000000
-"""1.5 * 2^52, and its bits: the last bits of a sum with it are the nearest integer of the other term."""
 _LEADING = -(2**27)
 _SIGN, _REST = -(2**63), 2**63 - 1
 

@@ -32,25 +32,21 @@ from mbdkit.engine.kernels.elementary.tables import PARTS, PARTS_BITS, POWERS_OF
 from mbdkit.engine.native.arithmetic import any_of, where
 from mbdkit.engine.native.functions import inlined, subkernel
 
+#: ln(2) as the sum of a number of 42 bits, whose products with whole numbers below 2^11 are exact, and a rest.
 LN2, LN2_LOW = 0.6931471805598903, 5.497923018708371e-14
-"""ln(2) as the sum of a number of 42 bits, whose products with whole numbers below 2^11 are exact, and a rest."""
-_PER_LN2 = 1.4426950408889634
-"""1 / ln(2)."""
+_PER_LN2 = 1.4426950408889634  #: 1 / ln(2).
+#: ln(2) / 128 as the sum of a number of 35 bits, whose products with whole numbers below 2^18 are exact, and a rest;
+#: and its reciprocal.
 _PART, _PART_LOW, _PER_PART = 0.005415212347998022, 1.2655086083325438e-13, 184.6649652337873
-"""ln(2) / 128 as the sum of a number of 35 bits, whose products with whole numbers below 2^18 are exact, and a rest;
-and its reciprocal."""
 _LAST = PARTS - 1
-_SHIFTER = 201326592.0
-"""1.5 * 2^27: sums with it are multiples of 2^-25."""
+_SHIFTER = 201326592.0  #: 1.5 * 2^27: sums with it are multiples of 2^-25.
 _C2, _C3, _C4, _C5 = 0.4999999999999907, 0.16666666666666127, 0.04166667685080846, 0.00833333552333734
 _Q0, _Q2, _Q4 = 0.16666666666666685, 0.008333333333315979, 0.00019841269898579418
 _Q6, _Q8 = 2.755723295544484e-06, 2.51126276645195e-08
 _Q1, _Q3, _Q5 = 0.041666666666666685, 0.0013888888888873322, 2.4801587349054862e-05
 _Q7, _Q9 = 2.7557251996920417e-07, 2.092170128482318e-09
-_MODERATE = 700.0
-"""Absolute value up to which exp(x) is far from the limits of the normal numbers."""
-_LARGEST, _SMALLEST = 720.0, -760.0
-"""Arguments beyond which exp(x) is infinite, or zero."""
+_MODERATE = 700.0  #: Absolute value up to which exp(x) is far from the limits of the normal numbers.
+_LARGEST, _SMALLEST = 720.0, -760.0  #: Arguments beyond which exp(x) is infinite, or zero.
 
 
 @inlined

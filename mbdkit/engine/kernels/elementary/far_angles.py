@@ -18,9 +18,9 @@ from mbdkit.engine.kernels.elementary.exact_sums import (
 )
 from mbdkit.engine.native.functions import inlined, separate
 
-_BITS, _MASK = 28, 2**28 - 1
-"""Bits of a digit; sums of three products of digits fit into 64 bits."""
+_BITS, _MASK = 28, 2**28 - 1  #: Bits of a digit; sums of three products of digits fit into 64 bits.
 
+#: Digits of 2/pi after the binary point, after three zeros.
 _TWO_OVER_PI = np.array([
     0, 0, 0, 170891318, 240010261, 44024437, 131200308, 232525238, 43358524, 70845471, 240214955, 233552982, 28779630,
     61088989, 48236105, 49193117, 26352894, 31371723, 19507006, 243802975, 86948676, 139368903, 2536543, 132387737,
@@ -28,13 +28,12 @@ _TWO_OVER_PI = np.array([
     130746807, 83125238, 111042538, 47665787, 180874213, 253211600, 121239434, 86584998, 201023409, 33084880,
     139854640, 74434486, 195817679, 197265839, 70655401,
 ])  # fmt: skip
-"""Digits of 2/pi after the binary point, after three zeros."""
 
 _HALF_PI, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
+#: Digits that are computed: one before the binary point, the others behind it. A double may be as close as 2^-61 to a
+#: multiple of pi/2; the error of about 2^-138 of the last digit leaves 77 bits for the reduced angle.
 _DIGITS = 7
-"""Digits that are computed: one before the binary point, the others behind it. A double may be as close as 2^-61 to a
-multiple of pi/2; the error of about 2^-138 of the last digit leaves 77 bits for the reduced angle."""
 
 
 @separate

@@ -34,8 +34,7 @@ from mbdkit.engine.kernels.elementary.polynomials import polynomial
 from mbdkit.engine.native.arithmetic import below, lane_by_lane
 from mbdkit.engine.native.functions import inlined, separate, subkernel
 
-_LARGE = 8.0
-"""Argument from which Stirling's formula is used."""
+_LARGE = 8.0  #: Argument from which Stirling's formula is used.
 _TWELFTH, _TWELFTH_LOW = 0.08333333333333333, 4.625929269271485e-18
 _STIRLING = (
     0.0050260234656323115,
@@ -46,8 +45,8 @@ _STIRLING = (
     -0.0027777777777729315,
 )
 _HALF_LOG_2PI, _HALF_LOG_2PI_LOW = 0.9189385332046728, -3.8782941580672414e-17
+#: Derivatives of log(Gamma) at 1 and at 2, and what must be added to each.
 _ONE, _TWO, _SLOPE_LOW = -0.5772156649015329, 0.42278433509846713, 4.942915152430645e-18
-"""Derivatives of log(Gamma) at 1 and at 2, and what must be added to each."""
 _NEAR_ONE = (
     -0.07047220711201263,
     0.0749531292036631,
@@ -77,6 +76,7 @@ _NEAR_TWO = (
     -0.06735230105319819,
     0.3224670334241132,
 )
+#: Coefficients of ``(sin(pi r) / r - pi) / r^2`` as a polynomial in r^2.
 _SINE = (
     7.669910242922593e-07,
     -2.1900817304525538e-05,
@@ -87,7 +87,6 @@ _SINE = (
     2.550164039877268,
     -5.167712780049969,
 )
-"""Coefficients of ``(sin(pi r) / r - pi) / r^2`` as a polynomial in r^2."""
 
 
 @inlined

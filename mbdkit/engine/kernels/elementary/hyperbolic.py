@@ -25,10 +25,8 @@ from mbdkit.engine.kernels.elementary.logarithms import logarithm_of_one_and
 from mbdkit.engine.native.arithmetic import where
 from mbdkit.engine.native.functions import inlined, subkernel
 
-_LARGE = 2.0**28
-"""Above it, asinh(x) and acosh(x) are log(2 x) but for a relative error of 2^-61."""
-_SMALL = 2.0**-28
-"""Below it, the odd functions are `x` but for a relative error of 2^-57."""
+_LARGE = 2.0**28  #: Above it, asinh(x) and acosh(x) are log(2 x) but for a relative error of 2^-61.
+_SMALL = 2.0**-28  #: Below it, the odd functions are `x` but for a relative error of 2^-57.
 
 
 @inlined

@@ -15,8 +15,7 @@ from mbdkit.engine.kernels.elementary.exact_sums import (
 from mbdkit.engine.native.arithmetic import lane_by_lane, where
 from mbdkit.engine.native.functions import inlined, subkernel
 
-_STEP = 10
-"""Binary digits of a quotient per division of integers of 63 bits."""
+_STEP = 10  #: Binary digits of a quotient per division of integers of 63 bits.
 
 
 @subkernel

@@ -10,8 +10,7 @@ from mbdkit.engine.kernels.elementary.logarithms import is_positive_normal, loga
 from mbdkit.engine.native.arithmetic import any_of, below, lane_by_lane, where
 from mbdkit.engine.native.functions import inlined, subkernel
 
-_HUGE = 2.0**65
-"""Exponent from which each power of a number other than 1 overflows or vanishes."""
+_HUGE = 2.0**65  #: Exponent from which each power of a number other than 1 overflows or vanishes.
 
 
 @inlined

@@ -14,16 +14,13 @@ from mbdkit.engine.kernels.elementary.exact_sums import bits_of, from_bits
 from mbdkit.engine.native.functions import placeholder
 
 PARTS_BITS = 7
-PARTS = 2**PARTS_BITS
-"""Number of entries of each table."""
-INTERVAL = 52 - PARTS_BITS
-"""Last bits of a double, which vary within one interval of the table of logarithms."""
+PARTS = 2**PARTS_BITS  #: Number of entries of each table.
+INTERVAL = 52 - PARTS_BITS  #: Last bits of a double, which vary within one interval of the table of logarithms.
+#: Bits of the smallest m, about 0.705: one of the intervals begins at 1 - 1/512 and ends at 1 + 1/256.
 LEAST_BITS = bits_of(1.0) - (151 << (INTERVAL - 1))
-"""Bits of the smallest m, about 0.705: one of the intervals begins at 1 - 1/512 and ends at 1 + 1/256."""
 _POINT = 128
 _ONE = 1 << _POINT
-_LOGARITHM_DIGITS = 42
-"""Binary digits of the first part of a logarithm: sums of it and multiples of LN2 are exact."""
+_LOGARITHM_DIGITS = 42  #: Binary digits of the first part of a logarithm: sums of it and multiples of LN2 are exact.
 
 
 def _powers_of_two() -> list[float]:

@@ -25,13 +25,11 @@ from mbdkit.engine.kernels.elementary.far_angles import far_angle
 from mbdkit.engine.native.arithmetic import any_of, below, lane_by_lane, nearest, where
 from mbdkit.engine.native.functions import inlined, subkernel
 
-FAR = 1e5
-"""Angle [rad] from which the product with the first part of pi/2 may be rounded."""
+FAR = 1e5  #: Angle [rad] from which the product with the first part of pi/2 may be rounded.
 
-_QUARTERS = 0.6366197723675814
-"""2 / pi."""
+_QUARTERS = 0.6366197723675814  #: 2 / pi.
+#: pi / 2 as the sum of three numbers; the first two have 37 bits.
 _HALF_PI_1, _HALF_PI_2, _HALF_PI_3 = 1.5707963267923333, 2.5633441515839558e-12, 1.0562999066987428e-23
-"""pi / 2 as the sum of three numbers; the first two have 37 bits."""
 
 _S1, _S2, _S3 = -0.1666666666666663, 0.008333333333321842, -0.0001984126982938497
 _S4, _S5, _S6 = 2.7557313556779458e-06, -2.5050738527842927e-08, 1.5895737937634123e-10

@@ -35,8 +35,7 @@ from mbdkit_builder.implementation import implement
 DOUBLE = ir.DoubleType()
 VECTOR = ir.VectorType(DOUBLE, DIRECTIONS)
 
-Pair = tuple[Any, Any]
-"""Value and derivatives, as LLVM values."""
+Pair = tuple[Any, Any]  #: Value and derivatives, as LLVM values.
 
 
 class DualNumber(types.Type):

@@ -17,10 +17,9 @@ from numba.core.registry import cpu_target
 
 from mbdkit.engine.kernels.elementary import FUNCTIONS
 
+#: Functions of Numba's own library, and those of the C library that compute the same.
 _ALIASES = {"numba_gamma": "tgamma"}
-"""Functions of Numba's own library, and those of the C library that compute the same."""
-PREFIX = "mbdkit.elementary."
-"""Beginning of the names of elementary functions in modules."""
+PREFIX = "mbdkit.elementary."  #: Beginning of the names of elementary functions in modules.
 _NAMES = sorted({*FUNCTIONS, *(alias for alias, name in _ALIASES.items() if name in FUNCTIONS)})
 _CALLED = re.compile(rf"""@"?(?:llvm\.)?({"|".join(_NAMES)})(?:\.f64)?"?(?=\()""")
 _OWN = re.compile(rf"""@"?{re.escape(PREFIX)}(\w+)""")

@@ -33,10 +33,8 @@ class ItemArray(types.Type):
         but one.
     """
 
-    REAL: ClassVar[types.Type]
-    """Type of real items."""
-    DOUBLES: ClassVar[int]
-    """Number of doubles of a real item in memory."""
+    REAL: ClassVar[types.Type]  #: Type of real items.
+    DOUBLES: ClassVar[int]  #: Number of doubles of a real item in memory.
 
     def __init__(self, ndim: int, item: types.Type | None = None):
         self.ndim, self.item = ndim, item or self.REAL

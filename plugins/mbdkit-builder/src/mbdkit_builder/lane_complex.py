@@ -19,8 +19,7 @@ from numba.extending import infer_getattr, lower_builtin, lower_getattr, models,
 
 from mbdkit_builder.lane_types import COMPLEX, MASK, REAL, LaneComplex, LaneReal
 
-Parts = tuple[Any, Any]
-"""Real and imaginary parts, as vectors of LLVM."""
+Parts = tuple[Any, Any]  #: Real and imaginary parts, as vectors of LLVM.
 
 
 @register_model(LaneComplex)

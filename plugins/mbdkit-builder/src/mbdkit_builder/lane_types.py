@@ -377,7 +377,6 @@ def _elementary(function: Any, own: Any) -> None:
         overload(function)(typed_for_two)
 
 
-_NAMES = {"pow": operator.pow, "tgamma": math.gamma}
-"""Functions that have other names in the C library."""
+_NAMES = {"pow": operator.pow, "tgamma": math.gamma}  #: Functions that have other names in the C library.
 for _name, _own in FUNCTIONS.items():
     _elementary(_NAMES.get(_name) or getattr(math, _name), _own)

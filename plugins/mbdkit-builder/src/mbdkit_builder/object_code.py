@@ -35,16 +35,16 @@ _POINTER = _REAL.as_pointer()
 _SCALARS = {int: types.int64, bool: types.boolean, float: types.float64}
 _TRIPLES = {"linux": "{}-unknown-linux-gnu", "macos": "{}-apple-macosx11.0.0", "windows": "{}-pc-windows-gnu"}
 
+#: The description of an exception in LLVM's language, which is left out of machine code: nothing reads it, and it holds
+#: the path of a source file, so that the code would depend on the folder in which it was built.
 _EXCEPTION = re.compile(r"^(@\.const\.picklebuf\.\S+ = .*?constant (\{[^}]*\})) \{.*$", re.MULTILINE)
-"""The description of an exception in LLVM's language, which is left out of machine code: nothing reads it, and it holds
-the path of a source file, so that the code would depend on the folder in which it was built."""
 
+#: The address of a Python function that is an argument of a compiled one. Nothing reads it either, because Numba
+#: compiles a version of the function for each such argument.
 _OBJECT = re.compile(r"^(@numba\.dynamic\.globals\.\S+ = .*?global ptr) inttoptr \(.*$", re.MULTILINE)
-"""The address of a Python function that is an argument of a compiled one. Nothing reads it either, because Numba
-compiles a version of the function for each such argument."""
 
+#: Generates the body of a wrapper from context, builder, callee, signature and the wrapper's arguments.
 Wrap = Callable[[Any, Any, Any, Any, list[Any]], None]
-"""Generates the body of a wrapper from context, builder, callee, signature and the wrapper's arguments."""
 
 
 def kernel_module(kernel: Kernel) -> Any:

@@ -17,40 +17,29 @@ from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
 from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
-PROXIMAL = 1e-9
-"""Share of the diagonal of the equations that is added to it."""
-MOST_REFINEMENTS = 8
-"""Largest number of iterations of the proximal-point method; two or three are usual."""
+PROXIMAL = 1e-9  #: Share of the diagonal of the equations that is added to it.
+MOST_REFINEMENTS = 8  #: Largest number of iterations of the proximal-point method; two or three are usual.
+#: Largest number of times that modes change, and number of times that they may change without progress.
 MOST_CHANGES, PATIENCE = 24, 3
-"""Largest number of times that modes change, and number of times that they may change without progress."""
-EXACT = 1e-12
-"""Errors of velocities and forces below this share of the largest ones count as zero."""
+EXACT = 1e-12  #: Errors of velocities and forces below this share of the largest ones count as zero.
 
 
 class ActiveSet(NamedTuple):
     """Work arrays for up to K contacts, U = 2 K."""
 
+    #: (K,) modes: on input a guess, on output those of the solution; ``-SLIP`` is slip in the negative direction.
     modes: IntVector
-    """(K,) modes: on input a guess, on output those of the solution; ``-SLIP`` is slip in the negative direction."""
-    start: RealVector
-    """(U,) forces to which the solution is the nearest one, normal ones first."""
-    unknown: IntVector
-    """(U,) index of each unknown: that of a normal force, or k more for a friction force."""
-    share: RealVector
-    """(K,) ratios of friction force and normal force of contacts that slip."""
-    scale: RealVector
-    """(K,) scales of the contacts."""
-    matrix: RealMatrix
-    """(U, U) equations of the forces, and (U, U) factors."""
+    start: RealVector  #: (U,) forces to which the solution is the nearest one, normal ones first.
+    unknown: IntVector  #: (U,) index of each unknown: that of a normal force, or k more for a friction force.
+    share: RealVector  #: (K,) ratios of friction force and normal force of contacts that slip.
+    scale: RealVector  #: (K,) scales of the contacts.
+    matrix: RealMatrix  #: (U, U) equations of the forces, and (U, U) factors.
     factors: RealMatrix
-    x: RealVector
-    """(U,) work arrays: scaled forces, the right sides of equations and their solution."""
+    x: RealVector  #: (U,) work arrays: scaled forces, the right sides of equations and their solution.
     change: RealVector
     z: RealVector
-    order: IntVector
-    """(U,) order of the rows of the factors."""
-    path: RealMatrix
-    """(8, U) vectors of `mbdkit_contact.kernels.mode_path`."""
+    order: IntVector  #: (U,) order of the rows of the factors.
+    path: RealMatrix  #: (8, U) vectors of `mbdkit_contact.kernels.mode_path`.
 
 
 def new_active_set(most: int) -> ActiveSet:

@@ -25,30 +25,22 @@ from mbdkit_contact.kernels.first_touch import CLEAR, find_near, find_touches, s
 from mbdkit_contact.kernels.kinematics import ROUND, choose, find_gaps, gap_of, place
 from mbdkit_contact.kernels.steps_to_events import pieces, write_node
 
+#: Gaps up to this share of the way of the shapes in a step count as zero, and so do parts of the step up to this share
+#: of it.
 SAME_WAY = 1e-9
-"""Gaps up to this share of the way of the shapes in a step count as zero, and so do parts of the step up to this share
-of it.
-"""
+#: Parts of a step below this share of the time, or of the step, are too short to be steps. Steps end this much after a
+#: contact has begun or ended: a law with a damper has a jump there, and a step must know on which side it begins.
 SAME_PART = 1e-12
-"""Parts of a step below this share of the time, or of the step, are too short to be steps. Steps end this much after a
-contact has begun or ended: a law with a damper has a jump there, and a step must know on which side it begins.
-"""
+#: Share of a step after which shapes show whether they approach. The motion is that at the start of the step, although
+#: dense output may be wild if some of its stages meet a contact of which error control knows nothing.
 SOON = 1e-6
-"""Share of a step after which shapes show whether they approach. The motion is that at the start of the step, although
-dense output may be wild if some of its stages meet a contact of which error control knows nothing.
-"""
-INTO = 0.25
-"""Largest share of the way through a contact that a step from its begin may go."""
-SAMPLES = 8
-"""Number of parts of a step at whose ends gaps of shapes in contact are evaluated."""
-LEAST_PART = 1e-9
-"""Least part of a step, after a touch, that is searched for the contact."""
+INTO = 0.25  #: Largest share of the way through a contact that a step from its begin may go.
+SAMPLES = 8  #: Number of parts of a step at whose ends gaps of shapes in contact are evaluated.
+LEAST_PART = 1e-9  #: Least part of a step, after a touch, that is searched for the contact.
+#: A step from a touch is repeated with this share of its size if its velocities change by less than this share of what
+#: the accelerations at its ends indicate.
 SHORTER_FROM_TOUCH, LEAST_CHANGE = 0.25, 0.1
-"""A step from a touch is repeated with this share of its size if its velocities change by less than this share of what
-the accelerations at its ends indicate.
-"""
-MOST_HALVES = 60
-"""Largest number of evaluations of a gap in the search for its zero."""
+MOST_HALVES = 60  #: Largest number of evaluations of a gap in the search for its zero.
 
 
 @subkernel

@@ -63,13 +63,11 @@ from mbdkit_contact.kernels.impacts import OTHER_LAW, UNSOLVED, find_ordered, st
 from mbdkit_contact.kernels.kinematics import place, place_turned
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
+#: Gaps and rates of joints and closed contacts up to this size, relative to the largest coordinate or velocity (at
+#: least 1), are left as they are at the end of a step. It exceeds the rounding errors of many steps and is much smaller
+#: than `SAME`.
 NEARLY = 1e-13
-"""Gaps and rates of joints and closed contacts up to this size, relative to the largest coordinate or velocity (at
-least 1), are left as they are at the end of a step. It exceeds the rounding errors of many steps and is much smaller
-than `SAME`.
-"""
-QUADRATIC = 1e-9
-"""Relative residual from which one iteration of Newton's method leaves nothing but rounding errors."""
+QUADRATIC = 1e-9  #: Relative residual from which one iteration of Newton's method leaves nothing but rounding errors.
 
 
 @separate

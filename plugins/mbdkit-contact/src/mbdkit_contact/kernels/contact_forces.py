@@ -21,14 +21,13 @@ from mbdkit.engine.kernels.vectors import fill, fill_rows
 from mbdkit.engine.native.functions import separate, subkernel
 from mbdkit_contact.kernels.kinematics import NOWHERE, SINGLE, Shapes, choose, row_of
 
+#: Singular values of the equations of contact forces below this share of the largest one indicate redundant rows.
 SINGULAR = 1e-11
-"""Singular values of the equations of contact forces below this share of the largest one indicate redundant rows."""
 
 
-WEAK = 1e-7
-"""Pivots below this share of the largest diagonal element show that equations are no longer independent."""
+WEAK = 1e-7  #: Pivots below this share of the largest diagonal element show that equations are no longer independent.
+#: Largest component of a null vector of the equations, relative to its redundant force, that counts as zero.
 SHARED = 1e-9
-"""Largest component of a null vector of the equations, relative to its redundant force, that counts as zero."""
 
 
 class ClosedContacts(NamedTuple):
@@ -39,31 +38,24 @@ class ClosedContacts(NamedTuple):
     """
 
     shapes: Shapes
-    chosen: IntVector
-    """(K,) indices of the contacts, and for each the index of its force along the tangent, or -1."""
+    chosen: IntVector  #: (K,) indices of the contacts, and for each the index of its force along the tangent, or -1.
     sticks: IntVector
-    share: RealVector
-    """(K,) ratios of friction force and normal force of contacts that slip; 0 for those that stick."""
+    share: RealVector  #: (K,) ratios of friction force and normal force of contacts that slip; 0 for those that stick.
+    #: (K, 16) quantities of the contacts; see `mbdkit_contact.contact_rows.QUANTITIES`.
     rows: Annotated[RealMatrix, 16]
-    """(K, 16) quantities of the contacts; see `mbdkit_contact.contact_rows.QUANTITIES`."""
-    sites: Annotated[IntMatrix, 2]
-    """(U, 2) first coordinates of the bodies on which each force acts."""
+    sites: Annotated[IntMatrix, 2]  #: (U, 2) first coordinates of the bodies on which each force acts.
+    #: (U, 6) derivatives of the constraints that the contacts impose, and directions of their forces.
     held: Annotated[RealMatrix, 6]
-    """(U, 6) derivatives of the constraints that the contacts impose, and directions of their forces."""
     pushed: Annotated[RealMatrix, 6]
-    moved: RealMatrix
-    """(U, N) accelerations and (U, P, 2) multipliers that unit forces cause alone."""
+    moved: RealMatrix  #: (U, N) accelerations and (U, P, 2) multipliers that unit forces cause alone.
     loaded: RealCube
+    #: (U, P, 2) work array: the constraints of contacts on joints, after forward substitution; see `find_few_forces`.
     bound: RealCube
-    """(U, P, 2) work array: the constraints of contacts on joints, after forward substitution; see `find_few_forces`.
-    """
-    matrix: RealMatrix
-    """(U, U) equations of the forces, and work arrays of their solution."""
+    matrix: RealMatrix  #: (U, U) equations of the forces, and work arrays of their solution.
     columns: RealMatrix
     turns: RealMatrix
     right: RealVector
-    forces: RealVector
-    """(U,) result: the forces."""
+    forces: RealVector  #: (U,) result: the forces.
     weights: RealVector
     sizes: RealVector
     order: IntVector

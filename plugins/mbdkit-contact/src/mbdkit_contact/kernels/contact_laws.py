@@ -57,34 +57,29 @@ from mbdkit_contact.kernels.uneven_ground import (
 )
 from mbdkit_contact.kernels.uneven_ground import height_over as _over
 
-FORCES, SLOPES, VALUES = range(3)
-"""Modes: what the law computes."""
+FORCES, SLOPES, VALUES = range(3)  #: Modes: what the law computes.
+#: Kinds of geometry; see `mbdkit_contact.contact.ContactPair`.
 KINDS = ("line", "circles", "hole", "edge", "inside", "polyline")
-"""Kinds of geometry; see `mbdkit_contact.contact.ContactPair`."""
 _LINE, _CIRCLES, _HOLE, _EDGE, _INSIDE, _POLYLINE = range(len(KINDS))
-FORCE_LAWS = ("none", "hertz", "linear", "smooth")
-"""Laws of the normal force; rigid contacts have no law."""
+FORCE_LAWS = ("none", "hertz", "linear", "smooth")  #: Laws of the normal force; rigid contacts have no law.
 _NONE, _HERTZ, _LINEAR, _SMOOTH = range(len(FORCE_LAWS))
-_BOTH = len(FORCE_LAWS)
-"""The linear law of a row whose side is 1, which may also pull."""
+_BOTH = len(FORCE_LAWS)  #: The linear law of a row whose side is 1, which may also pull.
 
+#: Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon, or
+#: of segments of a polyline) and of the second (0, if it is no polygon, or only the second is one), law of the normal
+#: force, whether torques act on the bodies, and the number of rows.
 MODE, KIND, FIRST_COUNT, SECOND_COUNT, FORCE_LAW, FIRST_TURNS, SECOND_TURNS, ROWS = range(8)
-"""Integers of the program: mode, kind of geometry, number of edges of the first shape (of rows, if it is no polygon, or
-of segments of a polyline) and of the second (0, if it is no polygon, or only the second is one), law of the normal
-force, whether torques act on the bodies, and the number of rows."""
 _HEAD = 8
-POSE = 7
-"""Numbers of a body: x, y, cosine and sine of its angle, and its velocities."""
+POSE = 7  #: Numbers of a body: x, y, cosine and sine of its angle, and its velocities.
+#: Places of the parameters of the force law, see `mbdkit_contact.contact.Contact.law_numbers`, and of the shapes.
 STIFFNESS, DISSIPATION, RELEASE, STATIC, KINETIC, TRANSITION, ROLLING, SHAPES = range(2 * POSE, 2 * POSE + 8)
-"""Places of the parameters of the force law, see `mbdkit_contact.contact.Contact.law_numbers`, and of the shapes."""
-ROW = 7
-"""Parameters of a row without polygon."""
+ROW = 7  #: Parameters of a row without polygon.
+#: Quantities of a row: gap, normal force, friction force, slip, the point P, the normal, and the torque of rolling
+#: resistance on the second body.
 VALUE = 9
-"""Quantities of a row: gap, normal force, friction force, slip, the point P, the normal, and the torque of rolling
-resistance on the second body."""
 
+#: Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim.
 _CF, _BD, _BV = 1e-5, 300.0, 50.0
-"""Smoothing constants of Simbody's SmoothSphereHalfSpaceForce, with the default values of OpenSim."""
 
 
 @law_function

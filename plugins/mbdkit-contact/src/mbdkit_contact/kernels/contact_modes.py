@@ -32,24 +32,17 @@ from mbdkit_contact.kernels.kinematics import choose, find_margins, hold, place,
 from mbdkit_contact.kernels.pivoting import solve_cones
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
+#: Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the
+#: motion, count as zero.
 SAME = 1e-10
-"""Gaps below this, relative to the length of the mechanism, and velocities below this, relative to the largest of the
-motion, count as zero.
-"""
-SAME_ACCELERATION = 1e-9
-"""Accelerations below this share of those without contact forces count as zero."""
+SAME_ACCELERATION = 1e-9  #: Accelerations below this share of those without contact forces count as zero.
+#: Friction forces that exceed their limit by more than this share of the normal force are assumed to result from
+#: redundant contacts.
 REDUNDANT = 1e-6
-"""Friction forces that exceed their limit by more than this share of the normal force are assumed to result from
-redundant contacts.
-"""
-STAYING = 1e-9
-"""Accelerations [m/s^2] below this, absolute and relative to the largest one, do not separate shapes."""
-FREE = 1e-6
-"""Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous."""
-FEW = 8
-"""Largest number of touching contacts whose forces are examined for being unique."""
-EXACT_GAP = 1e-15
-"""Gaps below this, relative to the length of the mechanism, do not trigger an event."""
+STAYING = 1e-9  #: Accelerations [m/s^2] below this, absolute and relative to the largest one, do not separate shapes.
+FREE = 1e-6  #: Smallest component of a null vector, of length 1, that makes the force of a contact ambiguous.
+FEW = 8  #: Largest number of touching contacts whose forces are examined for being unique.
+EXACT_GAP = 1e-15  #: Gaps below this, relative to the length of the mechanism, do not trigger an event.
 
 
 @subkernel

@@ -19,18 +19,15 @@ from mbdkit_contact.kernels.contact_modes import rate_of_gap
 from mbdkit_contact.kernels.event_bundle import NORMAL, PLACE
 from mbdkit_contact.modes import OPEN, STICK
 
+#: Phases: choose the next function; look for a positive value of a function that starts at zero; evaluate the function
+#: where it is negative, and before; narrow the bracket of a zero.
 NEXT, RISE, HIGH, LOW, ROOT = range(5)
-"""Phases: choose the next function; look for a positive value of a function that starts at zero; evaluate the function
-where it is negative, and before; narrow the bracket of a zero."""
+#: Largest number of places, each a tenth of the one before, at which a function that starts at zero is evaluated. It
+#: may be slip that begins just before the contact opens, for example.
 MOST_RISES = 5
-"""Largest number of places, each a tenth of the one before, at which a function that starts at zero is evaluated. It
-may be slip that begins just before the contact opens, for example."""
-MOST_DIPS = 5
-"""Largest number of places at which a gap is evaluated to find its minimum."""
-MOST_EVALUATIONS = 60
-"""Largest number of evaluations in a bracket; about ten are usual."""
-NARROW = 8.9e-16
-"""Width of a bracket, relative to its place in the step, that ends the search for a zero."""
+MOST_DIPS = 5  #: Largest number of places at which a gap is evaluated to find its minimum.
+MOST_EVALUATIONS = 60  #: Largest number of evaluations in a bracket; about ten are usual.
+NARROW = 8.9e-16  #: Width of a bracket, relative to its place in the step, that ends the search for a zero.
 
 
 @separate

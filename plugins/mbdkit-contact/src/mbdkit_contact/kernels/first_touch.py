@@ -35,22 +35,18 @@ from mbdkit_contact.kernels.uneven_ground import (
 )
 from mbdkit_contact.modes import OPEN
 
+#: Two shapes do not touch in a step if their distances at its ends exceed this times the way of both. It covers the
+#: difference between a cubic and the motion of the method.
 CLEAR = 1.1
-"""Two shapes do not touch in a step if their distances at its ends exceed this times the way of both. It covers the
-difference between a cubic and the motion of the method.
-"""
+#: Overlaps up to this many times ``Shapes.exact`` are ignored: contacts that slide past the end of an edge stay closed
+#: for twice this distance. The first touch is located within this way, in the same unit.
 IGNORED, NARROW = 4.0, 1e3
-"""Overlaps up to this many times ``Shapes.exact`` are ignored: contacts that slide past the end of an edge stay closed
-for twice this distance. The first touch is located within this way, in the same unit.
-"""
+#: Largest number of parts that are examined for one contact; then, the step is shortened to this share. Its motion may
+#: be far from any solution, before the error control of the method rejects it.
 MOST_PARTS, SHORTER = 1000, 0.25
-"""Largest number of parts that are examined for one contact; then, the step is shortened to this share. Its motion may
-be far from any solution, before the error control of the method rejects it.
-"""
-REBOUND = 8
-"""Number of parts of a step in which a rebound is sampled."""
+REBOUND = 8  #: Number of parts of a step in which a rebound is sampled.
+#: What is known of a part of a piece: shapes overlap at its end, or may touch within it, or do not touch.
 TOUCHES, UNCLEAR, IS_CLEAR = range(3)
-"""What is known of a part of a piece: shapes overlap at its end, or may touch within it, or do not touch."""
 
 
 @separate

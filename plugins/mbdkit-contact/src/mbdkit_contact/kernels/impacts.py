@@ -12,35 +12,27 @@ from mbdkit.engine.native.functions import subkernel
 from mbdkit_contact.kernels.pivoting import Cones, new_cones, solve_cones
 
 NEWTON, POISSON = range(2)
-LAWS = ("newton", "poisson")
-"""Laws of impact, by their numbers."""
+LAWS = ("newton", "poisson")  #: Laws of impact, by their numbers.
+#: Results of an impact: no impulses satisfy the law, the impulses satisfy it, or it would have created energy.
 UNSOLVED, AS_ASKED, OTHER_LAW = range(3)
-"""Results of an impact: no impulses satisfy the law, the impulses satisfy it, or it would have created energy."""
+#: If an impact would gain energy, the coefficients of restitution are reduced in steps of 10 %; values up to this are
+#: set to 0.
 SMALL_RESTITUTION = 1e-3
-"""If an impact would gain energy, the coefficients of restitution are reduced in steps of 10 %; values up to this are
-set to 0.
-"""
+#: Velocities of contacts, relative to the largest before an impact: differences above the first depend on the order of
+#: impacts, and approach below the second ends a sequence of impacts.
 ORDER_MATTERS, STOPPED = 1e-6, 1e-9
-"""Velocities of contacts, relative to the largest before an impact: differences above the first depend on the order of
-impacts, and approach below the second ends a sequence of impacts.
-"""
-MOST_STRIKES = 100
-"""Largest number of impacts, for each contact, in a sequence of single impacts."""
+MOST_STRIKES = 100  #: Largest number of impacts, for each contact, in a sequence of single impacts.
 
 
 class Strike(NamedTuple):
     """An impact of up to K contacts; vectors (2 K,) have the k normal components first."""
 
-    cones: Cones
-    """The contacts; `Cones.response` and `Cones.friction` are input."""
-    before: RealVector
-    """(2 K,) velocities before the impact."""
+    cones: Cones  #: The contacts; `Cones.response` and `Cones.friction` are input.
+    before: RealVector  #: (2 K,) velocities before the impact.
+    #: (K,) coefficients of restitution; smaller ones are written if the impact would gain energy.
     restitution: RealVector
-    """(K,) coefficients of restitution; smaller ones are written if the impact would gain energy."""
-    impulses: RealVector
-    """(2 K,) result."""
-    pressed: RealVector
-    """(2 K,) work array: impulses of compression."""
+    impulses: RealVector  #: (2 K,) result.
+    pressed: RealVector  #: (2 K,) work array: impulses of compression.
 
 
 class ImpactBundle(NamedTuple):
@@ -48,13 +40,10 @@ class ImpactBundle(NamedTuple):
 
     all: Strike
     alone: Strike
-    restitution: RealVector
-    """(K,) coefficients of restitution, as given."""
-    u: RealVector
-    """(2 K,) work arrays: velocities in a sequence, and after the impact of all."""
+    restitution: RealVector  #: (K,) coefficients of restitution, as given.
+    u: RealVector  #: (2 K,) work arrays: velocities in a sequence, and after the impact of all.
     together: RealVector
-    ordered: IntVector
-    """(K,) result: whether the velocities of a contact depend on the order of impacts."""
+    ordered: IntVector  #: (K,) result: whether the velocities of a contact depend on the order of impacts.
 
 
 def new_strike(most: int) -> Strike:

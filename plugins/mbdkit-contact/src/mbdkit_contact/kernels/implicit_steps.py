@@ -23,8 +23,7 @@ from mbdkit_contact.kernels.contact_modes import collect_closed
 from mbdkit_contact.kernels.event_bundle import load_events
 from mbdkit_contact.kernels.kinematics import place
 
-WORN = 1e-9
-"""Pivots below this share of the largest entry belong to redundant contacts; their forces are left out."""
+WORN = 1e-9  #: Pivots below this share of the largest entry belong to redundant contacts; their forces are left out.
 
 
 @subkernel

@@ -38,50 +38,41 @@ from mbdkit_contact.kernels.uneven_ground import (
     window_around,
 )
 
-KINDS = ("line", "circles", "hole")
-"""Kinds of features, by their numbers."""
+KINDS = ("line", "circles", "hole")  #: Kinds of features, by their numbers.
 LINE, CIRCLES, HOLE = range(3)
+#: Kinds of pairs of shapes: neither has a polygon, a polygon and a circle or point, two polygons, and a polyline with a
+#: circle, point or polygon.
 SINGLE, ROUND, POLYGONS, UNEVEN = range(4)
-"""Kinds of pairs of shapes: neither has a polygon, a polygon and a circle or point, two polygons, and a polyline with a
-circle, point or polygon."""
 NOWHERE = -np.inf
 
 
 class Shapes(NamedTuple):
     """C contacts (rows) of P pairs of shapes with F features, and Q polygons with N corners."""
 
-    contacts: Annotated[IntMatrix, 4]
-    """(C, 4) first and second body, first feature, and pair."""
-    kinds: IntVector
-    """(F,) kinds of the features; see `KINDS`."""
-    numbers: Annotated[RealMatrix, 7]
-    """(F, 7) parameters of the features."""
+    contacts: Annotated[IntMatrix, 4]  #: (C, 4) first and second body, first feature, and pair.
+    kinds: IntVector  #: (F,) kinds of the features; see `KINDS`.
+    numbers: Annotated[RealMatrix, 7]  #: (F, 7) parameters of the features.
+    #: (P, 5) kind, first contact, number of contacts, and polygons of the first and of the second body (or -1); instead
+    #: of the first polygon, the surface of a polyline.
     pairs: Annotated[IntMatrix, 5]
-    """(P, 5) kind, first contact, number of contacts, and polygons of the first and of the second body (or -1); instead
-    of the first polygon, the surface of a polyline."""
-    outlines: Annotated[IntMatrix, 3]
-    """(Q, 3) body, first corner and number of corners of the polygons."""
+    outlines: Annotated[IntMatrix, 3]  #: (Q, 3) body, first corner and number of corners of the polygons.
+    #: (N, 5) place of each corner, and the normal and length of the edge that starts there.
     corners: Annotated[RealMatrix, 5]
-    """(N, 5) place of each corner, and the normal and length of the edge that starts there."""
-    around: Annotated[RealMatrix, 3]
-    """(Q, 3) centre and radius of circles around the polygons."""
+    around: Annotated[RealMatrix, 3]  #: (Q, 3) centre and radius of circles around the polygons.
+    #: (S, 6) body of each polyline, body on it, index of its parameters in `surface`, number of edges of the polygon on
+    #: it, number of segments, and number of contacts that belong to the circle or to corners of the polygon.
     surfaces: Annotated[IntMatrix, 6]
-    """(S, 6) body of each polyline, body on it, index of its parameters in `surface`, number of edges of the polygon on
-    it, number of segments, and number of contacts that belong to the circle or to corners of the polygon."""
-    surface: RealVector
-    """Parameters of the polylines."""
-    reach: RealVector
-    """(1,) largest distance from a polyline that is computed exactly [m]."""
-    exact: RealVector
-    """(1,) distance up to which a corner beyond the end of an edge still acts [m]."""
+    surface: RealVector  #: Parameters of the polylines.
+    reach: RealVector  #: (1,) largest distance from a polyline that is computed exactly [m].
+    exact: RealVector  #: (1,) distance up to which a corner beyond the end of an edge still acts [m].
+    #: (C,) index of the feature at which each closed contact stays; -1 for contacts that use the feature nearest to
+    #: touching.
     held: IntVector
-    """(C,) index of the feature at which each closed contact stays; -1 for contacts that use the feature nearest to
-    touching."""
+    #: (B + 1, 7) work array: place, cosine and sine of the angle, and velocities of the bodies, ground last.
     states: Annotated[RealMatrix, 7]
-    """(B + 1, 7) work array: place, cosine and sine of the angle, and velocities of the bodies, ground last."""
+    #: (C,) work arrays: index of the feature of each contact, and a lower bound of its gap, which is the distance of
+    #: the shapes where the feature does not act.
     features: IntVector
-    """(C,) work arrays: index of the feature of each contact, and a lower bound of its gap, which is the distance of
-    the shapes where the feature does not act."""
     least: RealVector
 
 

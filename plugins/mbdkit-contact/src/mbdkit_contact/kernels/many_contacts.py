@@ -23,21 +23,19 @@ from mbdkit_contact.kernels.mode_path import solve_by_path
 from mbdkit_contact.kernels.stepping_bundle import ACROSS, ALONG, add_move, rate_of
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
+#: Number of sweeps before modes are taken from them, and before this is repeated if modes and impulses do not agree.
 FIRST_SWEEPS, SWEEPS = 100, 500
-"""Number of sweeps before modes are taken from them, and before this is repeated if modes and impulses do not agree."""
+#: Limits of the relative change of velocities in a sweep. If modes and impulses do not agree, the result is accepted if
+#: the last change is at most `ACCEPTED`.
+#:
+#: Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps
+#: move forces between them ever more slowly.
 PRECISION, ACCEPTED = 1e-8, 1e-2
-"""Limits of the relative change of velocities in a sweep. If modes and impulses do not agree, the result
-is accepted if the last change is at most `ACCEPTED`.
-
-Changes are relative to the largest velocity without impulses. If more contacts are closed than are needed, sweeps move
-forces between them ever more slowly.
-"""
+#: Largest number of times that modes change, and number of times that they may change without progress.
 MOST_CHANGES, PATIENCE = 60, 3
-"""Largest number of times that modes change, and number of times that they may change without progress."""
-MOST_FACTORIZED = 256
-"""Largest number of contacts of which the matrix of all responses is stored; 2 MB."""
+MOST_FACTORIZED = 256  #: Largest number of contacts of which the matrix of all responses is stored; 2 MB.
+#: Largest number of times that the iteration for given modes starts again, with the residual computed anew.
 MOST_RESTARTS = 4
-"""Largest number of times that the iteration for given modes starts again, with the residual computed anew."""
 
 
 @subkernel

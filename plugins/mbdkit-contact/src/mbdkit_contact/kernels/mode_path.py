@@ -29,22 +29,19 @@ from mbdkit_contact.kernels.active_set import (
 )
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
+#: Largest numbers of corners of a path, of a first attempt with small eps, and of further attempts with decreasing eps;
+#: less than ten corners are usual.
 MOST_CORNERS = 30, 40, 40
-"""Largest numbers of corners of a path, of a first attempt with small eps, and of further attempts with decreasing eps;
-less than ten corners are usual."""
+#: First eps of further attempts, and factors by which it decreases. With about 150 contacts of discs in a pit, each of
+#: the last two factors solved problems that the other did not.
 LARGEST, FACTORS = 1e-2, (1.0, 0.1, 0.3)
-"""First eps of further attempts, and factors by which it decreases. With about 150 contacts of discs in a pit, each of
-the last two factors solved problems that the other did not."""
-MOST_ENDS = 10
-"""Largest number of paths with the smallest eps; one to three are usual."""
-SHIFT = 1e-6
-"""Size of the additional shifts, relative to the largest force or velocity."""
-GOLDEN = 0.6180339887498949
-"""Fractional parts of multiples of this number are spread evenly, and all differ."""
+MOST_ENDS = 10  #: Largest number of paths with the smallest eps; one to three are usual.
+SHIFT = 1e-6  #: Size of the additional shifts, relative to the largest force or velocity.
+GOLDEN = 0.6180339887498949  #: Fractional parts of multiples of this number are spread evenly, and all differ.
 
+#: Rows of ``path``: scaled forces and rates on the path, their slopes, and the shifts; modes, forces and start of the
+#: first path.
 _FORCE, _FORCE_SLOPE, _RATE, _RATE_SLOPE, _SHIFT, _MODES, _FORCES, _START = range(8)
-"""Rows of ``path``: scaled forces and rates on the path, their slopes, and the shifts; modes, forces and start of the
-first path."""
 
 
 @subkernel

@@ -14,12 +14,11 @@ import numpy as np
 from mbdkit.engine.kernels.bundle_types import IntVector, RealMatrix, RealVector
 from mbdkit.engine.native.functions import subkernel
 
+#: Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
+#: the solution is inaccurate. Rows of contacts on one surface are equal up to gaps in the order of 1e-10 m, and a pivot
+#: that is the difference of two such rows has lost most of its digits.
 TINY = (1e-11, 1e-8, 1e-5)
-"""Entries of a scaled tableau whose magnitude is below the first of these are treated as zero; the next one is tried if
-the solution is inaccurate. Rows of contacts on one surface are equal up to gaps in the order of 1e-10 m, and a pivot
-that is the difference of two such rows has lost most of its digits."""
-ACCURATE = 1e-9
-"""Largest error of an accurate solution of a scaled problem."""
+ACCURATE = 1e-9  #: Largest error of an accurate solution of a scaled problem.
 
 
 class Cones(NamedTuple):
@@ -30,36 +29,30 @@ class Cones(NamedTuple):
     ``|T| <= mu N``; if u_t is not 0, then T has the magnitude mu N and opposes u_t.
     """
 
+    #: (2 K, 2 K) matrix that maps forces to accelerations; in both, the k normal components come first.
     response: RealMatrix
-    """(2 K, 2 K) matrix that maps forces to accelerations; in both, the k normal components come first."""
-    free: RealVector
-    """(2 K,) accelerations without these forces, in the same order."""
-    friction: RealVector
-    """(K,) coefficients mu."""
+    free: RealVector  #: (2 K,) accelerations without these forces, in the same order.
+    friction: RealVector  #: (K,) coefficients mu.
+    #: (K,) directions of slip, 1 or -1, of contacts that slip already; their friction force is -mu N times the
+    #: direction. 0 for other contacts.
     sliding: RealVector
-    """(K,) directions of slip, 1 or -1, of contacts that slip already; their friction force is -mu N times the
-    direction. 0 for other contacts."""
+    #: (K,) normal forces whose effects `free` includes already. The forces found are added to them, and the limits of
+    #: friction follow from the sums.
     pressed: RealVector
-    """(K,) normal forces whose effects `free` includes already. The forces found are added to them, and the limits of
-    friction follow from the sums."""
-    forces: RealVector
-    """(2 K,) result: the forces, normal ones first."""
-    closed: IntVector
-    """(K,) result: whether the normal force is a basic variable of the solution."""
-    slipping: IntVector
-    """(K,) result: whether friction is at its limit."""
+    forces: RealVector  #: (2 K,) result: the forces, normal ones first.
+    closed: IntVector  #: (K,) result: whether the normal force is a basic variable of the solution.
+    slipping: IntVector  #: (K,) result: whether friction is at its limit.
+    #: (K,) work arrays: scale of each contact, and index of its row among those that may stick, or -1.
     scale: RealVector
-    """(K,) work arrays: scale of each contact, and index of its row among those that may stick, or -1."""
     sticks: IntVector
+    #: (N, N) and (N,) work arrays, N = 4 K: the complementarity problem ``w = matrix z + right``, and its solution.
     matrix: RealMatrix
-    """(N, N) and (N,) work arrays, N = 4 K: the complementarity problem ``w = matrix z + right``, and its solution."""
     right: RealVector
     z: RealVector
     best: RealVector
     basic: IntVector
     best_basic: IntVector
-    tableau: RealMatrix
-    """(N, 2 N + 2) work array, and (N,) basic variables and possible pivots."""
+    tableau: RealMatrix  #: (N, 2 N + 2) work array, and (N,) basic variables and possible pivots.
     basis: IntVector
     able: IntVector
 

@@ -51,15 +51,13 @@ from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.functions import subkernel
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 
-MOST_ITERATIONS = 20
-"""Largest number of Newton iterations in a step of the generalized-alpha method."""
+MOST_ITERATIONS = 20  #: Largest number of Newton iterations in a step of the generalized-alpha method.
+#: Changes of the coordinates, relative to the largest coordinate, that count as zero, and below which the iteration may
+#: stagnate.
 CONVERGED, STALLED = 1e-14, 1e-9
-"""Changes of the coordinates, relative to the largest coordinate, that count as zero, and below which the iteration may
-stagnate.
-"""
+#: Why an attempt failed: no impulses satisfy the laws of impact and friction, the equations of the step were not
+#: solved, or no positions without overlap were found.
 NO_IMPULSES, STAGES, OVERLAP = range(1, 4)
-"""Why an attempt failed: no impulses satisfy the laws of impact and friction, the equations of the step were not
-solved, or no positions without overlap were found."""
 
 
 @subkernel

@@ -26,21 +26,16 @@ from mbdkit_contact.kernels.stepping_bundle import (
 )
 from mbdkit_contact.modes import OPEN, SLIP, STICK
 
-MOST_PIVOTED = 64
-"""Up to this number of contacts, impulses are found by elimination; for more, see `many_contacts`."""
+MOST_PIVOTED = 64  #: Up to this number of contacts, impulses are found by elimination; for more, see `many_contacts`.
+#: Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
+#: impulse in this step, and positions are projected only once. The next steps reduce the remaining overlap.
 MANY = 40
-"""Number of overlaps above which less accurate results are accepted: contacts at rest that others press together get no
-impulse in this step, and positions are projected only once. The next steps reduce the remaining overlap."""
-FEW = 8
-"""Up to this number of contacts, it is found whether the order of simultaneous impacts matters."""
+FEW = 8  #: Up to this number of contacts, it is found whether the order of simultaneous impacts matters.
+#: A contact is at rest if its gap, rate and impulse are smaller than this many times those that accelerations cause in
+#: one step; otherwise it has an impact.
 AT_REST = 4.0
-"""A contact is at rest if its gap, rate and impulse are smaller than this many times those that accelerations cause in
-one step; otherwise it has an impact.
-"""
-SMALL = 1e-12
-"""Overlap, relative to the length of the mechanism, that counts as zero."""
-SAME_VELOCITY = 1e-9
-"""Velocities below this share of the largest one count as zero."""
+SMALL = 1e-12  #: Overlap, relative to the length of the mechanism, that counts as zero.
+SAME_VELOCITY = 1e-9  #: Velocities below this share of the largest one count as zero.
 
 
 @subkernel

@@ -59,31 +59,23 @@ from mbdkit_contact.kernels.first_touch import find_near, find_rebounds, find_to
 from mbdkit_contact.kernels.kinematics import find_margins, place
 from mbdkit_contact.modes import OPEN, STICK
 
-MOST_EVENTS = 1000
-"""The run stops after this many consecutive events without a complete step."""
-SAMPLES = 8
-"""Number of places in a step, the last one at its end, at which places on edges are evaluated."""
+MOST_EVENTS = 1000  #: The run stops after this many consecutive events without a complete step.
+SAMPLES = 8  #: Number of places in a step, the last one at its end, at which places on edges are evaluated.
+#: Largest angle by which a body turns between two such places [rad], up to this number of places.
 TURN, MOST_SAMPLES = 0.5, 1000.0
-"""Largest angle by which a body turns between two such places [rad], up to this number of places."""
+#: Least value of a force or slip, relative to its change between the stages of a step, that does not vanish within it.
+#: From the last stage of gauss-2 to the end, a linear function changes by a third of its change between the stages.
 FAR = 3.0
-"""Least value of a force or slip, relative to its change between the stages of a step, that does not vanish within it.
-From the last stage of gauss-2 to the end, a linear function changes by a third of its change between the stages.
-"""
+#: Error of the cubics that stand for the motion in a step, relative to the length of the mechanism, up to this number
+#: of cubics.
 SAME_PLACE, MOST_PIECES = 1e-8, 40.0
-"""Error of the cubics that stand for the motion in a step, relative to the length of the mechanism, up to this number
-of cubics."""
+#: Forces of contacts at the stages of a step that the others predict up to this share of the largest one, or of the
+#: limit of friction, do not exceed their limits unseen between the stages.
 RESOLVED = 0.01
-"""Forces of contacts at the stages of a step that the others predict up to this share of the largest one, or of the
-limit of friction, do not exceed their limits unseen between the stages.
-"""
-FAR_AWAY = 0.25
-"""The same share of the distance from these limits."""
-JUMP = 1e-4
-"""Share of the size of the last resolved step from which on steps are not resolved further."""
-WHOLE = 1.0 - 1e-12
-"""Share of a step from which on an event counts as one at its end."""
-SAME_SHARE = 1e-9
-"""Times that differ by less than this share of a step are equal."""
+FAR_AWAY = 0.25  #: The same share of the distance from these limits.
+JUMP = 1e-4  #: Share of the size of the last resolved step from which on steps are not resolved further.
+WHOLE = 1.0 - 1e-12  #: Share of a step from which on an event counts as one at its end.
+SAME_SHARE = 1e-9  #: Times that differ by less than this share of a step are equal.
 
 
 @subkernel

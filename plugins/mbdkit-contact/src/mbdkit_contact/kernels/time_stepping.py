@@ -44,12 +44,11 @@ from mbdkit_contact.kernels.step_impulses import (
 )
 from mbdkit_contact.kernels.stepping_bundle import GAP, Stepping, keep_held
 
-MOST_HALVINGS = 4
-"""Largest number of times that a step is halved."""
+MOST_HALVINGS = 4  #: Largest number of times that a step is halved.
 PARTS = 2**MOST_HALVINGS
+#: Precision of the projection in a step if more than `MANY` contacts overlap; the next steps reduce the remaining
+#: overlap.
 ROUGH = 1e-4
-"""Precision of the projection in a step if more than `MANY` contacts overlap; the next steps reduce the remaining
-overlap."""
 
 load_stepping = bundle_loader(lambda: example_of(Stepping))
 

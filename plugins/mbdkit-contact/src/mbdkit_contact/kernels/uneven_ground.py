@@ -21,11 +21,10 @@ from math import sqrt
 
 from mbdkit.engine.native.functions import inlined
 
+#: Numbers of an edge of a polygon: start, normal and length; of a segment: see `mbdkit_contact.polylines.SEGMENT`.
 EDGE, SEGMENT = 5, 10
-"""Numbers of an edge of a polygon: start, normal and length; of a segment: see `mbdkit_contact.polylines.SEGMENT`."""
 LOW, HIGH, DEPTH, COLOR, TURN, CORNER_COLOR = range(4, SEGMENT)
-OWN = 4
-"""Numbers before the edges."""
+OWN = 4  #: Numbers before the edges.
 FAR = 1e300
 
 

@@ -39,60 +39,49 @@ from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, separate, subkernel
 
-POINTS, LAWS = range(2)
-"""Indices of `Adjoint.wants`."""
-LINEAR_LAW, TABLE_LAW, OTHER_LAW = range(3)
-"""Kinds of laws in `Adjoint.kinds`."""
-LENGTH, RATE, FORCE, POTENTIAL = range(4)
-"""Columns of derivatives with respect to the values of a force element."""
+POINTS, LAWS = range(2)  #: Indices of `Adjoint.wants`.
+LINEAR_LAW, TABLE_LAW, OTHER_LAW = range(3)  #: Kinds of laws in `Adjoint.kinds`.
+LENGTH, RATE, FORCE, POTENTIAL = range(4)  #: Columns of derivatives with respect to the values of a force element.
 
 
 MOST_ITERATIONS = 60
 SMALL = 1e-15
+#: An iteration ends when the relative change is below `SMALL`, or round-off: below `NEGLIGIBLE`, and above the share
+#: `STALLED` of the last change.
 STALLED, NEGLIGIBLE = 0.5, 1e-11
-"""An iteration ends when the relative change is below `SMALL`, or round-off: below `NEGLIGIBLE`, and above the share
-`STALLED` of the last change."""
 
 
 class Adjoint(NamedTuple):
     """Derivatives with respect to numbers of a mechanism, and working arrays; S segments of springs, P pairs."""
 
-    terms: Annotated[IntMatrix, 4]
-    """(N, 4) terms of the tangents: index in ``Scratch.source``, row, column, class."""
+    terms: Annotated[IntMatrix, 4]  #: (N, 4) terms of the tangents: index in ``Scratch.source``, row, column, class.
+    #: (2,) whether derivatives by points of joints and springs, and by parameters of laws, are computed.
     wants: IntVector
-    """(2,) whether derivatives by points of joints and springs, and by parameters of laws, are computed."""
-    laws_wanted: IntVector
-    """(N,) whether they are with respect to each of the parameters of laws."""
-    kinds: IntVector
-    """(S,) kind of the law of each segment."""
-    mu: RealVector
-    """(3 (B + 1),) solution of the adjoint system, and (P, 2)."""
+    laws_wanted: IntVector  #: (N,) whether they are with respect to each of the parameters of laws.
+    kinds: IntVector  #: (S,) kind of the law of each segment.
+    mu: RealVector  #: (3 (B + 1),) solution of the adjoint system, and (P, 2).
     nu: Annotated[RealMatrix, 2]
-    rest: RealVector
-    """Right side, then residual."""
+    rest: RealVector  #: Right side, then residual.
     rest_rows: Annotated[RealMatrix, 2]
-    right: RealVector
-    """(n + m,) right side in the order of the unknowns."""
+    right: RealVector  #: (n + m,) right side in the order of the unknowns.
     lam_bar: Annotated[RealMatrix, 2]
+    #: (S, 4) derivatives with respect to the values of the springs; those of the first segment count.
     pull_bar: RealMatrix
-    """(S, 4) derivatives with respect to the values of the springs; those of the first segment count."""
+    #: Derivatives with respect to arrays of the mechanism, which are added up: these and the following.
     mass: Annotated[RealMatrix, 3]
-    """Derivatives with respect to arrays of the mechanism, which are added up: these and the following."""
     gravity: RealVector
     pair_parameters: Annotated[RealMatrix, 6]
     spring_points: Annotated[RealMatrix, 6]
     linear: Annotated[RealMatrix, 3]
     law_parameters: RealVector
     load_points: Annotated[RealMatrix, 2]
-    jac: RealCube
-    """Numbers in the memory of the arrays of dual numbers, (P, 12, 13)."""
+    jac: RealCube  #: Numbers in the memory of the arrays of dual numbers, (P, 12, 13).
     gamma: RealCube
     s: RealCube
     grad: RealCube
     tension: RealCube
     values: RealMatrix
-    rate: RealMatrix
-    """(1, 13) a dual number for rates."""
+    rate: RealMatrix  #: (1, 13) a dual number for rates.
 
 
 class Given(NamedTuple):
@@ -101,55 +90,44 @@ class Given(NamedTuple):
     time: RealVector
     q: RealMatrix
     v: RealMatrix
-    acc: RealMatrix
-    """(T, 3 (B + 1)) derivatives with respect to accelerations."""
-    reactions: RealCube
-    """(T, P, 3) to forces and torques of pairs on their second bodies."""
-    forces: RealCube
-    """(T, S, 4) to length, rate, tension and potential of the springs."""
-    kinetic: RealVector
-    """(T,) to the kinetic energy, and to the potential energy of gravity."""
+    acc: RealMatrix  #: (T, 3 (B + 1)) derivatives with respect to accelerations.
+    reactions: RealCube  #: (T, P, 3) to forces and torques of pairs on their second bodies.
+    forces: RealCube  #: (T, S, 4) to length, rate, tension and potential of the springs.
+    kinetic: RealVector  #: (T,) to the kinetic energy, and to the potential energy of gravity.
     gravity: RealVector
-    q_bar: RealMatrix
-    """(T, 3 (B + 1)) results: derivatives with respect to positions and velocities."""
+    q_bar: RealMatrix  #: (T, 3 (B + 1)) results: derivatives with respect to positions and velocities.
     v_bar: RealMatrix
-    found: RealMatrix
-    """(2, 3 (B + 1)) work array: accelerations."""
+    found: RealMatrix  #: (2, 3 (B + 1)) work array: accelerations.
     lam: Annotated[RealMatrix, 2]
 
 
 class Steps(NamedTuple):
     """N steps of a Runge-Kutta method of S stages, and the derivatives that are carried through them."""
 
+    #: (1,) whether stages depend on later ones; they are then found by fixed-point iteration, and so are the
+    #: derivatives with respect to them.
     is_implicit: IntVector
-    """(1,) whether stages depend on later ones; they are then found by fixed-point iteration, and so are the
-    derivatives with respect to them."""
 
     a: RealMatrix
     b: RealVector
     c: RealVector
-    time: RealVector
-    """(N,) beginnings of the steps, and their sizes [s]."""
+    time: RealVector  #: (N,) beginnings of the steps, and their sizes [s].
     size: RealVector
-    q: RealMatrix
-    """(N, 3 (B + 1)) states at the beginnings."""
+    q: RealMatrix  #: (N, 3 (B + 1)) states at the beginnings.
     v: RealMatrix
+    #: (N + 1, 3 (B + 1)) derivatives with respect to the states between the steps; the first row is the result.
     q_bar: RealMatrix
-    """(N + 1, 3 (B + 1)) derivatives with respect to the states between the steps; the first row is the result."""
     v_bar: RealMatrix
-    stage_q_bar: RealMatrix
-    """(N S or 0, 3 (B + 1)) derivatives with respect to the states of the stages."""
+    stage_q_bar: RealMatrix  #: (N S or 0, 3 (B + 1)) derivatives with respect to the states of the stages.
     stage_v_bar: RealMatrix
+    #: (S, 3 (B + 1)) work arrays: states of the stages of a step, and derivatives with respect to them.
     q_stage: RealMatrix
-    """(S, 3 (B + 1)) work arrays: states of the stages of a step, and derivatives with respect to them."""
     v_stage: RealMatrix
     acc: RealMatrix
     lam: RealCube
-    diagonal: RealCube
-    """(S, P, 3) and (S, E, 4) factors of the Schur complements of the stages."""
+    diagonal: RealCube  #: (S, P, 3) and (S, E, 4) factors of the Schur complements of the stages.
     below: RealCube
-    source: RealMatrix
-    """(S, ...) values of ``Scratch.source`` at the stages of an implicit step."""
+    source: RealMatrix  #: (S, ...) values of ``Scratch.source`` at the stages of an implicit step.
     to_q: RealMatrix
     to_v: RealMatrix
     to_acc: RealMatrix
@@ -713,8 +691,7 @@ def _sweep_back(h, c, g, s, first, before):
     return OK, first
 
 
-PULL, STAGES, SWEEP = range(3)
-"""Tasks of `differentiate_back`."""
+PULL, STAGES, SWEEP = range(3)  #: Tasks of `differentiate_back`.
 
 
 @kernel

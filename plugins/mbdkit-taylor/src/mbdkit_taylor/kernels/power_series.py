@@ -13,9 +13,9 @@ from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.vectors import copy, fill
 from mbdkit.engine.native.functions import subkernel
 
+#: Operations whose series are implemented. The others have switches (such as ``abs``), where no series exists, or are
+#: too rare.
 EXPANDED = ("const", "t", "add", "sub", "mul", "div", "powi", "neg", "sin", "cos", "exp", "log", "sqrt")
-"""Operations whose series are implemented. The others have switches (such as ``abs``), where no series exists, or are
-too rare."""
 
 _CONST, _T, _ADD, _SUB, _MUL, _DIV, _POWI, _NEG, _SIN, _COS, _EXP, _LOG, _SQRT = (OPCODES[name] for name in EXPANDED)
 

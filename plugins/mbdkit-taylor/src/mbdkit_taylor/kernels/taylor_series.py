@@ -46,39 +46,29 @@ if TYPE_CHECKING:
     from mbdkit.integrators.run.step_control import Control
     from mbdkit_taylor.taylor import TaylorSeries
 
+#: Number of the last coefficients from which the error is estimated. Several may vanish by symmetry: for a pendulum
+#: released from rest at the horizontal, three of four are zero.
 WINDOW = 4
-"""Number of the last coefficients from which the error is estimated. Several may vanish by symmetry: for a pendulum
-released from rest at the horizontal, three of four are zero."""
 
 
 class Taylor(NamedTuple):
     """Coefficients of the series of a step of order p."""
 
+    #: (B + 1, SERIES, p + 2) of angles, rates, joint forces and positions, bodies in the order of the tree.
     series: State
-    """(B + 1, SERIES, p + 2) of angles, rates, joint forces and positions, bodies in the order of the tree."""
-    is_expanded: State
-    """(1,) whether the series are those of the last base state."""
-    links: np.ndarray
-    """(B, LINK) the tree; see `mbdkit_taylor.kernels.tree_series`."""
-    places: np.ndarray
-    """(B + 1,) place of every body in this order."""
-    inverses: np.ndarray
-    """(p + 3,) inverses of 1, 2, ..."""
-    springs: np.ndarray
-    """(S, OF_SPRING, p + 2) of springs between two points."""
+    is_expanded: State  #: (1,) whether the series are those of the last base state.
+    links: np.ndarray  #: (B, LINK) the tree; see `mbdkit_taylor.kernels.tree_series`.
+    places: np.ndarray  #: (B + 1,) place of every body in this order.
+    inverses: np.ndarray  #: (p + 3,) inverses of 1, 2, ...
+    springs: np.ndarray  #: (S, OF_SPRING, p + 2) of springs between two points.
+    #: (B + 1, OF_BODY) articulated bodies, and lengths between pins, which the estimate of a repeated step reads.
     bodies: State
-    """(B + 1, OF_BODY) articulated bodies, and lengths between pins, which the estimate of a repeated step reads."""
-    motions: np.ndarray
-    """(motions, p + 2) of the values of loads."""
-    stack: np.ndarray
-    """(MAX_DEPTH + 2, p + 2) work array of their programs."""
-    nodes: np.ndarray
-    """(n,) Gauss nodes and weights of a step, by which powers are integrated."""
+    motions: np.ndarray  #: (motions, p + 2) of the values of loads.
+    stack: np.ndarray  #: (MAX_DEPTH + 2, p + 2) work array of their programs.
+    nodes: np.ndarray  #: (n,) Gauss nodes and weights of a step, by which powers are integrated.
     weights: np.ndarray
-    power: np.ndarray
-    """(2,) work array."""
-    lam: np.ndarray
-    """(P, 2) zeros: no joint does work."""
+    power: np.ndarray  #: (2,) work array.
+    lam: np.ndarray  #: (P, 2) zeros: no joint does work.
     q_stage: np.ndarray
     relative: Relative
 

@@ -25,27 +25,26 @@ from mbdkit.engine.kernels.tree import turned
 from mbdkit.engine.native.functions import inlined, subkernel
 from mbdkit_taylor.kernels.power_series import coefficient
 
+#: Columns of `links` (B, 4), the bodies in the order of the tree: body, pair that pins it (-1: none), whether it is the
+#: second body of this pair, and the place in this order of the body before (-1: ground, or none).
 OF, PAIR, SIDE, BEFORE, LINK = range(5)
-"""Columns of `links` (B, 4), the bodies in the order of the tree: body, pair that pins it (-1: none), whether it is the
-second body of this pair, and the place in this order of the body before (-1: ground, or none)."""
+#: Rows of the series of a body: cosine, sine and rate of its angle, velocity of a free body, the sums P and Q, and the
+#: centre of mass.
 COSINE, SINE, OMEGA, VX, VY, P, Q, X, Y, SERIES = range(10)
-"""Rows of the series of a body: cosine, sine and rate of its angle, velocity of a free body, the sums P and Q, and the
-centre of mass."""
+#: Rows of the series of a spring between two points: the vector between them, its length, and tension over length.
 DX, DY, LENGTH, PULL, OF_SPRING = range(5)
-"""Rows of the series of a spring between two points: the vector between them, its length, and tension over length."""
 
+#: Columns of `bodies` (B + 1, 34), in the order of the tree, ground last.
+#:
+#: The articulated mass M, later K; h; 1 / I; h / I; the vector from the centre of mass to the body's pin; the vector
+#: from the pin of the body before to this pin; both points of the pin in the frames of the body, and of the one before;
+#: that vector in the frame of the one before; mass. Of the present order: applied forces and torque, later the bias of
+#: articulated bodies; P and Q of the applied forces; c'' and s'' without alpha, and their sums; sums P and Q; bias of
+#: the pin's acceleration; acceleration of the pin.
 (
     MXX, MXY, MYY, HX, HY, INVERSE, GX, GY, RX, RY, DPX, DPY, OWN_X, OWN_Y, BEFORE_X, BEFORE_Y, EX, EY, MASS,
     FX, FY, TURN, FORCE_P, FORCE_Q, BEND_C, BEND_S, SUM_C, SUM_S, SUM_P, SUM_Q, WX, WY, AX, AY, OF_BODY,
 ) = range(35)  # fmt: skip
-"""Columns of `bodies` (B + 1, 34), in the order of the tree, ground last.
-
-The articulated mass M, later K; h; 1 / I; h / I; the vector from the centre of mass to the body's pin; the vector from
-the pin of the body before to this pin; both points of the pin in the frames of the body, and of the one before; that
-vector in the frame of the one before; mass. Of the present order: applied forces and torque, later the bias of
-articulated bodies; P and Q of the applied forces; c'' and s'' without alpha, and their sums; sums P and Q; bias of the
-pin's acceleration; acceleration of the pin.
-"""
 
 _TWO_POINTS, _RELATIVE_ANGLE = PATHWAYS["two_points"], PATHWAYS["relative_angle"]
 
