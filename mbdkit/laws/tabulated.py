@@ -56,10 +56,11 @@ def law(length: float, rate: float, time: float, parameters: Any) -> tuple[float
     # The length within the table; `beyond` is the remainder, over which the force is extrapolated linearly.
     inside = min(max(length, begin), end)
     x, beyond = inside - begin, length - inside
-    c = parameters[3 + pieces + 5 * low :]
-    force = c[0] + x * (c[1] + x * (c[2] + x * c[3]))
-    slope = c[1] + x * (2.0 * c[2] + x * 3.0 * c[3])
-    potential = c[4] + x * (c[0] + x * (c[1] / 2.0 + x * (c[2] / 3.0 + x * c[3] / 4.0)))
+    row = 3 + pieces + 5 * low  # elements one by one, because kernels with derivatives have no slices
+    c0, c1, c2, c3 = parameters[row], parameters[row + 1], parameters[row + 2], parameters[row + 3]
+    force = c0 + x * (c1 + x * (c2 + x * c3))
+    slope = c1 + x * (2.0 * c2 + x * 3.0 * c3)
+    potential = parameters[row + 4] + x * (c0 + x * (c1 / 2.0 + x * (c2 / 3.0 + x * c3 / 4.0)))
     potential += beyond * (force + 0.5 * beyond * slope)
     return force + slope * beyond + damping * rate, slope, damping, potential
 

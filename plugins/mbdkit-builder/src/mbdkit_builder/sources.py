@@ -16,7 +16,7 @@ from mbdkit.base.lazy_names import homes_of
 from mbdkit.engine.native import machine_code
 
 #: Rooms of mbdkit that kernels may import; other packages have them in ``kernels``.
-_ROOMS = ("engine/kernels/", "integrators/", "engine/native/")
+_ROOMS = ("engine/kernels/", "integrators/", "engine/native/", "laws/")
 _ALWAYS = (
     "engine/kernels/elementary/__init__.py",  # imports the functions that take the place of the C library
     "engine/native/bundle.py",
