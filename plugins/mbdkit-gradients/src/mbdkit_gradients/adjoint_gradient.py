@@ -230,7 +230,7 @@ class AdjointRun:
             raise NotByAdjointError("parameters change points of a pathway with several segments")
         if self._table_arguments(top):
             raise NotByAdjointError(
-                "parameters change the arguments of a table, or numbers of other laws than those of springs"
+                "parameters change the arguments of a table, or numbers of laws that belong to no spring or contact"
             )
 
     def _table_arguments(self, top: Any) -> bool:
