@@ -24,6 +24,14 @@ class LawCondition(Protocol):
     def side(self) -> int:
         """Index in ``Topology.law_parameters`` of the parameter that says on which side the law is evaluated."""
 
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """Indices of the bodies on whose states it depends."""
+
+    @property
+    def parameters(self) -> np.ndarray:
+        """Indices in ``Topology.law_parameters`` of the number of the parameters of the law, and of these."""
+
     def values(self, observed: Observed, q: np.ndarray, v: np.ndarray, numbers: np.ndarray) -> list[float]:
         """Return g in T states.
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.law_conditions import LawCondition
 from mbdkit.quantities.states import States
 from mbdkit_gradients.adjoint_measures import Bars, Columns, NotByAdjointError
 from mbdkit_gradients.derived_values import DerivedValue
@@ -90,7 +92,7 @@ class AdjointCorner:
     """
 
     node: int
-    condition: ForceCondition
+    condition: ForceCondition | LawCondition
     rate: float
     states: States
     sides: np.ndarray
@@ -106,11 +108,29 @@ class AdjointCorner:
         those with respect to the parameters of laws (L,) to `of_laws`.
         """
         condition, observed = self.condition, self.states.observed
+        one = Bars(-1, self.states, mechanism).rows(slice(1))
+        if not isinstance(condition, ForceCondition):
+            self._add_of_kind(condition, one, -by_time / self.rate, of_laws)
+            return one
         own = condition.own(mechanism.topology.law_parameters, observed.lam[0])
         _, *slopes = condition.function(*observed.forces[0, condition.element, :2], *own)
         by_length, by_rate, *by_numbers = -by_time / self.rate * np.array(slopes)
-        one = Bars(-1, self.states, mechanism).rows(slice(1))
         one.add_force(condition.element, "length", np.array([by_length]))
         one.add_force(condition.element, "rate", np.array([by_rate]))
         of_laws[condition.parameters] += by_numbers
+        pair, row, place = condition.multipliers.T
+        np.add.at(one.multipliers[0], (pair, row), np.array(by_numbers)[place])
         return one
+
+    def _add_of_kind(self, condition: LawCondition, one: Bars, factor: float, of_laws: np.ndarray) -> None:
+        """Add the derivatives with respect to the state and to the parameters of laws of a condition of a kind of
+        elements, times a factor.
+        """
+        state = self.states.q[0], self.states.v[0], one.mechanism.topology.law_parameters
+        coordinates = [3 * body + i for body in condition.bodies for i in range(3)]
+        indices: list[Any] = [coordinates, coordinates, condition.parameters[1:]]
+        for target, some, number in zip((one.q[0], one.v[0], of_laws), indices, range(3), strict=True):
+            directions = [
+                tuple(np.where(k == number, np.arange(len(x)) == i, 0.0) for k, x in enumerate(state)) for i in some
+            ]
+            np.add.at(target, some, factor * np.array(condition.slopes(state, directions)))

@@ -7,10 +7,11 @@ back through the steps to the start; on the way, those with respect to the numbe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from itertools import pairwise
+from tempfile import SpooledTemporaryFile
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 
 from mbdkit.base.errors import RunError
 from mbdkit.engine.kernels.observe import Observed
-from mbdkit.engine.kernels.table_rows import LAW_ROW, SPRING
+from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, SPRING
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
 from mbdkit.integrators.interface import SAME_TIME
@@ -32,15 +33,25 @@ from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.adjoint_events import AdjointCorner, AdjointEvent
-from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, Nodes, NotByAdjointError
+from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, LongStates, MakeBars, Nodes, NotByAdjointError
 from mbdkit_gradients.backward_sweep import ARRAYS, BackwardSweep, SweptPart
-from mbdkit_gradients.differentiated_run import Needs, PassedEvent, differentiated_stepper, events_of
+from mbdkit_gradients.differentiated_run import (
+    Needs,
+    PassedEvent,
+    differentiated_stepper,
+    doubts_of_laws,
+    events_of,
+)
 from mbdkit_gradients.differentiated_states import nearby
-from mbdkit_gradients.law_corners import ForceCondition, doubts_of_kinds, with_sides, with_unknown_corners
+from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.measured_derivatives import DerivedMeasure
 from mbdkit_gradients.sided_stepper import SidedStepper
+from mbdkit_gradients.table_derivatives import contract, touched_laws
 
 AROUND = 8  #: Number of step ends on both sides of a step that may determine the motion in it.
+WINDOW = 256  #: Largest number of steps whose stages, and the derivatives with respect to these, are stored at once.
+#: Largest size of the stored states [bytes], and of the derivatives with respect to them; larger arrays are in files.
+MOST_BYTES = 256_000_000
 
 
 def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
@@ -65,7 +76,7 @@ def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
 
 @dataclass(eq=False)
 class _Piece:
-    """The first part of step `number`, up to an event; see `AdjointRun` for the other attributes."""
+    """Some steps from step `number` on, or the first part of a step, up to an event; see `SweptSteps`."""
 
     method: ExplicitRungeKutta | ImplicitRungeKutta
     time: np.ndarray
@@ -109,15 +120,14 @@ class AdjointRun:
         self._table = replace(setup.timetable(), every=1)
         self._corners: list[AdjointCorner] = []
         self._sided: SidedStepper | None = None
-        sided = with_sides(self.workspace.mechanism)
+        sided = None if method.traits.tolerances is not None else with_sides(self.workspace.mechanism)
         if sided is None:
             stepper = setup.stepper(self._table)
         else:
             stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None, setup, every=1)
             assert isinstance(stepper, SidedStepper)
             self._sided, self.workspace, self.seeds = stepper, stepper.workspace, sided.seeds(seeds)
-        time, q, v = self._stepped(stepper)
-        self.time, self.q, self.v = np.array(time), np.array(q), np.array(v)
+        self.time, self.q, self.v = self._stepped(stepper)
         size, step = np.diff(self.time), self._table.step
         self.size = size if step is None else np.where(np.abs(size - step) < 1e-9 * step, step, size)
         self.sizes = None if method.traits.tolerances is None else self.size.tolist()
@@ -128,24 +138,29 @@ class AdjointRun:
         self._pieces: list[_Piece] = []
         self._events = [self._event(event) for event in (events_of(spec, None) if spec.events else [])]
 
-    def _stepped(self, stepper: Any) -> tuple[list[float], list[np.ndarray], list[np.ndarray]]:
+    def _stepped(self, stepper: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Take all steps; return times, positions and velocities at the ends of all steps, and at the start."""
         work = self.workspace
-        time, q, v = [work.t0], [work.q0], [work.v0]
+        time, files = [work.t0], [new_file(), new_file()]
+
+        def add(q: np.ndarray, v: np.ndarray) -> None:
+            for file, x in zip(files, (q, v), strict=True):
+                file.write(np.ascontiguousarray(x).tobytes())
+
+        add(work.q0, work.v0)
         while not (stepper.finished or stepper.failure):
             rows = stepper.advance()
             if self._sided is None:
                 time.extend(rows.time.tolist())
-                q.extend(rows.q)
-                v.extend(rows.v)
+                add(rows.q, rows.v)
             elif stepper.time > time[-1]:  # parts of steps have no rows
                 time.append(stepper.time)
-                q.append(stepper.run_state.q.copy())
-                v.append(stepper.run_state.v.copy())
+                add(stepper.run_state.q, stepper.run_state.v)
         if stepper.failure:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
-        return time, q, v
+        q, v = (_array(file, (len(time), len(work.q0))) for file in files)
+        return np.array(time), q, v
 
     def _take_corners(self, stepper: SidedStepper) -> None:
         """Note the discontinuities of force laws, at which steps end; one at the end of the run has no effect."""
@@ -156,9 +171,6 @@ class AdjointRun:
             if node == len(self.time) - 1:
                 break
             condition = stepper.conditions[corner.number]
-            assert isinstance(condition, ForceCondition)
-            if node == 0 or (self._corners and self._corners[-1].node == node):
-                raise NotByAdjointError("force laws change their form at the start, or twice at one time")
             time, q, v = (np.repeat(x[node : node + 1], 2, axis=0) for x in (self.time, self.q, self.v))
             observed = [self._observed(time[:1], q[:1], v[:1], sides) for sides in (before, after)]
             states = States(self.workspace.mechanism, time, q, v, partial(_joined, observed))
@@ -193,8 +205,9 @@ class AdjointRun:
             piece.q[1], piece.v[1] = self._adjoint.end(piece)
         self._pieces.append(piece)
         if event.stops:
-            self.time, self.size = np.append(self.time[: n + 1], event.time), np.append(self.size[:n], piece.size)
-            self.q, self.v = (np.concatenate([x[: n + 1], y[1:]]) for x, y in ((self.q, piece.q), (self.v, piece.v)))
+            self.time, self.q, self.v = (x[: n + 2] for x in (self.time, self.q, self.v))
+            self.time[-1], self.q[-1], self.v[-1] = event.time, piece.q[1], piece.v[1]
+            self.size = np.append(self.size[:n], piece.size)
             self._corners = [one for one in self._corners if one.node <= n]
             del self.parts
         unit = self.spec.time.step or 1e-3
@@ -207,35 +220,27 @@ class AdjointRun:
         mechanism.refuse_kinds("gradients")
         kinds = {
             "first-order states or controllers": len(top.states) + len(top.inputs) + len(top.load_values),
-            "friction in joints": len(top.frictions), "forces between bodies": len(top.interactions),
-            "contacts": mechanism.reacting is not None, "redundant joints": len(top.spare),
-            "kinds of plugins": len(mechanism.extensions), "beams": len(top.sections),
+            "rigid contacts": mechanism.reacting is not None, "redundant joints": len(top.spare),
+            "beams": len(top.sections),
         }  # fmt: skip
         if reasons := [name for name, count in kinds.items() if count]:
             raise NotByAdjointError(f"the mechanism has {reasons[0]}")
-        sided = with_sides(mechanism)
-        is_known = sided is None or self.method.traits.tolerances is None
-        for condition in () if sided is None else sided.conditions:
-            is_known &= isinstance(condition, ForceCondition) and not len(condition.multipliers)
-        if not is_known or with_unknown_corners(mechanism) or doubts_of_kinds(mechanism):
-            raise NotByAdjointError(
-                "force laws have, or may have, discontinuities at which steps do not end, or that depend on reactions"
-            )
         points = seeds.get("spring_points")
         if points is not None and np.any(points[top.springs[:, SPRING.segments] != 1]):
             raise NotByAdjointError("parameters change points of a pathway with several segments")
         if self._table_arguments(top):
             raise NotByAdjointError(
-                "parameters change the arguments of a table, or numbers of other laws than those of springs"
+                "parameters change the arguments of a table, or numbers of laws that belong to no spring or contact"
             )
 
     def _table_arguments(self, top: Any) -> bool:
         """Return whether parameters change numbers of laws that the kernels do not differentiate."""
-        slopes = self.seeds.get("law_parameters")
-        if slopes is None:
+        changed = touched_laws(self.seeds)
+        if changed is None:
             return False
-        changed, of_springs = np.any(slopes, axis=-1), np.zeros(len(slopes), dtype=bool)
-        for law in top.springs[top.springs[:, SPRING.law] >= 0, SPRING.law]:
+        of_springs = np.zeros(len(changed), dtype=bool)
+        springs = top.springs[top.springs[:, SPRING.law] >= 0, SPRING.law]
+        for law in (*springs, *top.interactions[:, INTERACTION.law]):
             begin = int(top.laws[law, LAW_ROW.parameters])
             count = int(top.law_parameters[begin])
             of_springs[begin + 1 : begin + 1 + count] = True
@@ -252,7 +257,7 @@ class AdjointRun:
         for stop, margin in zip(table.stops, table.stop_margins, strict=True):
             near = np.flatnonzero(np.abs(time - stop) <= SAME_TIME * margin) if margin else ()
             cuts |= {int(k): margin for k in near}
-        corners = {one.node: number for number, one in enumerate(self._corners)}
+        corners = {one.node for one in self._corners}
         cuts = dict.fromkeys(corners, np.inf) | cuts
         borders, parts = sorted(cuts), []
         for begin, end in pairwise(borders):
@@ -260,13 +265,13 @@ class AdjointRun:
             sides = (time[begin] + first if first < np.inf else -np.inf, time[end] - last if last < np.inf else np.inf)
             some = slice(begin, end + 1)
             q, v = self.q[some], self.v[some]
-            stiff, of_laws = self.method.traits.suits_stiff, self._sides_at(begin)
-            acc = None if stiff else self._observed(np.clip(time[some], *sides), q, v, of_laws).acc
+            of_laws, no_acc = self._sides_at(begin), self.method.traits.suits_stiff or not self._needs.ends
+            acc = None if no_acc else self._observed(np.clip(time[some], *sides), q, v, of_laws).acc
             ends = StepEnds(time[some], q, v, acc)
             motion = MotionPart(
                 self._observer, archive_names(self.workspace.mechanism), ends, range(end - begin), sides
             )
-            parts.append(SweptPart(begin, end, motion, corners.get(begin), partial(self._use, of_laws)))
+            parts.append(SweptPart(begin, end, motion, begin in corners, partial(self._use, of_laws)))
         return parts
 
     def at(self, number: int, time: np.ndarray) -> States:
@@ -278,24 +283,55 @@ class AdjointRun:
     def _states(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, sides: np.ndarray | None = None) -> States:
         return States(self.workspace.mechanism, time, q, v, lambda: self._observed(time, q, v, sides))
 
-    def _states_of_parts(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, each: int) -> States:
-        """Return states in order of time, `each` for each step; one may be at the end."""
-        if self._sided is None:
-            return self._states(time, q, v)
+    @cached_property
+    def _windows(self) -> list[_Piece]:
+        """All steps in order, up to `WINDOW` at once."""
+        found = []
+        for part in self.parts:
+            for begin in range(part.begin, part.end, WINDOW):
+                end = min(begin + WINDOW, part.end)
+                arrays = (
+                    self.time[begin : end + 1],
+                    self.size[begin:end],
+                    self.q[begin : end + 1],
+                    self.v[begin : end + 1],
+                )
+                found.append(_Piece(self.method, *arrays, [replace(part, begin=0, end=end - begin)], begin))
+        return found
 
-        def observed() -> Observed:
-            ends = [each * part.end for part in self.parts[:-1]] + [len(time)]
-            some = [slice(*both) for both in pairwise([0, *ends])]
-            sides = [self._sides_at(part.begin) for part in self.parts]
-            return _joined([self._observed(time[x], q[x], v[x], one) for x, one in zip(some, sides, strict=True)])
+    def _kept(self, make: Callable[[int], States]) -> Callable[[int], States]:
+        """Return a function that keeps the states of windows for all measures if there are few."""
+        numbers = sum(x.size for x in Observed.zeros(1, self.workspace.mechanism.topology))
+        states = len(self.time) * len(self.method.tableau.floats()[1])
+        return cache(make) if 8 * numbers * states <= MOST_BYTES else make
 
-        return States(self.workspace.mechanism, time, q, v, observed)
+    def _nodes_of(self, number: int) -> States:
+        """Return the states of the stages of the steps in a window."""
+        window = self._windows[number]
+        return self._states(*self._adjoint.stages(window), self._sides_at(window.number))
+
+    def _rows_of(self, number: int) -> States:
+        """Return the states at the beginnings of the steps in a window, and at the end of the run."""
+        window = self._windows[number]
+        end = window.number + len(window.size) + (number == len(self._windows) - 1)
+        some = slice(window.number, end)
+        time = self._table.before(self.time)[some]
+        return self._states(time, self.q[some], self.v[some], self._sides_at(window.number))
 
     @cached_property
-    def rows(self) -> States:
+    def rows(self) -> LongStates:
         """The states at the ends of all steps."""
         self.workspace.clamp_motions(-np.inf, np.inf)
-        return self._states_of_parts(self._table.before(self.time), self.q, self.v, 1)
+        make = self._kept(self._rows_of)
+
+        def pieces() -> Iterator[States]:
+            return map(make, range(len(self._windows)))
+
+        def observed() -> Observed:
+            return _joined([piece.observed for piece in pieces()])
+
+        time = self._table.before(self.time)
+        return LongStates(self.workspace.mechanism, time, self.q, self.v, observed, pieces=pieces)
 
     @cached_property
     def held(self) -> tuple[States, float]:
@@ -306,112 +342,137 @@ class AdjointRun:
 
     def measures(self, expressions: Mapping[str, MeasureExpression]) -> dict[str, DerivedMeasure]:
         """Return measures with their derivatives; raise NotByAdjointError if the adjoint does not give them."""
+        mechanism = self.workspace.mechanism
+        sided = None if self._sided is not None else with_sides(mechanism)
+        if passed := () if sided is None else sided.passed(self.rows.observed, self.q, self.v):
+            raise NotByAdjointError(f"adaptive steps do not end where the force '{passed[0]}' is discontinuous")
+        self.doubts = doubts_of_laws(mechanism, ())
         nodes = None
         if self._needs.nodes:
-            time, weight, q, v = self._adjoint.stages(self)
-            nodes = Nodes(self._states_of_parts(time, q, v, len(self.method.tableau.floats()[1])), weight)
+            weights = self.method.tableau.floats()[1]
+            of_windows = [np.multiply.outer(one.size, weights).ravel() for one in self._windows]
+            nodes = Nodes(of_windows, self._kept(self._nodes_of))
         motions = [SimpleNamespace(parts=self.parts)] if self._needs.ends else []
         run = {"rows": self.rows, "nodes": nodes, "motions": motions}
         events = [one.event for one in self._events]
         corners = [one.states for one in self._corners]
         found = {name: AdjointMeasure(run, self, one, events, corners).bars() for name, one in expressions.items()}
         return {
-            name: derived._replace(slope=self._slope(bars, times)) for name, (derived, bars, times) in found.items()
+            name: derived._replace(slope=self._slope(bars, times, nodes))
+            for name, (derived, bars, times) in found.items()
         }
 
-    def _slope(self, bars: list[Bars], times: np.ndarray) -> np.ndarray:
+    def _slope(self, bars: list[tuple[int, MakeBars]], times: np.ndarray, nodes: Nodes | None) -> np.ndarray:
         """Return the derivatives (K,) of a measure given those by states and by times of events and corners."""
-        own, stages = self._adjoint, len(self.method.tableau.floats()[1])
+        own, of_windows = self._adjoint, dict[int, list[MakeBars]]()
         own.clear()
-        q_bar, v_bar, *before = np.zeros((4, *self.q.shape))  # `before`: with respect to states before corners
-        nodes = {one.node for one in self._corners}
-        stage_bars: list[np.ndarray] = []
+        q_bar, v_bar = (_array(new_file(), self.q.shape) for _ in range(2))
+        before = {one.node: np.zeros((2, self.q.shape[1])) for one in self._corners}  # by states before corners
         marker_points = np.zeros(self.workspace.mechanism.topology.marker_points.shape)
         times, of_corners = np.split(times, [len(self._events)])
-        for one in bars:
-            given = self._pulled(one, stages)
-            marker_points += one.markers.sum(axis=0)
-            if one.part == -1:
+
+        def pulled(one: Bars) -> tuple[np.ndarray, np.ndarray]:
+            marker_points[...] += one.markers.sum(axis=0)
+            return own.pulled(one)
+
+        for number, make in bars:
+            if number < -1:
+                of_windows.setdefault(-2 - number, []).append(make)
+                continue
+            one = make(None)
+            self.parts[number].use()
+            given = pulled(one)
+            if number == -1:
                 q_bar[-1] += given[0][0]
                 v_bar[-1] += given[1][0]
                 if self._events and self._events[-1].event.stops:  # the end moves along the motion
                     end = self._events[-1].states
                     times = times.copy()
                     times[-1] += given[0][0] @ end.v[0] + given[1][0] @ end.observed.acc[0]
-            elif one.part == -2:
-                stage_bars = [
-                    x + y for x, y in zip(stage_bars or given, given if stage_bars else (0.0, 0.0), strict=True)
-                ]
-            else:
-                part = self.parts[one.part]
-                for target, last, x in zip((q_bar, v_bar), before, self._to_ends(one, *given), strict=True):
-                    target[part.begin : part.end] += x[:-1]
-                    (last if part.end in nodes else target)[part.end] += x[-1]
+                continue
+            part, (first, *ends) = self.parts[number], self._to_ends(one, *given)
+            for k, (target, x) in enumerate(zip((q_bar, v_bar), ends, strict=True)):
+                place = part.begin + first
+                target[place : place + len(x) - 1] += x[:-1]
+                last = place + len(x) - 1
+                (before[last][k] if last == part.end and last in before else target[last])[...] += x[-1]
         for event, piece, by_time in zip(self._events, self._pieces, times, strict=True):
             if by_time == 0.0:
                 continue
-            one = event.bars(by_time, self.workspace.mechanism)
             piece.parts[0].use()
-            q, v = (np.concatenate([np.zeros(x.shape), x]) for x in own.pulled(one))
-            marker_points += one.markers.sum(axis=0)
+            found = pulled(event.bars(by_time, self.workspace.mechanism))
+            q, v = (np.concatenate([np.zeros(x.shape), x]) for x in found)
             own.sweep(piece, q, v, [])
             q_bar[piece.number] += q[0]
             v_bar[piece.number] += v[0]
-
-        def pass_corner(number: int) -> None:
-            corner = self._corners[number]
-            by_time = of_corners[number] + v_bar[corner.node] @ corner.jump
-            self._use(corner.sides)
-            one = corner.bars(by_time, self.workspace.mechanism, own.bundle.law_parameters)
-            for target, last, x in zip((q_bar, v_bar), before, own.pulled(one), strict=True):
-                target[corner.node] += last[corner.node] + x[0]
-
-        own.sweep(self, q_bar, v_bar, stage_bars, pass_corner)
+        for number, window in reversed([*enumerate(self._windows)]):
+            stage_bars: list[np.ndarray] = []
+            window.parts[0].use()
+            for make in of_windows.get(number, ()):
+                assert nodes is not None
+                given = pulled(make(nodes.states(number)))
+                stage_bars = [x + y for x, y in zip(stage_bars or (0.0, 0.0), given, strict=True)]
+            some = slice(window.number, window.number + len(window.time))
+            own.sweep(window, q_bar[some], v_bar[some], stage_bars)
+            node = window.number
+            for corner, of_corner in [*zip(self._corners, of_corners, strict=True)][::-1] if node in before else ():
+                if corner.node == node:
+                    self._use(corner.sides)
+                    by_time = of_corner + v_bar[node] @ corner.jump
+                    found = pulled(corner.bars(by_time, self.workspace.mechanism, own.bundle.law_parameters))
+                    q_bar[node] += found[0][0]
+                    v_bar[node] += found[1][0]
+            if node in before:
+                q_bar[node] += before[node][0]
+                v_bar[node] += before[node][1]
         slope = np.zeros(self.seeds.count)
         arrays = {**{name: getattr(own.bundle, name) for name in ARRAYS}, "marker_points": marker_points}
         for name, x in (*arrays.items(), ("q", q_bar[0]), ("v", v_bar[0])):
-            if (seeds := self.seeds.get(name)) is not None:
-                slope += np.tensordot(x, seeds, x.ndim)
+            slope += contract(self.seeds, name, x)
         return slope
 
-    def _pulled(self, one: Bars, stages: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the derivatives (T, n + 3) with respect to positions and velocities of T states."""
-        if self._sided is None:
-            return self._adjoint.pulled(one)
-        if one.part != -2:
-            self.parts[one.part].use()
-            return self._adjoint.pulled(one)
-        found = []
-        for part in self.parts:
-            part.use()
-            found.append(self._adjoint.pulled(one.rows(slice(stages * part.begin, stages * part.end))))
-        q, v = (np.concatenate(x) for x in zip(*found, strict=True))
-        return q, v
-
-    def _to_ends(self, one: Bars, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return derivatives with respect to the ends of the steps of a part, given those with respect to states
-        between these.
+    def _to_ends(self, one: Bars, q: np.ndarray, v: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+        """Return derivatives with respect to some ends of the steps of a part, given those with respect to states
+        between these, and the number of the first of these ends.
         """
         part = self.parts[one.part]
         ends, plain = part.plain.ends, part.plain
-        q_bar, v_bar, acc_bar = np.zeros((3, len(ends.time), q.shape[1]))
         step = np.clip(np.searchsorted(ends.time, one.states.time, side="right") - 1, 0, len(ends.time) - 2)
+        first, end = max(0, int(np.min(step)) - AROUND), min(len(ends.time), int(np.max(step)) + AROUND + 2)
+        q_bar, v_bar, acc_bar = np.zeros((3, end - first, q.shape[1]))
         for number in np.unique(step):
             some = np.flatnonzero(step == number)
             window = slice(max(0, number - AROUND), min(len(ends.time), number + AROUND + 2))
             weights = _weights(ends.time[window], np.clip(one.states.time[some], *part.span), ends.a is not None)
             for rows, x in zip(weights, (q[some], v[some]), strict=True):
                 for target, by in zip((q_bar, v_bar, acc_bar), rows, strict=False):
-                    target[window] += by.T @ x
+                    target[window.start - first : window.stop - first] += by.T @ x
         if ends.a is not None and np.any(acc_bar):
             used = np.flatnonzero(np.any(acc_bar, axis=1))
-            seen = np.clip(ends.time[used], *plain.sides)
-            given = Bars(one.part, self._states(seen, ends.q[used], ends.v[used]), self.workspace.mechanism)
+            at = used + first
+            seen = np.clip(ends.time[at], *plain.sides)
+            given = Bars(one.part, self._states(seen, ends.q[at], ends.v[at]), self.workspace.mechanism)
             given.acc += acc_bar[used]
-            more_q, more_v = self._pulled(given, 0)
+            part.use()
+            more_q, more_v = self._adjoint.pulled(given)
             q_bar[used] += more_q
             v_bar[used] += more_v
-        return q_bar, v_bar
+        return first, q_bar, v_bar
+
+
+def new_file() -> SpooledTemporaryFile[bytes]:
+    """Return an empty file, which is in memory as long as it is small."""
+    return SpooledTemporaryFile(MOST_BYTES)
+
+
+def _array(file: SpooledTemporaryFile[bytes], shape: tuple[int, int]) -> np.ndarray:
+    """Return the numbers in a file, and zeros behind these, as an array: in memory, or in the file if it is large."""
+    size = 8 * shape[0] * shape[1]
+    if size > MOST_BYTES:
+        return np.asarray(np.memmap(file, float, "r+", shape=shape))
+    file.seek(0)
+    given = np.frombuffer(file.read())
+    return np.append(given, np.zeros(size // 8 - len(given))).reshape(shape)
 
 
 def _joined(observed: Sequence[Observed]) -> Observed:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -33,7 +34,7 @@ class NotByAdjointError(Exception):
 class Bars:
     """Derivatives of a measure with respect to T states of a part of the motion, and to what follows from them.
 
-    `part`: number of the part of the motion; -1 for the end of the run, -2 for the stages of all steps. See
+    `part`: number of the part of the motion; -1 for the end of the run, -2 - k for the stages of window k. See
     `mbdkit_gradients.kernels.adjoint.Given` for the other arrays.
     """
 
@@ -44,6 +45,7 @@ class Bars:
         self.reactions = np.zeros((count, len(top.pairs), 3))
         self.forces = np.zeros((count, len(top.springs), 4))
         self.kinetic, self.gravity = np.zeros(count), np.zeros(count)
+        self.multipliers = np.zeros((count, len(top.pairs), 2))
         self.markers = np.zeros((count, *top.marker_points.shape))
 
     def rows(self, some: slice) -> Bars:
@@ -53,7 +55,7 @@ class Bars:
             whole.mechanism, whole.time[some], whole.q[some], whole.v[some], lambda: whole.observed.rows(some)
         )
         found = Bars(self.part, states, self.mechanism)
-        for name in ("q", "v", "acc", "reactions", "forces", "kinetic", "gravity", "markers"):
+        for name in ("q", "v", "acc", "reactions", "forces", "kinetic", "gravity", "multipliers", "markers"):
             setattr(found, name, getattr(self, name)[some])
         return found
 
@@ -75,6 +77,10 @@ class Bars:
         elif kind == "joints" and array == "angle" and top.joints[of, JOINT.kind] == ANGLE:
             self.q[:, 3 * top.joints[of, JOINT.second] + 2] += given[0]
             self.q[:, 3 * top.joints[of, JOINT.first] + 2] -= given[0]
+        elif kind == "joints" and array == "friction":
+            if of in (joints := list(self.mechanism.friction)):
+                sign = 1.0 if self.mechanism.joint_units[of] == "rad" else -1.0  # as in `States.friction`
+                self.add_force(self.mechanism.first_friction + joints.index(of), "value", sign * given[0])
         elif kind == "forces" and array in ("length", "rate", "value", "power", "potential"):
             self.add_force(of, array, given[0])
         elif kind == "energy" and array in ("kinetic", "potential", "total"):
@@ -144,7 +150,9 @@ class Columns:
         """Return a quantity in states, with `count` derivatives; raise NotByAdjointError if there are none."""
         if quantity.beam or (quantity.recorded.array.is_shared and states.mechanism.redundancy.rows):
             raise NotByAdjointError(f"the expressions contain {quantity}")
-        value = np.asarray(quantity.taker(archive_names(states.mechanism))(states)).T
+        take = quantity.taker(archive_names(states.mechanism))
+        pieces = states.pieces() if isinstance(states, LongStates) else (states,)
+        value = np.concatenate([np.asarray(take(piece)) for piece in pieces]).T
         first = int(self._first[self._quantities.index(quantity)])
         slope = np.zeros((count, *value.shape))
         for component in range(len(value) if value.ndim > 1 else 1):
@@ -159,20 +167,35 @@ class Columns:
 
 
 class Nodes(NamedTuple):
-    """The states of the stages of all steps, and their weights (T,) in integrals over time [s]."""
+    """The stages of steps, in windows of these: their weights (T,) in integrals over time [s], and a function that
+    returns their states, given the number of the window.
+    """
 
-    states: States
-    weight: np.ndarray
+    weights: Sequence[np.ndarray]
+    states: Callable[[int], States]
+
+
+@dataclass(frozen=True)
+class LongStates(States):
+    """States whose quantities are computed piece by piece, because those of all states would need much storage.
+
+    `pieces`: function that returns the pieces, in order.
+    """
+
+    pieces: Callable[[], Iterable[States]] = tuple
+
+
+MakeBars = Callable[[States | None], Bars]  #: Returns `Bars`, given states that are not stored.
 
 
 @dataclass(frozen=True)
 class _Read:
-    """Where a reduction reads its operand: a part of the motion (see `Bars`), states, weights (T,), and derivatives
-    (C, T) of the operand with respect to the quantities.
+    """Where a reduction reads its operand: a part of the motion (see `Bars`), states if they are stored, weights (T,),
+    and derivatives (C, T) of the operand with respect to the quantities.
     """
 
     part: int
-    states: States
+    states: States | None
     weight: np.ndarray
     slope: np.ndarray
 
@@ -215,15 +238,21 @@ class AdjointMeasure(MeasureEvaluation):
         run = SimpleNamespace(**run, end=end, crossings=crossings)
         super().__init__(run, states, expression, np.zeros((len(expression.program), count)))
 
-    def bars(self) -> tuple[DerivedMeasure, list[Bars], np.ndarray]:
-        """Return the measure without its slope, and its derivatives with respect to states and times of events."""
+    def bars(self) -> tuple[DerivedMeasure, list[tuple[int, MakeBars]], np.ndarray]:
+        """Return the measure without its slope, and its derivatives with respect to states of parts and windows, and
+        to times of events.
+        """
         derived = self.derived()
-        bars = []
-        for column, read in self._reads:
-            one = Bars(read.part, read.states, self.run.rows.mechanism)
-            self._columns.add(one, derived.slope[column] * read.weight * read.slope)
-            bars.append(one)
+        bars: list[tuple[int, MakeBars]]
+        bars = [(read.part, partial(self._bars, read, derived.slope[column])) for column, read in self._reads]
         return derived, bars, derived.slope[self._times]
+
+    def _bars(self, read: _Read, factor: float, states: States | None) -> Bars:
+        given = states or read.states
+        assert given is not None
+        one = Bars(read.part, given, self.run.rows.mechanism)
+        self._columns.add(one, factor * read.weight * read.slope)
+        return one
 
     def _quantity(self, states: Any, quantity: Quantity) -> DerivedValue:
         found = self._columns.value(states, quantity, self.count)
@@ -239,7 +268,9 @@ class AdjointMeasure(MeasureEvaluation):
             raise NotByAdjointError(self.doubts[0])
         return found
 
-    def _noted(self, value: np.ndarray, reads: Sequence[tuple[int, States, np.ndarray, np.ndarray]]) -> DerivedValue:
+    def _noted(
+        self, value: np.ndarray, reads: Sequence[tuple[int, States | None, np.ndarray, np.ndarray]]
+    ) -> DerivedValue:
         """Return the result of a reduction, (1,) or (2, 1), and note where it reads its operand.
 
         `reads`: part, states, weights (T,) and derivatives (K, ..., T) of the operand.
@@ -264,7 +295,8 @@ class AdjointMeasure(MeasureEvaluation):
 
     def _at_end(self, value: DerivedValue) -> DerivedValue:
         """Return a value at the end of the run, which moves if an event ends the run."""
-        rows, some = self.run.rows, slice(-1, None)
+        *_, rows = cast("LongStates", self.run.rows).pieces()
+        some = slice(-1, None)
         last = States(rows.mechanism, rows.time[some], rows.q[some], rows.v[some], lambda: rows.observed.rows(some))
         return self._noted(value.value, [(-1, last, np.ones(1), value.slope)])
 
@@ -275,9 +307,11 @@ class AdjointMeasure(MeasureEvaluation):
 
     def _of_stages(self, index: int, square: bool) -> DerivedValue:
         nodes: Any = self.run.nodes
-        values = self._of_operand(index, nodes.states, square=square)
-        total = np.sum(values.value * nodes.weight, axis=-1, keepdims=True)
-        return self._with_corners(self._noted(total, [(-2, nodes.states, nodes.weight, values.slope)]), index, square)
+        found = [self._of_operand(index, nodes.states(k), square=square) for k in range(len(nodes.weights))]
+        value, weight = np.concatenate([one.value for one in found], axis=-1), np.concatenate(nodes.weights)
+        reads = [(-2 - k, None, weights, found[k].slope) for k, weights in enumerate(nodes.weights)]
+        total = np.sum(value * weight, axis=-1, keepdims=True)
+        return self._with_corners(self._noted(total, reads), index, square)
 
     def _with_corners(self, total: DerivedValue, index: int, square: bool) -> DerivedValue:
         """Return an integral with the derivatives by the times of discontinuities, at which the integrand may jump."""
@@ -299,7 +333,7 @@ class AdjointMeasure(MeasureEvaluation):
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
         parts = self.run.motions[0].parts
-        corners = [part.span[0] for part in parts if part.corner is not None]
+        corners = [part.span[0] for part in parts if part.corner]
         if peak.switch >= 0 or peak.time in corners:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is not smooth")
         if self._reads and self._peak_of == index:

@@ -26,6 +26,7 @@ from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit_gradients.adjoint_measures import Bars, NotByAdjointError
 from mbdkit_gradients.kernels import adjoint as kernels
+from mbdkit_gradients.table_derivatives import touched_laws
 
 #: Arrays of a mechanism with respect to which the adjoint gives derivatives; `weight` follows from `mass`.
 ARRAYS = ("mass", "gravity", "pair_parameters", "spring_points", "linear", "law_parameters", "load_points")
@@ -44,7 +45,7 @@ class SweptPart:
     begin: int
     end: int
     motion: MotionPart
-    corner: int | None  #: Number of the discontinuity of a force law at which it begins; None if there is none.
+    corner: bool  #: Whether it begins at a discontinuity of force laws.
     use: Callable[[], None]  #: Makes force laws use their sides in this part.
 
     @property
@@ -73,7 +74,7 @@ class SweptSteps(Protocol):
 
     @property
     def parts(self) -> Sequence[SweptPart]:
-        """The parts between stops and discontinuities of force laws."""
+        """The part of the motion that they are in, with their numbers: a single one."""
 
 
 class BackwardSweep:
@@ -92,10 +93,10 @@ class BackwardSweep:
         for k in range(6):
             slots[0][:, k, k] = slots[1][:, k, 6 + k] = 1.0
         units = Seeds({"pair_parameters": slots[0], "spring_points": slots[1]}, np.ones(12))
-        wanted = np.any(seeds.get("law_parameters"), axis=-1) if seeds.get("law_parameters") is not None else None
+        wanted = touched_laws(seeds)
         wants_points = any(seeds.get(name) is not None for name in ("pair_parameters", "spring_points"))
         try:
-            rows = dual_laws(workspace) if wanted is not None else top.laws
+            rows = dual_laws(workspace) if wanted is not None or len(top.frictions) else top.laws
         except PluginError as error:
             raise NotByAdjointError(str(error)) from None
         self._run = new_dual_run(workspace, units, rows, 0, 0)
@@ -111,9 +112,11 @@ class BackwardSweep:
             kinds=np.array(kinds, dtype=np.int64),
             mu=np.zeros(size), nu=np.zeros((pairs, 2)), rest=np.zeros(size), rest_rows=np.zeros((pairs, 2)),
             right=np.zeros(mechanism.unknowns), lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
+            by_reaction=np.zeros(len(top.reactions)), friction=np.zeros(workspace.scratch.friction.shape),
             **gradients,
             jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
-            tension=np.asarray(w.tension), values=np.asarray(w.law_values), rate=np.asarray(states.v)[0, :2],
+            tension=np.asarray(w.tension), interaction=np.asarray(w.interaction), values=np.asarray(w.law_values),
+            rate=np.asarray(states.v)[0, :2],
         )  # fmt: skip
         assert self.bundle.jac.shape[-1] == ITEM
         self._pinned = PinnedBundle(self.bundle)
@@ -162,11 +165,12 @@ class BackwardSweep:
         given = kernels.Given(
             np.ascontiguousarray(one.states.time), np.ascontiguousarray(one.states.q),
             np.ascontiguousarray(one.states.v), one.acc, one.reactions, one.forces, one.kinetic, one.gravity,
+            one.multipliers,
             one.q.copy(), one.v.copy(), np.zeros((2, one.q.shape[1])), np.zeros((len(self.bundle.nu), 2)),
         )  # fmt: skip
 
         def call(begin: int) -> tuple[int, int]:
-            rest = kernels.Given(*(x[begin:] if k < 10 else x for k, x in enumerate(given)))
+            rest = kernels.Given(*(x[begin:] if k < 11 else x for k, x in enumerate(given)))
             pinned = PinnedBundle(rest)
             status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)
             return status, begin + row
@@ -187,19 +191,19 @@ class BackwardSweep:
             **{"q_bar": none, "v_bar": none, "stage_q_bar": none, "stage_v_bar": none, **arrays},
             time=np.ascontiguousarray(run.time[:-1]), size=np.ascontiguousarray(run.size), q=run.q, v=run.v,
             lam=np.zeros((stages, pairs, 2)), diagonal=np.zeros((stages, *schur.diagonal.shape)),
-            below=np.zeros((stages, *schur.below.shape)), **vectors, next=np.zeros(size),
+            below=np.zeros((stages, *schur.below.shape)),
+            response=np.zeros((stages, *self.workspace.scratch.response.shape)), **vectors, next=np.zeros(size),
             is_implicit=np.array([int(is_implicit)]),
             source=np.zeros((stages if is_implicit else 0, len(self.workspace.scratch.source))),
         )  # fmt: skip
 
-    def stages(self, run: SweptSteps) -> tuple[np.ndarray, ...]:
-        """Return times, weights, positions and velocities of the stages of all steps."""
-        _, b, c = run.method.tableau.floats()
-        time = (run.time[:-1, None] + run.size[:, None] * c[: len(b)]).ravel()
-        weight = np.multiply.outer(run.size, b).ravel()
-        q, v = (np.zeros((len(time), run.q.shape[1])) for _ in range(2))
-        self._write_stages(run, self._steps(run, stage_q_bar=q, stage_v_bar=v))
-        return time, weight, q, v
+    def stages(self, steps: SweptSteps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return times, positions and velocities of the stages of steps."""
+        nodes = steps.method.tableau.floats()[2]
+        time = (steps.time[:-1, None] + steps.size[:, None] * nodes[: len(steps.method.tableau.floats()[1])]).ravel()
+        q, v = (np.zeros((len(time), steps.q.shape[1])) for _ in range(2))
+        self._write_stages(steps, self._steps(steps, stage_q_bar=q, stage_v_bar=v))
+        return time, q, v
 
     def end(self, piece: SweptSteps) -> tuple[np.ndarray, np.ndarray]:
         """Return position and velocity at the end of a step."""
@@ -210,38 +214,25 @@ class BackwardSweep:
         return piece.q[0] + weight @ steps.v_stage, piece.v[0] + weight @ steps.acc
 
     def _write_stages(self, run: SweptSteps, steps: Any) -> None:
-        """Write the stages of all steps of a run."""
-        pinned = PinnedBundle(steps)
-        for part in run.parts:
-            self.workspace.clamp_motions(*part.plain.sides)
+        """Write the stages of steps."""
+        pinned, (part,) = PinnedBundle(steps), run.parts
+        self.workspace.clamp_motions(*part.plain.sides)
 
-            def call(begin: int, end: int = part.end) -> tuple[int, int]:
-                engine = self.workspace.stepping_engine  # which new pivots may move
-                return self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, end)
+        def call(begin: int) -> tuple[int, int]:
+            engine = self.workspace.stepping_engine  # which new pivots may move
+            return self._call(engine, self._stepping, pinned.address, kernels.STAGES, begin, part.end)
 
-            self._retried(call, part.begin, part.end)
+        self._retried(call, part.begin, part.end)
 
-    def sweep(
-        self,
-        run: SweptSteps,
-        q_bar: np.ndarray,
-        v_bar: np.ndarray,
-        stage_bars: Any,
-        pass_corner: Callable[[int], None] | None = None,
-    ) -> None:
-        """Carry the derivatives with respect to step ends back to the start, whose row of `q_bar`, `v_bar` changes;
-        `pass_corner` changes them at a discontinuity of a force law.
-        """
+    def sweep(self, run: SweptSteps, q_bar: np.ndarray, v_bar: np.ndarray, stage_bars: Sequence[np.ndarray]) -> None:
+        """Carry the derivatives with respect to the step ends, rows of `q_bar` and `v_bar`, back to the first one."""
         more = dict(zip(("stage_q_bar", "stage_v_bar"), stage_bars, strict=False))
         pinned = PinnedBundle(self._steps(run, q_bar=q_bar, v_bar=v_bar, **more))
-        work = self.workspace
-        for part in reversed(run.parts):
-            work.clamp_motions(*part.plain.sides)
+        work, (part,) = self.workspace, run.parts
+        work.clamp_motions(*part.plain.sides)
 
-            def call(left: int, begin: int = part.begin) -> tuple[int, int]:
-                return self._call(work.stepping_engine, self._stepping, pinned.address, kernels.SWEEP, begin, left)
+        def call(left: int) -> tuple[int, int]:
+            return self._call(work.stepping_engine, self._stepping, pinned.address, kernels.SWEEP, part.begin, left)
 
-            self._retried(call, part.end, part.begin)
-            if part.corner is not None and pass_corner is not None:
-                pass_corner(part.corner)
+        self._retried(call, part.end, part.begin)
         work.clamp_motions(-np.inf, np.inf)

@@ -10,6 +10,7 @@ import numpy as np
 
 from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text, quoted
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
@@ -335,18 +336,7 @@ class _Pass:
         sided = None if self._sided is not None else with_sides(mechanism)
         observed = Observed(*(x[..., 0] for x in rows.observed))
         passed = () if sided is None else sided.passed(observed, rows.q[..., 0], rows.v[..., 0])
-        unknown = (
-            f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
-            f"one, the derivatives lack its contribution; write the law as a SymPy expression"
-            for name in with_unknown_corners(mechanism)
-        )
-        inaccurate = (
-            f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
-            f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
-            f"inaccurate after it: use fixed steps"
-            for name in passed
-        )
-        return (*unknown, *doubts_of_kinds(mechanism), *inaccurate)
+        return doubts_of_laws(mechanism, passed)
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
@@ -428,6 +418,25 @@ class _Pass:
         rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):
             return DifferentiatedCrossing(event.name, event.time, -value.slope[:, 0] / rate)
+
+
+def doubts_of_laws(mechanism: CompiledMechanism, passed: Sequence[str]) -> tuple[str, ...]:
+    """Return warnings about force laws that have, or may have, discontinuities inside steps.
+
+    `passed`: names of the forces of which steps pass a discontinuity.
+    """
+    unknown = (
+        f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
+        f"one, the derivatives lack its contribution; write the law as a SymPy expression"
+        for name in with_unknown_corners(mechanism)
+    )
+    inaccurate = (
+        f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
+        f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
+        f"inaccurate after it: use fixed steps"
+        for name in passed
+    )
+    return (*unknown, *doubts_of_kinds(mechanism), *inaccurate)
 
 
 def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]:

@@ -101,9 +101,11 @@ def resolved(spec: ModelSpec, names: Sequence[str]) -> tuple[Parameter, ...]:
         raise refused("a gradient needs at least one parameter")
     data = json.loads(spec.canonical_json())
     results = [_resolved(spec, data, name) for name in names]
-    paths = [result.path for result in results]
-    if twice := [result.name for i, result in enumerate(results) if result.path in paths[:i]]:
-        raise refused(f"the parameter '{twice[0]}' is named twice")
+    seen = set[Path]()
+    for result in results:
+        if result.path in seen:
+            raise refused(f"the parameter '{result.name}' is named twice")
+        seen.add(result.path)
     return tuple(results)
 
 

@@ -422,7 +422,7 @@ class _RunProblem(GradientProblem[RunSpec]):
                     f"the adjoint does not give this gradient: {error}; use mode: forward", key="gradients"
                 ) from None
             return super().differentiated(parameters, prepared)
-        run.doubts = tuple(start_doubts(self.spec, parameters, prepared))
+        run.doubts = (*start_doubts(self.spec, parameters, prepared), *run.doubts)
         return run, derived
 
     def measured(self, run: DifferentiatedRun | AdjointRun, settings: Settings) -> list[float]:

@@ -21,12 +21,12 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
-from mbdkit.base.traced_numbers import recorded_functions
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit_gradients.gradient_parameters import Parameter, refused
+from mbdkit_gradients.table_derivatives import TableValues
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -141,54 +141,64 @@ class Preparation(ABC):
         SpecError
             If the structure of the arrays depends on a parameter, or if the spec is not valid near its value.
         """
-        exact = self._of_tables(parameters)
+        exact: dict[int, _ArrayDerivatives] = {}
+        for table in self.tables(parameters):
+            slopes = np.zeros((len(self.base["law_parameters"]), len(table.columns)))
+            slopes[table.rows] = table.slopes()
+            exact |= {
+                k: _ArrayDerivatives({"law_parameters": x}, 0.0, 0)
+                for k, x in zip(table.columns.tolist(), slopes.T, strict=True)
+            }
         found = [exact[k] if k in exact else self._by(one) for k, one in enumerate(parameters)]
         return self._joined(found, parameters)
 
-    def _of_tables(self, parameters: Sequence[Parameter]) -> dict[int, _ArrayDerivatives]:
-        """Return exact derivatives with respect to values in tables of force laws, by index of the parameter.
+    def tables(self, parameters: Sequence[Parameter]) -> list[TableValues]:
+        """Return the parameters that are values in tables of force laws; these change nothing but numbers of the law.
 
-        The numbers of such a law are linear in the values. Unit vectors through the spline give the derivatives with
-        respect to all of them; one point confirms those with respect to one, and that no other array changes.
+        One point with another value of one of them confirms that.
         """
         tables: dict[str, dict[int, int]] = {}
         for k, one in enumerate(parameters):
             match [*map(str, one.path)]:
                 case ["model", "forces", force, "table", "1", place]:
                     tables.setdefault(force, {})[k] = int(place)
-        found: dict[int, _ArrayDerivatives] = {}
+        found = []
         for places in tables.values():
             if len(places) < MANY:
                 continue
-            k = [*places][len(places) // 2]
+            middle = len(places) // 2
             try:
-                change, arrays = self._point(parameters[k], self._unit(parameters[k]))
+                change, arrays = self._point(parameters[[*places][middle]], self._unit(parameters[[*places][middle]]))
             except SpecError:
                 continue
-            slopes = self._through_splines(arrays["law_parameters"] != self.base["law_parameters"])
-            if slopes is None:
+            table = self._table(arrays["law_parameters"] != self.base["law_parameters"], places)
+            if table is None:
                 continue
-            predicted = {**self.base, "law_parameters": self.base["law_parameters"] + change * slopes[:, places[k]]}
-            size = {name: np.max(np.abs(x), initial=0.0) for name, x in predicted.items()}
-            if all(np.all(np.abs(arrays[name] - x) <= LINEAR * np.finfo(float).eps * size[name])
-                   for name, x in predicted.items()):  # fmt: skip
-                found |= {k: _ArrayDerivatives({"law_parameters": slopes[:, i]}, 0.0, 0) for k, i in places.items()}
+            before, after = (x["law_parameters"].copy() for x in (self.base, arrays))
+            pieces = after[table.rows] - before[table.rows]
+            miss = pieces - change * table.slopes(slice(middle, middle + 1))[:, 0]
+            # the third derivatives of the spline amplify the rounding errors of its values
+            size = np.max(np.abs(pieces)) + np.max(np.abs(after[table.rows][::5])) / np.min(np.diff(table.lengths)) ** 3
+            after[table.rows] = before[table.rows]
+            same = {**arrays, "law_parameters": after}
+            if np.all(np.abs(miss) <= LINEAR * np.finfo(float).eps * size) and all(
+                np.array_equal(same[name], x) for name, x in self.base.items()
+            ):
+                found.append(table)
         return found
 
-    def _through_splines(self, moved: np.ndarray) -> np.ndarray | None:
-        """Return the derivatives (P, N) of the numbers of laws with respect to the N values of the table of which some
-        numbers, (P,) `moved`, depend; None if they are not those of a table.
+    def _table(self, moved: np.ndarray, places: Mapping[int, int]) -> TableValues | None:
+        """Return the table whose values some numbers of laws, (P,) `moved`, depend on; None if they are no table's.
+
+        `places`: indices of values of the table by those of the parameters.
         """
         top = self.mechanism.topology
         for (_, law), begin in zip(self.mechanism.laws, top.laws[:, LAW_ROW.parameters].tolist(), strict=True):
             count = int(top.law_parameters[begin])
             if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + count]):
-                points = int(top.law_parameters[begin + 2]) + 1
-                slopes = np.zeros((len(moved), points))
-                lengths = top.law_parameters[begin + 3 : begin + 3 + points]
-                pieces = recorded_functions()["_cubic_pieces"](lengths, np.eye(points))
-                slopes[begin + 3 + points : begin + 1 + count] = pieces
-                return slopes
+                first = begin + 4 + int(top.law_parameters[begin + 2])
+                lengths = top.law_parameters[begin + 3 : first].copy()
+                return TableValues(first, lengths, np.array([*places]), np.array([*places.values()]))
         return None
 
     def lines(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:

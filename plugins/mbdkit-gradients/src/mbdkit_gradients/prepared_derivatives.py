@@ -42,6 +42,7 @@ from mbdkit_gradients.parameter_differences import (
     weights,
 )
 from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, inside
+from mbdkit_gradients.table_derivatives import ArraysWithTables, TableValues
 
 #: Names of the residuals of the equations of a start with given values.
 POSITION, VELOCITY = "position equations", "velocity equations"
@@ -267,6 +268,8 @@ class RunPreparation(Preparation):
                 shared = self._specs, self.values, self._prepared
                 other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations, self._formulas)
                 return equations.completed(other.derivatives(parameters))
+        if tables := self.tables(parameters):
+            return self._with_tables(parameters, tables)
         recorded = self._recorded(parameters)
         if recorded is None or not np.any(recorded[1]):
             return self._by_differences(parameters)
@@ -275,6 +278,19 @@ class RunPreparation(Preparation):
             return exact
         others = self._by_differences([one for one, is_done in zip(parameters, done, strict=True) if not is_done])
         return exact.with_columns(~done, others)
+
+    def _with_tables(self, parameters: Sequence[Parameter], tables: Sequence[TableValues]) -> PreparedDerivatives:
+        """Return the derivatives with respect to parameters of which some are values in tables."""
+        count, is_other = len(parameters), np.ones(len(parameters), dtype=bool)
+        for table in tables:
+            is_other[table.columns] = False
+        none = np.zeros(count)
+        found = self._completed({}, parameters, none, none.astype(int))
+        if np.any(is_other):
+            others = [one for one, is_one in zip(parameters, is_other, strict=True) if is_one]
+            found = found.with_columns(is_other, self.derivatives(others))
+        arrays = ArraysWithTables(found.seeds.arrays, tables, len(self.base["law_parameters"]), count)
+        return replace(found, seeds=replace(found.seeds, arrays=arrays))
 
     def _recorded(self, parameters: Sequence[Parameter]) -> tuple[PreparedDerivatives, np.ndarray] | None:
         """Return exact derivatives, and (K,) which of them are known; None if there are none.

@@ -9,6 +9,10 @@ has the derivatives ``a_bar`` and ``lam_bar`` with respect to them, the same sym
 and the derivatives with respect to anything else are those of ``mu (Q - M a - Phi_q^T lambda) + nu (gamma - Phi_q a)``
 at constant a, lambda, mu and nu. Those with respect to positions and velocities are products with the tangents; those
 with respect to numbers of the mechanism are local to its elements.
+
+Friction in joints ``T = F(lambda)``, a part of Q, adds ``F_lambda^T T_bar`` to the second right side, where T_bar are
+the derivatives with respect to the frictions: those of results minus ``grad mu``. They satisfy the transposed equations
+of Newton's method for the frictions.
 """
 
 from __future__ import annotations
@@ -34,7 +38,7 @@ from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V
 from mbdkit.engine.kernels.lu import substitute
 from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import DIVERGED, OK, constraint_rows, evaluate_tangents, prepare
-from mbdkit.engine.kernels.table_rows import LAW_ROW, LINEAR, LOAD, PAIR, SPRING, TENSION
+from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, LINEAR, LOAD, MULTIPLIER, PAIR, SPRING, TENSION
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, separate, subkernel
@@ -43,6 +47,7 @@ POINTS, LAWS = range(2)  #: Indices of `Adjoint.wants`.
 LINEAR_LAW, TABLE_LAW, OTHER_LAW = range(3)  #: Kinds of laws in `Adjoint.kinds`.
 LENGTH, RATE, FORCE, POTENTIAL = range(4)  #: Columns of derivatives with respect to the values of a force element.
 
+OF_BODIES = 14  #: Number of parameters of laws of forces between bodies that hold the states of these.
 
 MOST_ITERATIONS = 60
 SMALL = 1e-15
@@ -67,6 +72,8 @@ class Adjoint(NamedTuple):
     lam_bar: Annotated[RealMatrix, 2]
     #: (S, 4) derivatives with respect to the values of the springs; those of the first segment count.
     pull_bar: RealMatrix
+    by_reaction: RealVector  #: (N,) derivatives of frictions with respect to the multipliers in ``Topology.reactions``.
+    friction: RealMatrix  #: (F, F + 1) matrix and right side of the equations of the derivatives by frictions.
     #: Derivatives with respect to arrays of the mechanism, which are added up: these and the following.
     mass: Annotated[RealMatrix, 3]
     gravity: RealVector
@@ -80,6 +87,7 @@ class Adjoint(NamedTuple):
     s: RealCube
     grad: RealCube
     tension: RealCube
+    interaction: RealCube
     values: RealMatrix
     rate: RealMatrix  #: (1, 13) a dual number for rates.
 
@@ -95,6 +103,7 @@ class Given(NamedTuple):
     forces: RealCube  #: (T, S, 4) to length, rate, tension and potential of the springs.
     kinetic: RealVector  #: (T,) to the kinetic energy, and to the potential energy of gravity.
     gravity: RealVector
+    multipliers: RealCube  #: (T, P, 2) to the multipliers.
     q_bar: RealMatrix  #: (T, 3 (B + 1)) results: derivatives with respect to positions and velocities.
     v_bar: RealMatrix
     found: RealMatrix  #: (2, 3 (B + 1)) work array: accelerations.
@@ -127,6 +136,7 @@ class Steps(NamedTuple):
     lam: RealCube
     diagonal: RealCube  #: (S, P, 3) and (S, E, 4) factors of the Schur complements of the stages.
     below: RealCube
+    response: RealCube  #: (S, N, F + 1) responses of the reactions to frictions.
     source: RealMatrix  #: (S, ...) values of ``Scratch.source`` at the stages of an implicit step.
     to_q: RealMatrix
     to_v: RealMatrix
@@ -190,6 +200,73 @@ def _substitute(h, g):
             rest[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * rows[k, 0] + jac[k, 9 + i] * rows[k, 1])
 
 
+@separate
+def _by_reactions(h, c, g, t, v, lam):
+    """Evaluate the derivatives of frictions with respect to multipliers; requires `evaluate_tangents`."""
+    top, spare = h.top, len(h.top.springs)
+    for i in range(len(top.reactions)):
+        g.values[top.reactions[i, MULTIPLIER.parameter], 0] = lam[
+            top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]
+        ]
+    for i in range(len(top.reactions)):
+        k, place = top.frictions[top.reactions[i, MULTIPLIER.friction]], top.reactions[i, MULTIPLIER.parameter]
+        g.values[place, 1] = 1.0
+        g.rate[0, 0] = h.w.s[k, 0]
+        g.rate[1, 0] = path_rate(k, top.springs, v, h.w.grad)
+        evaluate_law(c.top, c.w, top.springs[k, SPRING.law], c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
+        g.values[place, 1] = 0.0
+        g.by_reaction[i] = g.tension[spare, TENSION.force, 1]
+
+
+@subkernel
+def _along(h, f, mu):
+    """Return the product of `mu` with the gradient of the pathway of friction `f`."""
+    k, total = h.top.frictions[f], 0.0
+    a, b = 3 * h.top.springs[k, SPRING.first], 3 * h.top.springs[k, SPRING.second]
+    for i in range(3):
+        total += h.w.grad[k, i] * mu[a + i] + h.w.grad[k, 3 + i] * mu[b + i]
+    return total
+
+
+@subkernel
+def _couple_frictions(h, g):
+    """Add what the part of the solution in ``g.rest`` changes by frictions: the transposed step of Newton's method."""
+    top, room, count = h.top, g.friction, len(h.top.frictions)
+    for f in range(count):
+        room[f, count] = _along(h, f, g.rest)
+        for j in range(count):
+            room[f, j] = 1.0 if f == j else 0.0
+        for i in range(len(top.reactions)):
+            # by symmetry, a unit of the second right side moves along the pathway by the negative of this response
+            room[f, top.reactions[i, MULTIPLIER.friction]] -= h.w.response[i, f] * g.by_reaction[i]
+    for f in range(count):  # the pivots are those of Newton's method, which are positive
+        for other in range(f + 1, count):
+            share = room[other, f] / room[f, f]
+            for j in range(f, count + 1):
+                room[other, j] -= share * room[f, j]
+    for f in range(count - 1, -1, -1):
+        for j in range(f + 1, count):
+            room[f, count] -= room[f, j] * room[j, count]
+        room[f, count] /= room[f, f]
+    fill(g.rest, 0.0)
+    fill_rows(g.rest_rows, 0.0)
+    for i in range(len(top.reactions)):
+        change = room[top.reactions[i, MULTIPLIER.friction], count] * g.by_reaction[i]
+        g.rest_rows[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] -= change
+    _add_solution(h, g)
+
+
+@subkernel
+def _add_solution(h, g):
+    """Add the solution for the right sides ``g.rest`` and ``g.rest_rows``, which it replaces, to ``g.mu``, ``g.nu``."""
+    _substitute(h, g)
+    for d in range(len(g.mu) - 3):
+        g.mu[d] += g.rest[d]
+    for k in range(len(h.top.pairs)):
+        for r in range(h.top.rows[k]):
+            g.nu[k, r] += g.rest_rows[k, r]
+
+
 @subkernel
 def _solve_adjoint(h, g, acc_bar):
     """Solve for ``g.mu`` and ``g.nu`` with one step of refinement; ``g.lam_bar`` has the derivatives by multipliers."""
@@ -212,12 +289,15 @@ def _solve_adjoint(h, g, acc_bar):
                 g.rest_rows[k, r] = total if r < top.rows[k] else 0.0
         for i in range(3):
             g.rest[len(g.rest) - 3 + i] = 0.0
-        _substitute(h, g)
-        for d in range(len(g.mu) - 3):
-            g.mu[d] += g.rest[d]
-        for k in range(len(pairs)):
-            for r in range(top.rows[k]):
-                g.nu[k, r] += g.rest_rows[k, r]
+        for i in range(len(top.reactions)):
+            f = top.reactions[i, MULTIPLIER.friction]
+            by_friction = g.pull_bar[top.frictions[f], FORCE] - _along(h, f, g.mu)
+            g.rest_rows[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] += (
+                by_friction * g.by_reaction[i]
+            )
+        _add_solution(h, g)
+        if len(top.frictions) > 0:
+            _couple_frictions(h, g)
 
 
 @subkernel
@@ -350,6 +430,30 @@ def _joints(h, g, acc, lam):
 
 
 @subkernel
+def _interactions(h, c, g, t):
+    """Add the derivatives with respect to the parameters of forces between bodies; requires `evaluate_tangents`."""
+    top, slots = h.top, len(g.rate[0]) - 1
+    for k in range(len(top.interactions)):
+        law = top.interactions[k, INTERACTION.law]
+        begin = top.laws[law, LAW_ROW.parameters] + 1
+        end, first = begin + int(top.law_parameters[begin - 1]), begin + OF_BODIES
+        for i in range(begin, first):
+            g.values[i, 0] = h.w.law_values[i]
+        for left in range(first, end, slots):
+            is_wanted = False
+            for i in range(left, min(left + slots, end)):
+                is_wanted = is_wanted or g.laws_wanted[i] != 0
+                g.values[i, 1 + i - left] = 1.0
+            if is_wanted:
+                evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.interaction, k, 6)
+            for i in range(left, min(left + slots, end)):
+                g.values[i, 1 + i - left] = 0.0
+                for d in range(6 if is_wanted else 0):
+                    body = top.interactions[k, INTERACTION.first + d // 3]
+                    g.law_parameters[i] += g.mu[3 * body + d % 3] * g.interaction[k, d, 1 + i - left]
+
+
+@subkernel
 def _bodies_and_loads(h, g, acc):
     """Add the derivatives with respect to masses, gravity and points of loads."""
     top, w = h.top, h.w
@@ -388,10 +492,13 @@ def _pull_back(h, c, g, t, v, acc, lam, acc_bar, q_bar, v_bar):
     accelerations `acc_bar`, multipliers ``g.lam_bar`` and springs ``g.pull_bar``; requires `evaluate_tangents` and
     `_by_points`.
     """
+    _by_reactions(h, c, g, t, v, lam)
     _solve_adjoint(h, g, acc_bar)
     _to_state(h, g, q_bar, v_bar)
     _bodies_and_loads(h, g, acc)
     _springs(h, c, g, t, q_bar, v_bar, v)
+    if g.wants[LAWS] != 0:
+        _interactions(h, c, g, t)
     if g.wants[POINTS] != 0:
         _joints(h, g, acc, lam)
 
@@ -452,7 +559,8 @@ def _pull_states(h, c, g, x):
             return status, r
         _tangents(h, t, q, v, acc, lam)
         _by_points(c, g, t, q, v)
-        fill_rows(g.lam_bar, 0.0)
+        for k in range(len(lam)):
+            copy(x.multipliers[r, k], g.lam_bar[k])
         for k in range(len(h.top.springs)):
             for i in range(4):
                 g.pull_bar[k, i] = x.forces[r, k, i]
@@ -472,6 +580,8 @@ def _keep_factors(h, s, i):
     for k in range(len(schur.below)):
         for d in range(4):
             s.below[i, k, d] = schur.below[k, d]
+    for k in range(len(h.w.response)):
+        copy(h.w.response[k], s.response[i, k])
 
 
 @subkernel
@@ -554,6 +664,8 @@ def _take_factors(h, s, i, t):
     for k in range(len(s.below[i])):
         for d in range(4):
             solver.schur.below[k, d] = s.below[i, k, d]
+    for k in range(len(h.w.response)):
+        copy(s.response[i, k], h.w.response[k])
     return OK
 
 
@@ -583,7 +695,7 @@ def _begin_stage(s, n, i):
 
 
 @subkernel
-def _iterate_derivatives(h, g, s, n):
+def _iterate_derivatives(h, c, g, s, n):
     """Solve for the derivatives with respect to the stages of an implicit step; return a status."""
     stages, size, before = len(s.b), s.size[n], np.inf
     fill_rows(s.by_q, 0.0)
@@ -613,10 +725,15 @@ def _iterate_derivatives(h, g, s, n):
                 for d in range(len(s.next)):
                     s.to_acc[i, d] += size * s.a[j, i] * s.to_v[j, d]
         for i in range(stages):
-            status = _take_factors(h, s, i, s.time[n] + s.c[i] * size)
+            t = s.time[n] + s.c[i] * size
+            status = _take_factors(h, s, i, t)
             if status != OK:
                 return status
-            copy(s.source[i], h.w.source)
+            if len(h.top.frictions) > 0:
+                _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+                _by_reactions(h, c, g, t, s.v_stage[i], s.lam[i])
+            else:
+                copy(s.source[i], h.w.source)
             copy(s.by_v[i], s.next)
             fill(s.by_q[i], 0.0)
             fill(s.by_v[i], 0.0)
@@ -662,7 +779,7 @@ def _sweep_back(h, c, g, s, first, before):
         size, q_bar, v_bar = s.size[n], s.q_bar[n], s.v_bar[n]
         status = _take_stages(h, s, n)
         if status == OK and s.is_implicit[0] != 0:
-            status = _iterate_derivatives(h, g, s, n)
+            status = _iterate_derivatives(h, c, g, s, n)
         if status != OK:
             return status, n + 1
         for d in range(len(q_bar)):
