@@ -60,7 +60,9 @@ def test_segments_of_75_kg_and_180_cm_are_those_of_gait2d() -> None:
 @pytest.mark.parametrize(("options", "build"), LEGS)
 def test_added_masses_are_on_both_legs_and_turn_nothing(options: Any, build: Any) -> None:
     carried = {"trunk": 8.0, "foot": 2.0}
-    plain, loaded = (build(options(legs=2, root="trunk", added_mass=mass)).bodies for mass in ({}, carried))
+    both = [build(options(legs=2, root="trunk", added_mass=mass)) for mass in ({}, carried)]
+    plain, loaded = (mechanism.bodies for mechanism in both)
+    assert both[0].name == both[1].name
     for name, body in loaded.items():
         assert body.mass - plain[name].mass == pytest.approx(carried.get(name.removesuffix("_left"), 0.0))
         assert (body.inertia, body.position) == (plain[name].inertia, plain[name].position)

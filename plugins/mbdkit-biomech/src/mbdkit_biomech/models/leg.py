@@ -242,10 +242,10 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, H
     for one in legs:
         bodies, joints = bodies | one.bodies, joints | one.joints
         coordinates, markers = coordinates | one.coordinates, markers | one.markers
-    for name, mass in o.added_mass.items():
-        if name not in bodies:
-            raise SpecError("should be left out, or use `root: trunk`, which has this body", key=f"added_mass.{name}")
-        for key in (name, name + SUFFIX) if name + SUFFIX in bodies else (name,):
+    for body, mass in o.added_mass.items():
+        if body not in bodies:
+            raise SpecError("should be left out, or use `root: trunk`, which has this body", key=f"added_mass.{body}")
+        for key in {body, body + SUFFIX} & bodies.keys():
             bodies[key] = bodies[key].model_copy(update={"mass": bodies[key].mass + mass})
     for kind, own, further in (("joints", joints, o.joints), ("markers", markers, o.markers)):
         for key in own.keys() & further.keys():
