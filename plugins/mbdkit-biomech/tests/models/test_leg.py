@@ -57,6 +57,19 @@ def test_segments_of_75_kg_and_180_cm_are_those_of_gait2d() -> None:
     assert person.heel.real == pytest.approx(-0.06)
 
 
+@pytest.mark.parametrize(("options", "build"), LEGS)
+def test_added_masses_are_on_both_legs_and_turn_nothing(options: Any, build: Any) -> None:
+    carried = {"trunk": 8.0, "foot": 2.0}
+    both = [build(options(legs=2, root="trunk", added_mass=mass)) for mass in ({}, carried)]
+    plain, loaded = (mechanism.bodies for mechanism in both)
+    assert both[0].name == both[1].name
+    for name, body in loaded.items():
+        assert body.mass - plain[name].mass == pytest.approx(carried.get(name.removesuffix("_left"), 0.0))
+        assert (body.inertia, body.position) == (plain[name].inertia, plain[name].position)
+    with pytest.raises(SpecError, match=r"added_mass\.trunk: should be left out, or use `root: trunk`"):
+        build(options(added_mass=carried))
+
+
 @pytest.mark.parametrize(
     ("table", "mass", "height", "thigh", "centre", "gyration"),
     [("de-leva-female", 61.9, 1.735, 0.3685, 0.3612, 0.364), ("de-leva-male", 73.0, 1.741, 0.4222, 0.4095, 0.329)],

@@ -262,7 +262,7 @@ class CasadiSystem:
         return column([self._value(self._parsed(text))])
 
     def _parsed(self, text: str) -> RunExpression:
-        return RunExpression.parse(text, self.chosen.mechanism, crosses=False)
+        return RunExpression.parse(text, self.chosen.mechanism, self.chosen.named, crosses=False)
 
     def _value(self, parsed: RunExpression) -> Any:
         def leaf(operation: str, number: float) -> Any:

@@ -48,6 +48,8 @@ class ChosenNumbers:
         The mechanism with controls as states.
     control_states
         Names of the states that are the controls; the keys of unknowns of equilibria, which are no states.
+    named
+        Present values of named parameters.
     equilibria
         Equilibria of elements, such as fibres with an elastic tendon, whose unknowns are controls.
     unknowns
@@ -65,7 +67,7 @@ class ChosenNumbers:
         rebuilt: Callable[[Mapping[str, float]], Mechanism] | None = None,
     ):
         self.controls, self.parameters = tuple(controls), tuple(parameters)
-        self._named, self._rebuilt = named, rebuilt
+        self.named, self._rebuilt = named, rebuilt
         self._spec = mechanism.to_spec()
         self._original = mechanism
         self.equilibria = chosen_equilibria(mechanism, controls)
@@ -108,10 +110,10 @@ class ChosenNumbers:
         return f"{'model' if len(parse_path(key)) > 1 else 'parameters'}.{key}"
 
     def _number(self, key: str) -> float:
-        if key in self._named:
-            return self._named[key]
+        if key in self.named:
+            return self.named[key]
         if len(parse_path(key)) == 1:
-            raise SpecError(f"there is no parameter '{key}'{did_you_mean(key, self._named)}", key=self.place(key))
+            raise SpecError(f"there is no parameter '{key}'{did_you_mean(key, self.named)}", key=self.place(key))
         value = self._value(key)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
@@ -161,7 +163,7 @@ class ChosenNumbers:
         if not self.parameters:
             return self.mechanism
         given = dict(zip(self.parameters, map(float, values), strict=True))
-        spec, renamed = copied(self._spec), {name: given.pop(name) for name in self._named if name in given}
+        spec, renamed = copied(self._spec), {name: given.pop(name) for name in self.named if name in given}
         if renamed:
             assert self._rebuilt is not None
             spec = self._rebuilt(renamed).to_spec()

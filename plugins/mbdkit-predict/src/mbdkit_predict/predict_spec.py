@@ -263,9 +263,17 @@ class PredictSpec(ModelSpec):
             raise SpecError("has no effect with `measured` functions, which need fixed times", key="switching")
         for name in self.measured:
             check_name(name, f"measured.{quoted(name)}")
-        if used := parameters_in_use(self.parameters, [self.minimize]) & {*self.optimized, *self.sensitivities}:
-            why = f"depends on '{min(used)}', which therefore can neither be optimized nor have a sensitivity"
-            raise SpecError(why, key="minimize")
+        limits = [*self.subject_to.values(), *(one for phase in self.phases for one in phase.subject_to.values())]
+        for key, texts in {
+            "minimize": [self.minimize],
+            "initial": [*self.initial],
+            "final": [*self.final, *(text for phase in self.phases for text in phase.final)],
+            "subject_to": [limit.value for limit in limits],
+            "periodic": [text for pair in self.repeated_values for text in pair],
+        }.items():
+            if used := parameters_in_use(self.parameters, texts) & {*self.optimized, *self.sensitivities}:
+                why = f"depends on '{min(used)}', which therefore can neither be optimized nor have a sensitivity"
+                raise SpecError(why, key=key)
         return self
 
     @property

@@ -338,10 +338,25 @@ def test_a_named_parameter_is_optimized_wherever_it_occurs() -> None:
     spec["base"]["parameters"]["w"] = 1.0
     with pytest.raises(SpecError, match=r"minimize: depends on 'm', which therefore can neither be optimized"):
         mbdkit.predict(spec, minimize=f"m*{EFFORT}", sensitivities=["m"])
+    with pytest.raises(SpecError, match=r"subject_to: depends on 'n', which therefore can neither be optimized"):
+        mbdkit.predict(spec, subject_to={"slow": {"value": "block.vx*m", "max": 9}}, sensitivities=["n"])
     with pytest.raises(SpecError, match=r"parameters\.w: .* the equations of motion do not contain it"):
         mbdkit.predict(spec, parameters={"w": {"bounds": [0.5, 2.0]}})
     with pytest.raises(SpecError, match=r"parameters\.nn: there is no parameter 'nn'.*'n'"):
         mbdkit.predict(spec, parameters={"nn": {"bounds": [0.25, 2.0]}})
+
+
+def test_conditions_contain_named_parameters() -> None:
+    # 12 v^2 for a way of v t in one second
+    spec = block()
+    spec["base"]["parameters"] = {"v": 2.0, "most": 20.0}
+    wanted = {
+        "final": {"block.x - v*t": 0, "block.vx": 0},
+        "subject_to": {"slow": {"value": "block.vx - most", "max": 0}},
+    }
+    assert mbdkit.predict(spec, **wanted).objective == pytest.approx(48.0, rel=1e-6)
+    run = mbdkit.predict(spec, **wanted, guess={"final": {"block.x - 0.5*v*t": 0}})
+    assert run["block"].position[-1, 0] == pytest.approx(2.0)
 
 
 def test_the_gain_of_a_spring_has_an_error() -> None:

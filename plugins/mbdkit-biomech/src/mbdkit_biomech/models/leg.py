@@ -61,10 +61,19 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import MechanismData, NamedCoordinate
 from mbdkit.mechanism.mechanism_seams import model_builder
 from mbdkit.mechanism.state_values import Input
-from mbdkit.mechanism.values import Number, Point, Positive
+from mbdkit.mechanism.values import NotNegative, Number, Point, Positive
 from mbdkit.spec.loading import read_source
 from mbdkit_biomech.models._knee_linkage import MovingFrame, xy
-from mbdkit_biomech.models._one_leg import Hip, LegParts, LegPose, four_bar_leg, muscles_of_both, pinned_leg, second_leg
+from mbdkit_biomech.models._one_leg import (
+    SUFFIX,
+    Hip,
+    LegParts,
+    LegPose,
+    four_bar_leg,
+    muscles_of_both,
+    pinned_leg,
+    second_leg,
+)
 from mbdkit_biomech.models._segments import DE_LEVA, EXOSKELETON, FRACTIONS, GAIT2D, WINTER, BodySegments
 from mbdkit_biomech.models.four_bar_knee import KneeLinks, KneePitches, linkage
 from mbdkit_biomech.muscles.muscle import Muscle
@@ -91,7 +100,7 @@ class LegOptions(LegPose):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
         *("legs", "left", "inputs", "muscles", "symmetric_muscles", "contacts"),
-        *("thigh_length", "shank_length"),
+        *("thigh_length", "shank_length", "added_mass"),
     )
 
     height: Positive = 1.8
@@ -104,6 +113,8 @@ class LegOptions(LegPose):
     """Distance from hip to knee [m]; by default, by `table` and `height`."""
     shank_length: Positive | None = None
     """Distance from knee to ankle [m]; by default, by `table` and `height`."""
+    added_mass: dict[Literal["trunk", "thigh", "shank", "foot"], NotNegative] = Field(default_factory=dict)
+    """Masses [kg] that the person carries at the centre of mass of the trunk, and of a segment of each leg."""
     root: Literal["hip", "trunk"] = "hip"
     """`hip`: the hip is pinned to the ground; `trunk`: a free body carries it."""
     trunk_share: Annotated[float, Field(gt=0, le=1)] = 1.0
@@ -231,6 +242,11 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, H
     for one in legs:
         bodies, joints = bodies | one.bodies, joints | one.joints
         coordinates, markers = coordinates | one.coordinates, markers | one.markers
+    for body, mass in o.added_mass.items():
+        if body not in bodies:
+            raise SpecError("should be left out, or use `root: trunk`, which has this body", key=f"added_mass.{body}")
+        for key in {body, body + SUFFIX} & bodies.keys():
+            bodies[key] = bodies[key].model_copy(update={"mass": bodies[key].mass + mass})
     for kind, own, further in (("joints", joints, o.joints), ("markers", markers, o.markers)):
         for key in own.keys() & further.keys():
             raise SpecError(
