@@ -49,6 +49,9 @@ class RunErrors:
     force_in = "force in"
     """Words for the force of a joint, before its name."""
 
+    never_good = ""
+    """Why such runs never have the verdict ``good``, and what would say more; empty if they may have it."""
+
     def __init__(self, run: Run):
         self.run = run
 

@@ -113,7 +113,9 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
         why = "the run did not end" if run.status == "running" else "the archive has none"
         return [("verdict", f"unknown: {why}")]
     first, *others = run.verdict_reasons or [run.errors.without_suspicion]
-    return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
+    if run.verdict == "unknown":
+        others = [*others, run.errors.never_good]
+    return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others if other)]
 
 
 def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:
