@@ -46,11 +46,10 @@ class RunErrors:
     A kind of specs whose runs have other errors names a class derived from this one, `SpecKind.errors`.
     """
 
-    force_in = "force in"
-    """Words for the force of a joint, before its name."""
+    force_in = "force in"  #: Words for the force of a joint, before its name.
 
+    #: Why such runs never have the verdict ``good``, and what would say more; empty if they may have it.
     never_good = ""
-    """Why such runs never have the verdict ``good``, and what would say more; empty if they may have it."""
 
     def __init__(self, run: Run):
         self.run = run
