@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from mbdkit.archive.accuracy import largest_known
-from mbdkit.archive.headlines import (
-    MESH_ERROR,
-    Headline,
-    excluded_words,
-    headline_items,
-    joint_loads,
-    known_loads,
-)
+from mbdkit.archive.headlines import MESH_ERROR, Headline, excluded_words, headline_items, joint_loads, known_loads
 from mbdkit.archive.largest_values import LargestValues
 from mbdkit.archive.peak_errors import (
     BETWEEN,

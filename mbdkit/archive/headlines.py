@@ -289,13 +289,7 @@ def _sizes(run: Run, kind: str) -> np.ndarray | None:
 
 
 def largest_of(
-    words: str,
-    run: Run,
-    quantity: str,
-    names: Sequence[str],
-    size: np.ndarray,
-    unit: str,
-    errors: np.ndarray | None,
+    words: str, run: Run, quantity: str, names: Sequence[str], size: np.ndarray, unit: str, errors: np.ndarray | None
 ) -> list[Headline]:
     """Return the largest value of each element with its bar, in descending order, without those that count as zero.
 

@@ -10,13 +10,7 @@ import numpy as np
 
 from mbdkit.archive import layout, result_seams
 from mbdkit.archive.accuracy_summary import asked_sentence, limit_sentence
-from mbdkit.archive.headlines import (
-    JOINTS_NAMED,
-    ROUND_OFF,
-    headlines,
-    joint_loads,
-    measured,
-)
+from mbdkit.archive.headlines import JOINTS_NAMED, ROUND_OFF, headlines, joint_loads, measured
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import counted, plus_minus, shown

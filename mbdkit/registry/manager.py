@@ -14,13 +14,7 @@ from typing import Protocol, TypeVar, cast
 
 import pluggy
 
-from mbdkit.base.distributions import (
-    MBDKIT,
-    UnusableDistribution,
-    entry_points,
-    name_and_version,
-    own_entry_points,
-)
+from mbdkit.base.distributions import MBDKIT, UnusableDistribution, entry_points, name_and_version, own_entry_points
 from mbdkit.base.errors import MbdkitError, PluginError, SpecError, blaming, in_this_process, with_place
 from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import listed
