@@ -7,9 +7,9 @@ from dataclasses import replace
 from importlib import import_module
 
 from mbdkit.archive.run import Run
-from mbdkit.registry.feature_items import PlotKind, ReportSection
+from mbdkit.plugin import PlotKind, ReportSection
+from mbdkit.plugin.reports import report_charts, report_sections
 from mbdkit_report import Figure, Section, draw_chart, mechanism_of, run_report
-from mbdkit_report.seams import report_charts, report_sections
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.item_checks import EXAMPLES, ItemUnderTest, short_runs
