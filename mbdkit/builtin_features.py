@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mbdkit.registry.feature_items import (
-    CriterionItem,
-    Example,
-    Feature,
-    GuidePage,
-    SpecKind,
-)
+from mbdkit.registry.feature_items import CriterionItem, Example, Feature, GuidePage, SpecKind
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent

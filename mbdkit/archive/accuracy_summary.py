@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from mbdkit.archive.accuracy import largest_known
-from mbdkit.archive.headlines import (
-    MESH_ERROR,
-    Headline,
-    excluded_words,
-    headline_items,
-    joint_loads,
-    known_loads,
-)
+from mbdkit.archive.headlines import MESH_ERROR, Headline, excluded_words, headline_items, joint_loads, known_loads
 from mbdkit.archive.largest_values import LargestValues
 from mbdkit.archive.peak_errors import (
     BETWEEN,
@@ -46,8 +39,10 @@ class RunErrors:
     A kind of specs whose runs have other errors names a class derived from this one, `SpecKind.errors`.
     """
 
-    force_in = "force in"
-    """Words for the force of a joint, before its name."""
+    force_in = "force in"  #: Words for the force of a joint, before its name.
+
+    #: Why such runs never have the verdict ``good``, and what would say more; empty if they may have it.
+    never_good = ""
 
     def __init__(self, run: Run):
         self.run = run

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
@@ -11,9 +11,11 @@ import numpy as np
 from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import blocks, datasets, is_text
 from mbdkit.archive.hdf5_errors import reading
+from mbdkit.archive.headlines import headlines
 from mbdkit.archive.layout import is_hashed
 from mbdkit.archive.run import Run
-from mbdkit.base.text import shown
+from mbdkit.base.plain_data import Path, json_text, path_text
+from mbdkit.base.text import shortened, shown
 
 #: Provenance attributes that cannot affect the results.
 _NOT_VERSIONS = {"command", layout.EVIDENCE}
@@ -31,6 +33,9 @@ class Comparison:
     - `code`: plugins whose code differs.
     - `versions`: provenance attributes that differ, except the command, with the values of the first and the second
       run.
+    - `settings`: keys of the specs whose values differ, with those of the first and the second run as JSON, empty where
+      a spec lacks the key.
+    - `answers`: labels of the main numbers that differ, with those of the first and the second run as text.
     """
 
     same_data: bool
@@ -38,6 +43,8 @@ class Comparison:
     differences: Mapping[str, float]
     versions: Mapping[str, tuple[str, str]]
     code: Sequence[str] = ()
+    settings: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    answers: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
     def largest(self) -> float:
@@ -56,9 +63,10 @@ class Comparison:
             lines += [f"  {path:<32} {value:.2g}" for path, value in worst if value > 0]
         if not self.same_spec:
             lines.append("the specs differ")
-        lines += [
-            f"{name}: {first or 'none'} and {second or 'none'}" for name, (first, second) in self.versions.items()
-        ]
+        for pairs, indent in ((self.settings, "  "), (self.answers, ""), (self.versions, "")):
+            for name, both in pairs.items():
+                first, second = (shortened(text) or "none" for text in both)
+                lines.append(f"{indent}{name}: {first} and {second}")
         return "\n".join(map(shown, lines))  # names and values come from the file
 
 
@@ -71,19 +79,36 @@ def compare(first: Run, second: Run) -> Comparison:
     for path in sorted({*left, *right}):
         with reading(path, None):
             differences[path] = 0.0 if same else _difference(left.get(path), right.get(path))
-    versions = {
-        name: pair
-        for name in sorted({*first.provenance, *second.provenance} - _NOT_VERSIONS)
-        if len(set(pair := (str(first.provenance.get(name, "")), str(second.provenance.get(name, ""))))) == 2
-    }
+    of_both = (
+        {name: str(run.provenance[name]) for name in sorted(run.provenance) if name not in _NOT_VERSIONS}
+        for run in (first, second)
+    )
+    versions = dict(sorted(_pairs(*of_both).items()))
     changed = [name.removesuffix("_digest") for name in versions if name.endswith("_digest")]
     return Comparison(
         same_data=same,
         same_spec=first.spec_json == second.spec_json,
+        settings=_pairs(*(dict(_leaves(run.spec)) for run in (first, second))),
+        answers={} if same else _pairs(*({one.label: one.text() for one in headlines(run)} for run in (first, second))),
         differences=differences,
         versions=versions,
         code=[str(first.provenance[kind]) for kind in changed if kind in first.provenance],
     )
+
+
+def _leaves(value: object, path: Path = ()) -> Iterator[tuple[str, str]]:
+    """Yield the values of a spec that are no mappings, as JSON, with their keys."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _leaves(inner, (*path, str(key)))
+    else:
+        yield path_text(path), json_text(value)
+
+
+def _pairs(first: Mapping[str, str], second: Mapping[str, str]) -> dict[str, tuple[str, str]]:
+    """Return the texts that differ, by name."""
+    both = {name: (first.get(name, ""), second.get(name, "")) for name in {**first, **second}}
+    return {name: pair for name, pair in both.items() if pair[0] != pair[1]}
 
 
 def _arrays(run: Run) -> dict[str, h5py.Dataset]:

@@ -67,29 +67,20 @@ class Headline(NamedTuple):
     value: float
     unit: str
     bar: Bar = Bar()
-    id: str = ""
-    """Identifier, the same in every output: the expression of a largest value, or the name of a measure."""
-    recorded: float = math.nan
-    """Largest value in the recorded rows; nan if the number is not a largest value."""
+    id: str = ""  #: Identifier, the same in every output: the expression of a largest value, or the name of a measure.
+    recorded: float = math.nan  #: Largest value in the recorded rows; nan if the number is not a largest value.
+    #: Whether the largest value between recorded rows is unknown, so that the number is that of the rows.
     is_of_rows: bool = False
-    """Whether the largest value between recorded rows is unknown, so that the number is that of the rows."""
     quantity: str = ""
-    element: str = ""
-    """Quantity and element of a largest value, such as ``joints.force``."""
-    time: float = math.nan
-    """Time of the recorded row with the largest value [s]."""
-    is_checked: bool = False
-    """Whether the errors of the run were estimated, so that an unknown error is stated."""
-    is_at_end: bool = False
-    """Whether the number is that at the end of the run, so that a longer run may exceed it."""
+    element: str = ""  #: Quantity and element of a largest value, such as ``joints.force``.
+    time: float = math.nan  #: Time of the recorded row with the largest value [s].
+    is_checked: bool = False  #: Whether the errors of the run were estimated, so that an unknown error is stated.
+    is_at_end: bool = False  #: Whether the number is that at the end of the run, so that a longer run may exceed it.
+    #: Whether the motion determines the number; otherwise it is one of the possible reactions of redundant joints.
     is_unique: bool = True
-    """Whether the motion determines the number; otherwise it is one of the possible reactions of redundant joints."""
-    by_parameters: float = math.nan
-    """A further bar, by the estimates of parameters; nan without."""
-    until: float = math.nan
-    """Time until which the number is the largest value [s]; nan if that is the end of the run."""
-    is_main: bool = True
-    """Whether the number is one of the headlines if the run has no measures."""
+    by_parameters: float = math.nan  #: A further bar, by the estimates of parameters; nan without.
+    until: float = math.nan  #: Time until which the number is the largest value [s]; nan if that is the end of the run.
+    is_main: bool = True  #: Whether the number is one of the headlines if the run has no measures.
 
     @property
     def misses(self) -> bool:
@@ -298,13 +289,7 @@ def _sizes(run: Run, kind: str) -> np.ndarray | None:
 
 
 def largest_of(
-    words: str,
-    run: Run,
-    quantity: str,
-    names: Sequence[str],
-    size: np.ndarray,
-    unit: str,
-    errors: np.ndarray | None,
+    words: str, run: Run, quantity: str, names: Sequence[str], size: np.ndarray, unit: str, errors: np.ndarray | None
 ) -> list[Headline]:
     """Return the largest value of each element with its bar, in descending order, without those that count as zero.
 

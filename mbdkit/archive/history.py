@@ -34,6 +34,20 @@ class JointHistory(columns.Joints, of="joints"):
         """Largest misalignment over every step, recorded or not, m."""
         return float(self.source.joint_misalignments[self.index])
 
+    @property
+    def reaction_force_error(self) -> np.ndarray:
+        """Bound of the error of the reaction force at each time, (T,), N, if the run was checked: nan where unknown.
+
+        >>> run = mbdkit.run("double-pendulum", check=True)
+        >>> run.joints["J1"].reaction_force_error
+        """
+        return self.source.column("accuracy/reaction_error", self.index, None)
+
+    @property
+    def reaction_torque_error(self) -> np.ndarray:
+        """Bound of the error of the reaction torque at each time, (T,), N m; see `reaction_force_error`."""
+        return self.source.column("accuracy/torque_error", self.index, None)
+
 
 class ForceHistory(columns.Forces, of="forces"):
     """Length, force and energy of one force element.

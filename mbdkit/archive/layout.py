@@ -126,9 +126,7 @@ def is_hashed(path: str) -> bool:
 
 @lru_cache(maxsize=64)
 def recorded(
-    quantities: frozenset[str],
-    extra: frozenset[str] = frozenset(),
-    known: tuple[Kind, ...] | None = None,
+    quantities: frozenset[str], extra: frozenset[str] = frozenset(), known: tuple[Kind, ...] | None = None
 ) -> tuple[Array, ...]:
     """Return the arrays of an archive that records `quantities`.
 

@@ -83,11 +83,9 @@ class _Stream(io.FileIO):
     closes the file. If HDF5 opened the file itself, Windows could not rename it before the end of the run either.
     """
 
-    _failure: OSError | None = None
-    """The first error of writing, after which nothing is written."""
+    _failure: OSError | None = None  #: The first error of writing, after which nothing is written.
 
-    is_discarding = False
-    """Whether writes have no effect, so that HDF5 can close the file without changing it."""
+    is_discarding = False  #: Whether writes have no effect, so that HDF5 can close the file without changing it.
 
     def write(self, data: ReadableBuffer) -> int:
         """Write all bytes, of which the system may take only some at a time."""

@@ -10,13 +10,7 @@ import numpy as np
 
 from mbdkit.archive import layout, result_seams
 from mbdkit.archive.accuracy_summary import asked_sentence, limit_sentence
-from mbdkit.archive.headlines import (
-    JOINTS_NAMED,
-    ROUND_OFF,
-    headlines,
-    joint_loads,
-    measured,
-)
+from mbdkit.archive.headlines import JOINTS_NAMED, ROUND_OFF, headlines, joint_loads, measured
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import counted, plus_minus, shown
@@ -113,7 +107,9 @@ def verdict_lines(run: Run) -> list[tuple[str, str]]:
         why = "the run did not end" if run.status == "running" else "the archive has none"
         return [("verdict", f"unknown: {why}")]
     first, *others = run.verdict_reasons or [run.errors.without_suspicion]
-    return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others)]
+    if run.verdict == "unknown":
+        others = [*others, run.errors.never_good]
+    return [("verdict", f"{run.verdict}: {first}"), *(("", other) for other in others if other)]
 
 
 def few(texts: Sequence[str], separator: str = "; ", most: int = JOINTS_NAMED) -> str:

@@ -53,6 +53,9 @@ class StatedErrors(Protocol):
     force_in: str
     """Words for the force of a joint, before its name."""
 
+    never_good: str
+    """Why such runs never have the verdict ``good``, and what would say more; empty if they may have it."""
+
     @property
     def without_suspicion(self) -> str:
         """Clause for a run whose verdict has no reasons."""

@@ -122,6 +122,8 @@ class Commands(TyperGroup):
                 raise
             except (Exception, KeyboardInterrupt, SystemExit) as error:
                 if hasattr(error, "exit_code"):  # a usage error, or an exit of typer
+                    if isinstance(error, typer.BadParameter):
+                        error.message = error.message.removeprefix("Value error, ")  # of pydantic
                     if ctx.meta[JSON] and hasattr(error, "format_message"):
                         results.show(_json_error(error.format_message(), error.exit_code))
                     raise

@@ -69,10 +69,7 @@ class _MemoryStatus(ctypes.Structure):
 _POINTER = ctypes.c_void_p
 #: Types of the result and of the arguments. Without them, ctypes would pass handles as integers of 32 bits.
 _SIGNATURES: dict[str, tuple[Any, tuple[Any, ...]]] = {
-    "CreateFileW": (
-        wintypes.HANDLE,
-        (wintypes.LPCWSTR, *(_DWORD,) * 2, _POINTER, *(_DWORD,) * 2, wintypes.HANDLE),
-    ),
+    "CreateFileW": (wintypes.HANDLE, (wintypes.LPCWSTR, *(_DWORD,) * 2, _POINTER, *(_DWORD,) * 2, wintypes.HANDLE)),
     "LockFileEx": (wintypes.BOOL, (wintypes.HANDLE, *(_DWORD,) * 4, _POINTER)),
     "UnlockFileEx": (wintypes.BOOL, (wintypes.HANDLE, *(_DWORD,) * 3, _POINTER)),
     "GetFileInformationByHandleEx": (wintypes.BOOL, (wintypes.HANDLE, ctypes.c_int, _POINTER, _DWORD)),

@@ -44,14 +44,14 @@ def archive_diff(first: Archive, second: Archive, as_json: AsJson = False, debug
     """Compare the data of two run archives.
 
     Exit status 1 if the data differ; prints the largest relative difference of each
-    array.
+    array, the keys whose values differ in the specs, and the main numbers of both runs.
     """
     from mbdkit.archive.compare import compare
     from mbdkit.archive.reader import load
 
     with load(first) as one, load(second) as two:
         comparison = compare(one, two)
-    names = ("same_data", "same_spec", "differences", "versions")
+    names = ("same_data", "same_spec", "settings", "answers", "differences", "versions")
     show_result({name: getattr(comparison, name) for name in names}, comparison, as_json=as_json)
     if not comparison.same_data:
         raise typer.Exit(terminal.DIFFERS)

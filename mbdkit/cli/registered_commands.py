@@ -29,8 +29,7 @@ OTHER_NAMES = {
 class RegisteredCommands(TyperGroup):
     """A group of commands from the registry; the module of a command is imported when the command is called."""
 
-    group = ""
-    """Name of the group; empty for ``mbdkit`` itself."""
+    group = ""  #: Name of the group; empty for ``mbdkit`` itself.
 
     def __init__(self, **attributes: Any):
         super().__init__(**attributes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from mbdkit.archive.run import Run
     from mbdkit.engine.assembly import AssembledState
     from mbdkit.engine.workspace import Workspace
+    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit.registry.feature_items import SpecKind
     from mbdkit.spec import RunSpec
     from mbdkit.spec.reading import Document
@@ -236,6 +238,9 @@ def validate_run(source: Document | str, name: str, assignments: list[str]) -> N
         show(f"cut joints   {listed(cut_joints(problem.mechanism)) or without}")
     if checked.stabilized.kind != "none":
         show(f"stabilized   {checked.stabilized.describe()}")
+    if slides := _slides(mechanism, start):
+        show("slides       the travel grows where the point of BODY moves along DIRECTION, both as at the start")
+        show(table([("JOINT", "BODY", "ON", "DIRECTION", "TRAVEL"), *slides], indent="  "))
     if mechanism.inputs:
         show("inputs       with their values at the start")
         show(table([("INPUT", "AT START", "UNIT", "BOUNDS", "HOLD", "TIMES"), *_inputs(checked, problem)], indent="  "))
@@ -247,6 +252,21 @@ def validate_run(source: Document | str, name: str, assignments: list[str]) -> N
         show(table([("BODY", "MOVED", "TURNED", "VELOCITY", "RATE"), *_moves(start)], indent="  "))
     else:
         show("start        consistent, unchanged")
+
+
+def _slides(mechanism: Mechanism, start: AssembledState) -> list[tuple[str, ...]]:
+    """Return a table row for each joint with a travel: its global direction and the travel at the start."""
+    rows: list[tuple[str, ...]] = []
+    poses = dict(zip(mechanism.bodies, start.q.tolist(), strict=True))
+    for name, joint in mechanism.joints.items():
+        if joint.travel is not None:
+            first, second, line = (complex(*joint.travel[k : k + 2]) for k in (0, 2, 4))
+            (xa, ya, a), (xb, yb, b) = (poses.get(body, (0.0, 0.0, 0.0)) for body in joint.bodies)
+            line *= cmath.rect(1.0, a)
+            apart = complex(xb - xa, yb - ya) + second * cmath.rect(1.0, b) - first * cmath.rect(1.0, a)
+            along = f"({round(line.real, 4) + 0.0:g}, {round(line.imag, 4) + 0.0:g})"
+            rows.append((name, joint.bodies[1], joint.bodies[0], along, f"{(apart * line.conjugate()).real:.6g} m"))
+    return rows
 
 
 def _inputs(spec: RunSpec, problem: Workspace) -> list[tuple[str, ...]]:

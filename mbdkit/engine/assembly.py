@@ -81,10 +81,7 @@ def search_for(mechanism: Mechanism, compiled: CompiledMechanism, t0: float) -> 
 
 
 def assemble(
-    mechanism: Mechanism,
-    t0: float = 0.0,
-    compiled: CompiledMechanism | None = None,
-    search: LeastChange | None = None,
+    mechanism: Mechanism, t0: float = 0.0, compiled: CompiledMechanism | None = None, search: LeastChange | None = None
 ) -> AssembledState:
     """Correct the initial state of a mechanism so that it satisfies the constraints.
 

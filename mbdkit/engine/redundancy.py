@@ -307,10 +307,7 @@ class _Analysis:
                 spare=np.array([(spare.pair, spare.frame) for spare in spares], dtype=np.int64),
                 spare_axes=np.array([spare.axis for spare in spares]),
             ),
-            redundancy=Redundancy(
-                rows=len(spares),
-                not_unique=tuple(self.joints_of(stresses > INVOLVED)),
-            ),
+            redundancy=Redundancy(rows=len(spares), not_unique=tuple(self.joints_of(stresses > INVOLVED))),
         )
 
 

@@ -90,12 +90,11 @@ HITS = 12  #: Largest number of sections that a search returns.
 PER_PAGE = 3  #: Largest number of them from one page; the reference of keys has a section for each key.
 
 
-SATURATION, LENGTH = 1.2, 0.75
-"""Constants k1 and b of BM25, at their usual values."""
+SATURATION, LENGTH = 1.2, 0.75  #: Constants k1 and b of BM25, at their usual values.
 
-WEIGHTS = {"heading": 4, "page": 2}
-"""How often words of the heading of a section, and words of the page, are counted."""
+WEIGHTS = {"heading": 4, "page": 2}  #: How often words of the heading of a section, and words of the page, are counted.
 
+#: Words that say nothing about the subject of a question.
 QUESTION_WORDS = frozenset(
     re.findall(
         r"\w+",
@@ -103,7 +102,6 @@ QUESTION_WORDS = frozenset(
         "the there this to use was what when where which why with would",
     )
 )
-"""Words that say nothing about the subject of a question."""
 
 
 @dataclass(frozen=True)

@@ -75,10 +75,7 @@ class Law(Element):
         pathway = data.get("pathway")
         kind = pathway.get("type") if isinstance(pathway, Mapping) else getattr(pathway, "type", None)
         classes = get_args(get_args(Pathway)[0])
-        return next(
-            (law.length_unit for law in classes if kind in get_args(law.model_fields["type"].annotation)),
-            "",
-        )
+        return next((law.length_unit for law in classes if kind in get_args(law.model_fields["type"].annotation)), "")
 
     def placed(self, bodies: Mapping[str, Body], key: str) -> Self:
         """Return the element with the points of its pathway in the frames of the bodies; see `Element.placed`."""

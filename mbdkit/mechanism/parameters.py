@@ -209,7 +209,10 @@ def with_expressions(
                 if path not in written | quantities and (kind == "quantity" or path[: len(section)] == section)
             }
             if not fresh:
-                raise spec_error(error, root, prefix=prefix, plugins=lookup, written=written | quantities) from None
+                replaced = written | quantities
+                raise spec_error(
+                    error, root, prefix=prefix, plugins=lookup, written=replaced, parameters=values
+                ) from None
             for path, (text, kind) in fresh.items():
                 where = (*parse_path(prefix), *path)
                 holder = _at(data, path[:-1])

@@ -6,7 +6,7 @@ import json
 import pathlib
 import re
 import types
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Annotated, Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -38,6 +38,7 @@ def spec_error(
     prefix: str = "",
     plugins: PluginLookup | None = None,
     written: Mapping[Path, str] | None = None,
+    parameters: Collection[str] = (),
 ) -> SpecError:
     """Convert a pydantic validation error to a SpecError.
 
@@ -53,6 +54,8 @@ def spec_error(
         Lookup of the models that plugins add; by default, of the installed plugins.
     written
         Expressions by key path whose values were validated.
+    parameters
+        Names of the parameters of the spec, which are no keys of its own.
 
     Returns
     -------
@@ -75,6 +78,9 @@ def spec_error(
     for path in paths[:EXPLAINED]:
         value = f" (the value of '{written[path]}')" if written and path in written else ""
         complaints = dict.fromkeys(_complaint(*problem, lookup) + value for problem in problems[path])
+        if len(path) == 1 and path[0] in parameters and _is_unknown(*problems[path]):
+            full = path_text(("parameters", *path))
+            complaints = {f"unknown key; the parameter of this name has the key {full}": None}
         sentences.append((path_text((*parse_path(prefix), *path)), _either(list(complaints))))
     (key, message), *others = sentences
     for location, sentence in others:

@@ -8,10 +8,10 @@ import sys
 from contextlib import redirect_stdout
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, create_model
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, create_model
 
 from mbdkit.base.distributions import MBDKIT
-from mbdkit.base.errors import PluginError, in_this_process, with_place
+from mbdkit.base.errors import PluginError, blaming, in_this_process, with_place
 from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.strict_model import STRICT
 from mbdkit.registry.catalogue import Registered
@@ -55,8 +55,11 @@ def _named(item: Registered) -> type[BaseModel]:
     return options
 
 
-def check_item(item: Registered) -> None:
-    """Import and check the objects behind the targets of an item, and its options; raises PluginError."""
+def check_item(item: Registered, *, create: bool = False) -> None:
+    """Import and check the objects behind the targets of an item, and its options; raises PluginError.
+
+    `create`: whether an integrator is also created with default options, if these have defaults.
+    """
     try:
         with in_this_process(), redirect_stdout(sys.stderr):
             item.plugin.check_targets()
@@ -64,10 +67,22 @@ def check_item(item: Registered) -> None:
                 named = _named(item)
                 named.model_rebuild()  # which names what a type refers to and is missing
                 named.model_json_schema()
+                if create and item.kind == "integrator":
+                    _create_with_defaults(item)
     except BaseException as error:  # a plugin may raise any exception, including SystemExit
         if is_interrupt(error):
             raise
         raise PluginError(str(error) if isinstance(error, PluginError) else with_place(error)) from error
+
+
+def _create_with_defaults(item: Registered) -> None:
+    plugin: Any = item.plugin
+    try:
+        defaults = plugin.options()
+    except ValidationError:
+        return
+    with blaming("it cannot be created with its default options"):
+        plugin.create(defaults)
 
 
 def name_type(item: Registered) -> Any:

@@ -14,13 +14,7 @@ from typing import Protocol, TypeVar, cast
 
 import pluggy
 
-from mbdkit.base.distributions import (
-    MBDKIT,
-    UnusableDistribution,
-    entry_points,
-    name_and_version,
-    own_entry_points,
-)
+from mbdkit.base.distributions import MBDKIT, UnusableDistribution, entry_points, name_and_version, own_entry_points
 from mbdkit.base.errors import MbdkitError, PluginError, SpecError, blaming, in_this_process, with_place
 from mbdkit.base.interrupts import is_interrupt
 from mbdkit.base.text import listed
@@ -122,15 +116,16 @@ def forget() -> None:
 def checked(loaded: Registry, *, whole: bool = True) -> Registry:
     """Return a registry without the items that are wrong, which are failures in it.
 
-    The objects behind the targets of all items are imported and checked; if it is not the `whole` registry, those of
-    items of mbdkit itself are not, which takes seconds.
+    The objects behind the targets of all items are imported and checked, and integrators created with their defaults.
+    If it is not the `whole` registry, items of mbdkit itself are not checked and no integrator is created, which takes
+    seconds.
     """
     from mbdkit.registry.item_options import check_item
 
     wrong: dict[tuple[Kind | None, str], str] = {}
     for item in loaded.items if whole else (item for item in loaded.items if item.origin.distribution != MBDKIT):
         try:
-            check_item(item)
+            check_item(item, create=whole)
         except PluginError as error:
             wrong[item.kind, item.id] = str(error)
     return loaded.without(wrong)

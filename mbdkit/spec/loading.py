@@ -32,11 +32,10 @@ from mbdkit.spec.reading import Document, read_file, read_stdin, read_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.spec_kinds import refused, spec_kinds, spec_loader
 
-Section: TypeAlias = Mapping[str, object]
-"""A section of a spec, such as ``{"name": "gauss", "stages": 2}``."""
+Section: TypeAlias = Mapping[str, object]  #: A section of a spec, such as ``{"name": "gauss", "stages": 2}``.
 
+#: A file, the name of a packaged example, a mapping, a validated spec, or a mechanism.
 RunSource: TypeAlias = str | Path | Mapping[str, object] | RunSpec | Mechanism
-"""A file, the name of a packaged example, a mapping, a validated spec, or a mechanism."""
 
 
 class Sections(TypedDict, total=False):

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
+import mbdkit
 from mbdkit.archive.compare import Comparison, compare
 from mbdkit.archive.fingerprint import seal
 from mbdkit.archive.reader import load
@@ -89,7 +90,20 @@ def test_specs_and_versions_that_differ_are_told() -> None:
     assert result.same_data
     assert not result.same_spec
     assert result.versions == {"numpy": ("2.4.6", "1.26"), "scipy": ("", "1.11")}
-    assert str(result).splitlines()[1:] == ["the specs differ", "numpy: 2.4.6 and 1.26", "scipy: none and 1.11"]
+    told = ["the specs differ", '  title: none and "x"', "numpy: 2.4.6 and 1.26", "scipy: none and 1.11"]
+    assert str(result).splitlines()[1:] == told
+
+
+def test_keys_and_main_numbers_that_differ_are_told() -> None:
+    """A rod that hangs at rest weighs ``m g``, with the standard gravity of the guide."""
+    model = {"name": "single-pendulum", "mass": 1.0, "angle": -np.pi / 2}
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.01}}
+    result = compare(mbdkit.run(spec), mbdkit.run({**spec, "model": {**model, "mass": 2.0}}))
+    assert result.settings == {"model.mass": ("1.0", "2.0")}
+    assert result.answers == {"largest force in J1": ("9.81 N", "19.62 N")}
+    assert str(result).splitlines()[-3:] == [
+        "the specs differ", "  model.mass: 1.0 and 2.0", "largest force in J1: 9.81 N and 19.62 N",
+    ]  # fmt: skip
 
 
 def test_names_and_values_do_not_add_lines() -> None:

@@ -54,6 +54,8 @@ def test_joint_has_its_misalignment_and_reactions(run: Run) -> None:
     for name in ("misalignment", "velocity_misalignment", "angle_misalignment", "reaction_force", "reaction_torque"):
         np.testing.assert_array_equal(getattr(joint, name), made[f"joints/{name}"][:, 1])
     assert joint.misalignment_max == 1.001
+    with pytest.raises(NotRecordedError, match="`check: true` in its spec, or `--check`, estimates errors"):
+        joint.reaction_force_error  # noqa: B018
     assert run.misalignment_max == 1.001
     assert run.joint_names == ("J1", "J2")
 

@@ -61,6 +61,9 @@ def test_speed_of_a_checked_run_is_the_cost_of_its_steps(tmp_path: Path) -> None
     with mbdkit.run("pendulum", time={"end": 0.1, "step": 0.01}, check=True) as run:
         assert 0.0 < run.stats["integrals_s"] < run.stats["wall_s"]
         assert run.stats["check_s"] > 0.0
+        assert {"reaction_force_error", "reaction_torque_error"} <= {*dir(run.joints["J1"])}
+        np.testing.assert_array_equal(run.joints["J1"].reaction_force_error, run.accuracy.reaction_error[:, 0])
+        np.testing.assert_array_equal(run.joints["J1"].reaction_torque_error, run.accuracy.torque_error[:, 0])
     into = writer(tmp_path / "run.h5")
     into.append(rows(11, names()))
     into.append_numbered("steps", steps(10))

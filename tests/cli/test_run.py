@@ -136,6 +136,29 @@ def test_validate_shows_the_events_with_their_values_at_the_start(mbdkit, small,
     assert "  enough  any        stop    -0.7      t - 0.7\n" in result.stdout
 
 
+def test_validate_shows_directions_and_travels_of_slides(mbdkit, in_tmp_path):
+    """The rail turns its y axis by 90 degrees to -x; the slider is 0.4 m along -x of the point (1, 1) of the rail."""
+    (in_tmp_path / "spec.yaml").write_text("""\
+mbdkit: 1
+model:
+  name: mechanism
+  bodies:
+    rail: {mass: 1, inertia: 1, position: [1, 0], angle: 90 deg}
+    slider: {mass: 1, inertia: 1, position: [0.6, 1.2], angle: 90 deg}
+  joints:
+    fixed: {type: weld, bodies: [ground, rail], at: [1, 0]}
+    guide: {type: prismatic, bodies: [rail, slider], points: [[1, 0], [-0.2, 0]], axis: [0, 3]}
+time: {end: 0.1, step: 0.01}
+integrator: {name: rk4}
+""")
+    result = mbdkit("validate", "spec.yaml")
+    assert result.exit_code == 0, result.stderr
+    assert "  JOINT  BODY    ON    DIRECTION  TRAVEL\n  guide  slider  rail  (-1, 0)    0.4 m\n" in result.stdout
+    assert mbdkit("run", "spec.yaml").exit_code == 0
+    with load("spec.h5") as run:
+        assert run.joints["guide"].angle[0] == pytest.approx(0.4, abs=1e-12)
+
+
 def test_validate_says_what_the_mechanism_is_and_that_its_start_is_consistent(mbdkit, small, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(small)
     result = mbdkit("validate", "spec.yaml")

@@ -93,6 +93,21 @@ def test_a_wrong_spec_is_refused_with_file_line_and_key(case, command, refusal, 
     assert words in message
 
 
+def test_the_name_of_a_parameter_is_refused_with_its_key(mbdkit, small, in_tmp_path):
+    (in_tmp_path / "spec.yaml").write_text(small + "parameters: {share: 0.5}\n")
+    result = mbdkit("validate", "spec.yaml", "--set", "share=0.7")
+    assert result.exit_code == 2
+    assert "share: unknown key; the parameter of this name has the key parameters.share" in result.stderr
+
+
+def test_a_wrong_choice_is_told_without_words_of_libraries(mbdkit):
+    for words in (("study", "paper", "--store", "disk"), ("plugins", "new", "x", "--kind", "disk", "--json")):
+        result = mbdkit(*words)
+        assert result.exit_code == 2
+        assert "': 'disk' is not one of '" in result.stderr
+        assert "Value error" not in result.stdout + result.stderr
+
+
 def test_a_driver_with_a_corner_is_valid_if_impacts_are_allowed(mbdkit, in_tmp_path):
     (in_tmp_path / "spec.yaml").write_text(driver('"min(t, 0.5)"'))
     assert mbdkit("validate", "spec.yaml", "--set", "impacts=allow").exit_code == 0

@@ -104,6 +104,24 @@ def test_the_doctor_reports_what_is_wrong_with_an_item(item, words, installed):
     assert [words in (failure.error or "") for failure in failures] == [True]
 
 
+def test_the_doctor_creates_methods_with_their_defaults(installed):
+    def failing(options):
+        raise ValueError("no such tableau")
+
+    class Required(BaseModel):
+        order: int
+
+    def method(name, options):
+        return IntegratorPlugin(
+            name, "A method.", options, create=failing, claims=lambda options: mbdkit.Claims(order=4)
+        )
+
+    failures = checked(installed(acme=[method("fails", NoOptions), method("asks", Required)])).failures
+    ((words, item),) = [(failure.error, failure.id) for failure in failures]
+    assert item == "acme:fails"
+    assert words.startswith("it cannot be created with its default options: ValueError: no such tableau")
+
+
 def criterion(stage, function):
     of = frozenset({"run"})
     return CriterionItem(

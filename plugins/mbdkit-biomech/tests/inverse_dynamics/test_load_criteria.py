@@ -32,7 +32,10 @@ def test_a_centre_of_pressure_in_the_frame_of_the_laboratory_is_doubted() -> Non
     assert accepting.verdict == "unknown"
     assert accepting.verdict_reasons == [f"Accepted by the spec: {run.verdict_reasons[0]}"]
     far["ground"]["kind"] = "other"
-    assert leg(loads=far).verdict == "unknown"
+    plain = leg(loads=far)
+    assert plain.verdict == "unknown"
+    assert "never `good`, because error bars do not include errors of the model" in plain.summary()
+    assert "never `good`" not in run.summary()
 
 
 def test_a_force_at_the_centre_of_mass_for_want_of_a_point_is_told() -> None:

@@ -187,10 +187,7 @@ def generated() -> str:
 
 def _constraint_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
     contents = {
-        "position": (
-            f"{note}, and Phi_t.",
-            [("phi", terms["phi"]), ("phi_t", terms["phi_t"])],
-        ),
+        "position": (f"{note}, and Phi_t.", [("phi", terms["phi"]), ("phi_t", terms["phi_t"])]),
         "acceleration": (
             "Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma.",
             [("jac", terms["jacobian"]), ("gamma", terms["gamma"])],

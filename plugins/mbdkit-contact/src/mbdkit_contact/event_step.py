@@ -78,8 +78,8 @@ class EventStep:
         memory: ContactState = state.memory
         own = events.contacts.own(state.z)
         self.now = StepPoint(t, state.q.copy(), state.v.copy(), own, 0.0, 0.0, memory.between, state.multipliers)
+        #: The start of the step, if one step of the method has led from there to `now`; None after an event.
         self.begin: StepPoint | None = self.now
-        """The start of the step, if one step of the method has led from there to `now`; None after an event."""
         self.before = memory
         self.is_unclear = False  # whether the last search has shown only that the step has to be shorter
         self.impacts = memory.impacts

@@ -59,11 +59,7 @@ def front_table(spec: DesignSpec, front: Sequence[DesignPoint], best: DesignPoin
         *(Column(key_words(name), variable_unit(spec, name)) for name in spec.single),
     )
     rows = tuple(
-        (
-            f"{number}{' (best)' * (point == best)}",
-            *point.goals.values(),
-            *map(point.variables.get, spec.single),
-        )
+        (f"{number}{' (best)' * (point == best)}", *point.goals.values(), *map(point.variables.get, spec.single))
         for number, point in enumerate(front, 1)
     )
     return Table("front-points", "Points of the Pareto front", columns, rows)

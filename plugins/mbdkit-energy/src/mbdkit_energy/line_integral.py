@@ -134,12 +134,7 @@ class _Trial:
     """Coefficients of the polynomials of one step, while they are iterated."""
 
     def __init__(
-        self,
-        method: LineIntegral,
-        equations: mbdkit.EquationsOfMotion,
-        t: float,
-        state: mbdkit.StepState,
-        h: float,
+        self, method: LineIntegral, equations: mbdkit.EquationsOfMotion, t: float, state: mbdkit.StepState, h: float
     ):
         self.p, self.is_corrected = polynomials(method.k, method.s), method.is_corrected
         self.equations, self.t, self.state, self.h = equations, t, state, h

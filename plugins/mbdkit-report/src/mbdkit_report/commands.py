@@ -79,8 +79,7 @@ def plot(
         ),
     ] = None,
     y_limits: Annotated[
-        tuple[float, float] | None,
-        typer.Option("--y-limits", metavar="LOW HIGH", help="Range of the vertical axis."),
+        tuple[float, float] | None, typer.Option("--y-limits", metavar="LOW HIGH", help="Range of the vertical axis.")
     ] = None,
     output: Annotated[Path | None, output_to("FILE.png", "A PNG, SVG or PDF file; by default FILE-KIND.png.")] = None,
     overwrite: Overwrite = False,

@@ -330,8 +330,4 @@ def derive_pathway(kind: PathwayKind) -> dict[str, sp.Matrix]:
     gradient = jacobian([kind.length], BODY_COORDINATES)
     if kind.slopes is not None:
         gradient = sp.Matrix([kind.slopes]) * jacobian([gx, gy], BODY_COORDINATES)
-    return {
-        "length": sp.Matrix([kind.length]),
-        "gradient": gradient,
-        "hessian": jacobian(gradient.T, BODY_COORDINATES),
-    }
+    return {"length": sp.Matrix([kind.length]), "gradient": gradient, "hessian": jacobian(gradient.T, BODY_COORDINATES)}

@@ -15,16 +15,7 @@ from mbdkit.spec.loading import RunSource, Sections
 from mbdkit_statics.coarse_modes import coarse_modes
 from mbdkit_statics.equilibrium_search import rest
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
-from mbdkit_statics.reduced import (
-    DENSE,
-    NOISE,
-    State,
-    at_rest,
-    in_statics,
-    lowest,
-    reduce_with_states,
-    symmetric_modes,
-)
+from mbdkit_statics.reduced import DENSE, NOISE, State, at_rest, in_statics, lowest, reduce_with_states, symmetric_modes
 from mbdkit_statics.states_at_rest import CoupledStates, first_order_form
 
 Where = Literal["equilibrium", "start"]

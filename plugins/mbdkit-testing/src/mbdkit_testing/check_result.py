@@ -228,10 +228,17 @@ class Report:
 _RAISED = re.compile(r"raised (\w+):.* \((.+, line \d+)\)")
 
 
+NAMED = 12  #: Largest number of checks with one cause that a report names; further ones are only counted.
+
+#: A cause within the sentence of a run whose method could not be created.
+_START = re.compile(r".* failed to start: (?:\w+: )?(.*?)(?: \([^()]+, line \d+\))?")
+
+
 def _root(cause: str) -> str:
     """Return a text that is equal for causes with the same root: an exception in a line of the plugin, or the cause."""
-    found = _RAISED.search(cause)
-    return cause if found is None else f"{found[1]} {found[2]}"
+    if (found := _RAISED.search(cause)) is not None:
+        return f"{found[1]} {found[2]}"
+    return found[1] if (found := _START.fullmatch(cause)) else cause
 
 
 def _paragraph(cause: str, results: Sequence[Result]) -> str:
@@ -240,7 +247,9 @@ def _paragraph(cause: str, results: Sequence[Result]) -> str:
     failed, skips = ([result.name for result in results if result.outcome == what] for what in ("fail", "skip"))
     skipped = f", {len(skips)} skipped" if skips else ""
     told = shown(cause if found is None else f"the plugin {found[0]}")
-    lines = [f"{what}: {listed(names)}" for what, names in (("failed", failed), ("skipped", skips)) if names]
+    lines = [
+        f"{what}: {listed(names, most=NAMED)}" for what, names in (("failed", failed), ("skipped", skips)) if names
+    ]
     wrapped = [fill(line, 118, initial_indent="  ", subsequent_indent="    ", break_on_hyphens=False) for line in lines]
     return "\n".join([f"{counted(len(failed), 'check')} failed{skipped}: {told}", *wrapped])
 

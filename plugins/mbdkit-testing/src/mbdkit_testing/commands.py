@@ -100,7 +100,8 @@ def plugins_verify(
 
     Exit status 1 if it is not verified: a check failed, or no check of the
     required group could be run. The name of a distribution verifies all of its
-    methods, joints, elements, laws, models and measures. --record stores the
+    methods, joints, elements, laws, models and measures and, without --record,
+    its kinds of plots and sections of reports. --record stores the
     results with a digest of the code in the package of the plugin, or in the file
     after -o; without --set, all options that were recorded before are verified
     again. Archives, `plugins list` and `plugins show` then say what was verified,
@@ -109,7 +110,7 @@ def plugins_verify(
     """
     from mbdkit_testing import recorded_evidence, verify
 
-    items = describe.find_to_verify(name)
+    items = describe.find_to_verify(name, () if record else ("plot-kind", "report-section"))
     options = Document({})
     for assignment in assignments or ():
         options.assign(assignment)

@@ -61,10 +61,12 @@ def find(name: str, installed: Registry | None = None, further: Iterable[Kind] =
     return [item for item in named if _has_options(item) or item.kind in further] or named
 
 
-def find_to_verify(name: str) -> list[Registered]:
-    """Return the items that a name means, as `find` does, or those of the distribution of that name."""
-    installed = registry()
-    items = [item for item in installed.items if item.origin.distribution == name and item.kind in KINDS_WITH_EVIDENCE]
+def find_to_verify(name: str, further: Iterable[Kind] = ()) -> list[Registered]:
+    """Return the items that a name means, as `find` does, or those of the distribution of that name that are of the
+    kinds with evidence or of `further` kinds.
+    """
+    installed, kinds = registry(), (*KINDS_WITH_EVIDENCE, *further)
+    items = [item for item in installed.items if item.origin.distribution == name and item.kind in kinds]
     if items and name not in [item.name for item in items]:
         return [item for item in items if name != MBDKIT or item.kind == "integrator"]
     return find(name, installed, further=["element-kind", "joint-kind"])

@@ -108,10 +108,7 @@ def impossible_tolerance(integrator: IntegratorUnderTest) -> Result:
     for value in (1e-300, 3e-14):
         try:
             run = integrator.run(
-                FORCED_PENDULUM,
-                {"end": 0.1, "step": 0.01},
-                options={name: value},
-                limits={"max_steps": 20000},
+                FORCED_PENDULUM, {"end": 0.1, "step": 0.01}, options={name: value}, limits={"max_steps": 20000}
             )
         except (SpecError, ValidationError):
             outcomes.append("refused")

@@ -14,15 +14,21 @@ from typing import Any
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.runs.simulation import simulate
+from mbdkit.spec.loading import load_spec
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit_testing.check import STEP_LIMIT, check
 from mbdkit_testing.check_result import Result, passed, skipped, warned
 
 #: Modules whose names plugins may import.
 _DOOR = re.compile(r"mbdkit(\.(plugin(\.\w+)?|kernels|testing))?|mbdkit_\w+(\.seams)?")
+
+#: Packaged examples of which short runs are made.
+EXAMPLES = ("double-pendulum", "knee", "slider-crank")
 
 
 @dataclass
@@ -57,6 +63,13 @@ class ItemUnderTest:
         """Return the spec of a run, with a limited number of steps."""
         given = {"model": model, "integrator": integrator, "time": time, "limits": {"max_steps": STEP_LIMIT}}
         return self.spec_type(mbdkit=1, **given | sections)
+
+
+def short_runs() -> Iterator[tuple[str, Run]]:
+    """Yield short runs of packaged examples with their names."""
+    for name in EXAMPLES:
+        with simulate(load_spec(name, time={"steps": 20, "step": 0.005})) as run:
+            yield name, run
 
 
 def relative_difference(exact: np.ndarray, other: np.ndarray) -> float:

@@ -30,6 +30,7 @@ from mbdkit_testing import (
     newton_checks,
     option_effect_checks,
     order_checks,
+    page_checks,
     restart_checks,
     stability_checks,
     study_checks,
@@ -66,6 +67,8 @@ CHECKS: dict[Kind, tuple[Check[Any], ...]] = {
     "measure": measure_checks.CHECKS,
     "element-kind": (*item_checks.CHECKS, *element_checks.CHECKS),
     "joint-kind": (*item_checks.CHECKS, *joint_checks.CHECKS),
+    "plot-kind": (*item_checks.CHECKS, *page_checks.CHECKS),
+    "report-section": (*item_checks.CHECKS, *page_checks.CHECKS),
 }
 Watch = Callable[[int, int, str], None]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, cast
 
 import numpy as np
@@ -11,15 +10,10 @@ from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit.registry.item_options import named_options
 from mbdkit.registry.items import MeasurePlugin
-from mbdkit.runs.simulation import simulate
-from mbdkit.spec.loading import load_spec
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, warned
-from mbdkit_testing.item_checks import ItemUnderTest
+from mbdkit_testing.item_checks import ItemUnderTest, short_runs
 from mbdkit_testing.options_under_test import options_result, validated
-
-#: Packaged examples; a measure is applied to a short run of each of them.
-EXAMPLES = ("double-pendulum", "knee", "slider-crank")
 
 
 class MeasureUnderTest(ItemUnderTest):
@@ -29,12 +23,6 @@ class MeasureUnderTest(ItemUnderTest):
     def plugin(self) -> MeasurePlugin:
         """The plugin item."""
         return cast(MeasurePlugin, self.item.plugin)
-
-    def runs(self) -> Iterator[tuple[str, Run]]:
-        """Yield runs of packaged examples with their names."""
-        for name in EXAMPLES:
-            with simulate(load_spec(name, time={"steps": 20, "step": 0.005})) as run:
-                yield name, run
 
     def take(self, run: Run) -> Any:
         """Return the value of the measure for a run."""
@@ -52,7 +40,7 @@ def value(measure: MeasureUnderTest) -> Result:
     """For a run of a suitable packaged example, it returns a number, and the same number when called again."""
     values: dict[str, float] = {}
     refused = ""
-    for name, run in measure.runs():
+    for name, run in short_runs():
         try:
             first, second = measure.take(run), measure.take(run)
         except MbdkitError as error:  # for example, the measure needs a body that the example does not have

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import sympy
@@ -14,6 +15,7 @@ from tests.testing.results import one
 import mbdkit
 from mbdkit import ExpressionLaw, ForceLawPlugin
 from mbdkit.base.errors import with_place
+from mbdkit.plugin import PlotKind, ReportSection, Target
 from mbdkit.registry.manager import registry
 from mbdkit.runs.simulation import simulate
 from mbdkit_testing import verify
@@ -108,6 +110,70 @@ def test_one_error_is_told_once_with_the_checks_that_failed() -> None:
         f"2 checks failed, 1 skipped: the plugin raised {error.format('Equations')}\n  failed: contract.inputs" in text
     )
     assert "not verified: 3 failed; " in text
+
+
+def test_a_wrong_tableau_is_told_once_with_the_number_of_checks_that_it_failed() -> None:
+    def create(options: object) -> object:
+        tableau = mbdkit.ButcherTableau("heun", [[], [1]], ["1/2", "1/3"], [0, 1], 2)
+        return mbdkit.ExplicitRungeKutta(tableau)
+
+    report = verify("integrator", "mine", installed=corpus.offer(create, order=2, stages=2), quick=True)
+    count = len(report.of("fail"))
+    assert count > 40
+    cause = "heun claims order 2, but an order condition of order 1 has the defect -0.167"
+    assert report.text().count("order condition") == 1
+    assert f"{count} checks failed: {cause}\n" in report.text()
+    assert f"{count - 12} more\n" in report.text()
+
+
+def test_the_cost_of_a_step_is_known_while_the_time_of_a_check_is_limited() -> None:
+    """A clock of 10 ms would give multiples of 33 us for 300 steps, and 0 for compiled methods."""
+    found = one("cost.step", "integrator", corpus.trapezoid(symmetric=False))
+    assert 0.1 < float(found.figures["us_per_step"]) < 33.0
+    assert found.figures["rhs_per_step"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "shows", "outcome", "words"),
+    [
+        ("right", "[Figure('a', 'A', '', Axis('x', ''), Axis('y', ''), (Line('l', run.time, run.time),))]", "pass", ""),
+        ("nothing", "[]", "skip", "it shows nothing of the packaged examples double-pendulum, knee, slider-crank"),
+        ("other", "[3]", "fail", "for a run of double-pendulum it returned an object of type int, not a Figure or Sec"),
+        (
+            "raises",
+            "run.jump",
+            "fail",
+            "it raised AttributeError: 'Run' object has no attribute 'jump' (acme_raises.py",
+        ),
+        (
+            "short",
+            "[Figure('a', 'A', '', Axis('x', ''), Axis('y', ''), (Line('l', run.time, run.time[1:]),))]",
+            "fail",
+            "it raised ",
+        ),
+    ],
+)
+def test_plots_and_sections_of_plugins_are_called(
+    name: str, shows: str, outcome: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"acme_{name}.py").write_text(
+        "from mbdkit.plugin.reports import Axis, Figure, Line, Section, report_charts, report_sections\n"
+        f"def charts(run):\n    return {shows}\ndef chart(run):\n    return charts(run)[0]\n"
+        "figures = report_charts(charts)\n"
+        "@report_sections\ndef sections(run, mechanism):\n    return []\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    module = f"acme_{name}"
+    section = ReportSection(
+        name="mine", summary="A section.", make=Target(f"{module}:sections"), charts=Target(f"{module}:figures")
+    )
+    for kind, item in (
+        ("plot-kind", PlotKind(name="mine", summary="A plot.", module=module)),
+        ("report-section", section),
+    ):
+        found = one("contract.pages", kind, corpus._with(mbdkit_items=item))
+        assert found.outcome == outcome, found
+        assert found.cause.startswith(words.replace("acme", str(tmp_path / "acme"))), found
 
 
 def test_an_exception_of_a_method_is_told_with_its_line_and_chained() -> None:

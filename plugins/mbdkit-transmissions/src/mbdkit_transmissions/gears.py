@@ -304,10 +304,7 @@ class Rolling(FunctionJoint):
             )
         numbers = {"axis_x": ex, "axis_y": ey, "height": math.copysign(self.radius, height)}
         slip = numbers | {"along": ex * start.x + ey * start.y, "start": start.angle}
-        return [
-            PoseFunction(height_over_line, tuple(numbers.items())),
-            PoseFunction(slip_on_line, tuple(slip.items())),
-        ]
+        return [PoseFunction(height_over_line, tuple(numbers.items())), PoseFunction(slip_on_line, tuple(slip.items()))]
 
     def lines(self, start: Pose) -> Lines:
         """Return the wheel, and the circle or a part of the line."""

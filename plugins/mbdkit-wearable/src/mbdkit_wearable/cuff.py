@@ -178,8 +178,5 @@ class Cuff(Tissue, Element):
         on = held if device == GROUND else bodies[device].to_local(held)
         a, b = (0.0 if body == GROUND else bodies[body].angle for body in (limb, device))
         return self.model_copy(
-            update={
-                "on": on if self.on is None else self.on,
-                "angle": b - a if self.angle is None else self.angle,
-            }
+            update={"on": on if self.on is None else self.on, "angle": b - a if self.angle is None else self.angle}
         )

@@ -21,18 +21,7 @@ import numpy as np
 from pydantic import BaseModel, model_validator
 
 from mbdkit import load_spec
-from mbdkit.plugin import (
-    GROUND,
-    Body,
-    Mechanism,
-    Number,
-    Point,
-    SpecError,
-    StrictModel,
-    did_you_mean,
-    listed,
-    quoted,
-)
+from mbdkit.plugin import GROUND, Body, Mechanism, Number, Point, SpecError, StrictModel, did_you_mean, listed, quoted
 from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, workspace_at_start
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
 from mbdkit.plugin.specs import Choice, parse_key, put, read_source

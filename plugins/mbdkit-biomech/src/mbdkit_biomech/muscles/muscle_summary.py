@@ -17,11 +17,7 @@ PULLING = (0.4, 1.6)
 @summary_lines
 def muscle_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary about muscles, each with its label; texts may be empty."""
-    return [
-        ("muscles", _largest_activations(run)),
-        ("", _far_fibers(run)),
-        ("contact", _contact_forces(run)),
-    ]
+    return [("muscles", _largest_activations(run)), ("", _far_fibers(run)), ("contact", _contact_forces(run))]
 
 
 @run_headlines

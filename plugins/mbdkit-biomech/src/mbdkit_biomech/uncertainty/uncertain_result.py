@@ -253,11 +253,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
 
 
 def _added(
-    result: Inverse,
-    sources: Sequence[UncertainScalar],
-    values: np.ndarray,
-    reactions: np.ndarray,
-    nominal: np.ndarray,
+    result: Inverse, sources: Sequence[UncertainScalar], values: np.ndarray, reactions: np.ndarray, nominal: np.ndarray
 ) -> AddedBars | None:
     """Return the bars of what bodies that follow the motion add, given the reactions (S, T, J, 3) with them for values
     (S, K) of the scalars, and those (1, T, J, 3) of the result; None without such bodies.

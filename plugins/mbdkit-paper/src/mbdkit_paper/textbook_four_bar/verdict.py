@@ -15,20 +15,7 @@ import numpy as np
 
 from mbdkit_paper.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
 from mbdkit_paper.wording import Words, least_most, reported, two_digits
-from mbdkit_report import (
-    Answer,
-    Band,
-    Cell,
-    Claim,
-    Column,
-    Figure,
-    Line,
-    Range,
-    Table,
-    Verdict,
-    exceeds,
-    together,
-)
+from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range, Table, Verdict, exceeds, together
 from mbdkit_studies import METHOD, STEP, at_equal_work, family, value, work_for
 from mbdkit_studies.results.judge import study_verdict
 

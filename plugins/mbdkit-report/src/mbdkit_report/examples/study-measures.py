@@ -19,10 +19,7 @@ study = mbdkit.study(
         "title": "Springs behind the knee",
         "base": "knee",
         "overrides": {"time": {"end": 2.0, "step": 0.01}},
-        "axes": [
-            {"model.springs.support.stiffness": STIFFNESS},
-            {"model.springs.support.damping": DAMPING},
-        ],
+        "axes": [{"model.springs.support.stiffness": STIFFNESS}, {"model.springs.support.damping": DAMPING}],
         "measures": {
             "peak_force": "max(abs(joints.C.force + joints.D.force))",
             "peak_speed": "max(abs(shank.angular_velocity))",

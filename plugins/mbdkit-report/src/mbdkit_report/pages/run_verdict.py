@@ -89,6 +89,8 @@ def _trust(run: Run) -> Claim:
         sentence += " The archive contains no verdict, as after a crash of the run."
     elif run.verdict == "unknown":
         sentence = f"The verdict is unknown: {run.errors.without_suspicion}."
+    if run.verdict == "unknown" and run.errors.never_good:
+        sentence += f" {run.errors.never_good}"
     return Claim("trust", "The results can be trusted", "", run.verdict, _ANSWERS[run.verdict], sentence)
 
 

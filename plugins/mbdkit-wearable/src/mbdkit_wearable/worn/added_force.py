@@ -64,8 +64,7 @@ class Change(NamedTuple):
 
     what: str
     unit: str
-    ids: tuple[str, str]
-    """Ids of the number without the devices, and of its change; see `mbdkit guide trust`."""
+    ids: tuple[str, str]  #: Ids of the number without the devices, and of its change; see `mbdkit guide trust`.
     force: float
     force_bar: tuple[float, float]
     without: float

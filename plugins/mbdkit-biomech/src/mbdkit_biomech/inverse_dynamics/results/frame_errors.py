@@ -20,6 +20,11 @@ from mbdkit.base.text import listed
 class FrameErrors(RunErrors):
     """What is known of the errors of a run of inverse dynamics."""
 
+    never_good = (
+        "Inverse dynamics is never `good`, because error bars do not include errors of the model: to know more, "
+        "compare it with a measured force, or with another model of the person."
+    )
+
     def __init__(self, run: Run):
         super().__init__(run)
         if not run.spec.get("recruitment"):  # a resultant, which is no contact force
