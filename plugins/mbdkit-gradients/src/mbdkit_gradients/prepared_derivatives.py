@@ -41,7 +41,7 @@ from mbdkit_gradients.parameter_differences import (
     PreparedDerivatives,
     weights,
 )
-from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, inside
+from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, in_functions, inside
 
 #: Names of the residuals of the equations of a start with given values.
 POSITION, VELOCITY = "position equations", "velocity equations"
@@ -145,15 +145,16 @@ class StartEquations:
         length = self.given.length
         return {POSITION: position + length, VELOCITY: velocity + max(length, float(np.max(np.abs(self.v))))}
 
-    def by_points(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derivatives (R, K) of the residuals, given those of the parameters of the joints (P, 6, K).
+    def by_numbers(self, points: np.ndarray, numbers: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the derivatives (R, K) of the residuals; see `StartDerivatives.by_numbers`.
 
-        The given quantities do not depend on these.
+        The given quantities do not depend on these numbers.
         """
         start = replace(self.given.start, q0=with_ground(self.q), v0=with_ground(self.v))
-        both = StartDerivatives(start, self.given.search.t0, np.zeros(self.given.n, dtype=bool)).by_points(points)
+        derivatives = StartDerivatives(start, self.given.search.t0, np.zeros(self.given.n, dtype=bool))
         slopes = {}
         residuals = (equations[0] for equations in self.given.equations(self.initial, self.q, self.v))
+        both = derivatives.by_numbers(points, numbers)
         for name, residual, own in zip((POSITION, VELOCITY), residuals, both, strict=True):
             slopes[name] = np.zeros((len(residual), points.shape[-1]))
             slopes[name][: len(own)] = own
@@ -308,15 +309,20 @@ class RunPreparation(Preparation):
         every = np.zeros((len(exact), len(parameters)))
         every[:, known] = exact
         slopes = arrays_from(variant.places, variant.base, every)
-        known[known] = inside(variant.formulas, values, WIDEST * np.array([self._scale(one) for one in plain]))
+        around = np.minimum([WIDEST * self._scale(one) for one in plain], np.where(values, 0.5 * np.abs(values), np.inf))
+        known[known] = inside(variant.formulas, values, around)
         known &= np.all([np.isfinite(x).reshape(-1, len(parameters)).all(axis=0) for x in slopes.values()], axis=0)
         touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
         never = np.zeros(len(parameters), dtype=bool)
+        top = self.mechanism.topology
+        numbers = slopes.get("law_parameters", np.zeros((len(top.law_parameters), len(known))))
+        numbers = numbers * in_functions(top)[:, None]
         moves = touched.get("motion_values", never)
         starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
+        starts = starts | np.any(numbers, axis=0)
         if own.start.assembled.changed and equations is None:
             moves = moves | starts | touched.get("mass", never)
-        known &= ~moves & ~(starts if len(self.mechanism.topology.functions) else never)
+        known &= ~moves
         named = [one for one in plain if one.path[0] == "parameters"]
         if named and own.numbers:
             changed = [(one.path, one.value + 0.01 * self._scale(one)) for one in named]
@@ -325,16 +331,16 @@ class RunPreparation(Preparation):
                 if all(np.array_equal(x, own.numbers[name]) for name, x in numbers.items()):
                     named = []
             known &= np.array([one not in named for one in parameters])
-        given = [slopes.pop(name, np.zeros((len(self.mechanism.topology.mass.ravel()), len(known)))) for name in "qv"]
+        given = [slopes.pop(name, np.zeros((len(top.mass.ravel()), len(known)))) for name in "qv"]
         if np.any(starts & known):
-            shape = *self.mechanism.topology.pair_parameters.shape, len(known)
-            points = slopes.get("pair_parameters", np.zeros(shape)) * known
+            points = slopes.get("pair_parameters", np.zeros((*top.pair_parameters.shape, len(known))))
+            both = points * known, numbers * known
             if equations is None:
                 bodies, fix = self.spec.mechanism().bodies, self.spec.mechanism().assembly.fix
                 begin = StartDerivatives(own.start, self.spec.time.start, np.repeat([x in fix for x in bodies], 3))
-                slopes |= begin.of(given[0] * known, given[1] * known, points)
+                slopes |= begin.of(given[0] * known, given[1] * known, *both)
             else:
-                slopes |= equations.by_points(points)
+                slopes |= equations.by_numbers(*both)
         slopes = {name: x * known for name, x in slopes.items() if np.any(x[..., known])}
         none = np.zeros(len(parameters))
         return self._completed(slopes, parameters, none, none.astype(int)), known

@@ -16,6 +16,8 @@ import numpy as np
 from mbdkit.base.traced_numbers import Formulas, UntraceableError, recorded_functions
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import MechanismAtStart
+from mbdkit.engine.kernels.engine_bundles import Topology
+from mbdkit.engine.kernels.table_rows import FUNCTION, LAW_ROW
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit_gradients.parameter_differences import CENTRAL, LEFT_OUT, RANK, weights
@@ -173,6 +175,14 @@ def inside(formulas: Formulas, values: np.ndarray, changes: np.ndarray) -> np.nd
     return np.array([hold(values + change) and hold(values - change) for change in single])
 
 
+def in_functions(topology: Topology) -> np.ndarray:
+    """Return (L,) whether numbers of laws are those of joints that are functions of the pose."""
+    found = np.zeros(len(topology.law_parameters), dtype=bool)
+    for begin in topology.laws[topology.functions[:, FUNCTION.law], LAW_ROW.parameters].tolist():
+        found[begin + 1 : begin + 1 + int(topology.law_parameters[begin])] = True
+    return found
+
+
 #: Largest residual of a consistent start, relative to its largest term, that counts as round-off.
 CONSISTENT = 1e-13
 
@@ -187,8 +197,8 @@ class StartDerivatives:
     def __init__(self, start: MechanismAtStart, t0: float, fixed: np.ndarray):
         mechanism, top = start.mechanism, start.mechanism.topology
         self.q, self.v = start.q0[:-3], start.v0[:-3]
-        own = top._replace(pair_parameters=top.pair_parameters.copy())
-        self._points = own.pair_parameters
+        own = top._replace(pair_parameters=top.pair_parameters.copy(), law_parameters=top.law_parameters.copy())
+        self._points, self._numbers = own.pair_parameters, own.law_parameters
         self._search = LeastChange(replace(mechanism, topology=own), t0, fixed)
         self._light = np.where(fixed, 0.0, np.sqrt(top.weight[:-1].ravel()))
         _, entries, _ = self._search.evaluate(self.q)
@@ -205,21 +215,29 @@ class StartDerivatives:
         terms = (w * (evaluate(place * unit) - now) for place, w in zip(CENTRAL, weights(CENTRAL), strict=True))
         return np.asarray(sum(terms)) / unit
 
-    def by_points(self, slopes: np.ndarray) -> np.ndarray:
-        """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K)."""
-        total = np.zeros((2, len(self._search.rows), slopes.shape[-1]))
-        for column in np.flatnonzero(np.any(slopes, axis=(0, 2))).tolist():
-            given = self._points[:, column].copy()
-            unit = 2.0 ** np.floor(np.log2(0.0125 * max(0.1, float(np.max(np.abs(given))))))
-
-            def moved(change: float, column: int = column, given: np.ndarray = given) -> np.ndarray:
-                self._points[:, column] = given + change
-                return self._residuals(self.q)
-
-            by_column = self._along(moved, unit)
-            self._points[:, column] = given
-            total += by_column[..., None] * slopes[self._search.rows[:, 0], column]
+    def by_numbers(self, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K), and
+        of the numbers in functions of the pose (L, K); see `in_functions`.
+        """
+        total = np.zeros((2, len(self._search.rows), numbers.shape[-1]))
+        for column in np.flatnonzero(np.any(points, axis=(0, 2))).tolist():
+            total += self._by(self._points[:, column])[..., None] * points[self._search.rows[:, 0], column]
+        for place in np.flatnonzero(np.any(numbers, axis=1)).tolist():
+            total += self._by(self._numbers[place : place + 1])[..., None] * numbers[place]
         return total
+
+    def _by(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2, m) of the residuals, if some numbers of the mechanism change equally."""
+        given = numbers.copy()
+        unit = 2.0 ** np.floor(np.log2(0.0125 * max(0.1, float(np.max(np.abs(given))))))
+
+        def moved(change: float) -> np.ndarray:
+            numbers[:] = given + change
+            return self._residuals(self.q)
+
+        found = self._along(moved, unit)
+        numbers[:] = given
+        return found
 
     def _projected(self, given: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return derivatives (n, K) near the given ones for which the residual ``J x + r`` (m, K) vanishes."""
@@ -230,13 +248,12 @@ class StartDerivatives:
         light = self._light
         return np.asarray(given - light[:, None] * np.linalg.lstsq(self._jacobian * light, miss, RANK)[0])
 
-    def of(self, q: np.ndarray, v: np.ndarray, points: np.ndarray) -> dict[str, np.ndarray]:
+    def of(self, q: np.ndarray, v: np.ndarray, points: np.ndarray, numbers: np.ndarray) -> dict[str, np.ndarray]:
         """Return the derivatives of the start ``q`` and ``v`` (3 (B + 1), K) from those of the given values, ground
-        last, and of the parameters of the joints (P, 6, K).
+        last; for `points` and `numbers`, see `by_numbers`.
         """
-        by_points = self.by_points(points)
-        dq = self._projected(q[:-3], by_points[0])
-        rate = by_points[1]
+        residuals, rate = self.by_numbers(points, numbers)
+        dq = self._projected(q[:-3], residuals)
         for k in np.flatnonzero(np.any(dq, axis=0)) if np.any(self.v) else ():
             way = 0.001 / float(np.max(np.abs(dq[:, k]))) * dq[:, k]
 
