@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -26,7 +26,7 @@ from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import RunSetup
-from mbdkit.runs.varied_numbers import VariedNumbers
+from mbdkit.runs.varied_numbers import VariedNumbers, Variant
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_in, numbers_of
@@ -73,6 +73,28 @@ def prepared_derivatives(
         return numbers_of(spec, definitions) | numbers_in(spec.watched(), "events")
 
     return RunPreparation(spec, numbers).derivatives(parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPreparation:
+    """What preparations of specs with equal models and parameters share, whatever their other sections are.
+
+    Attributes
+    ----------
+    starts
+        Compiled mechanisms.
+    specs
+        See `VariedSpecs`.
+    formulas
+        The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths.
+    latest
+        The latest formulas with their derivatives; see `RunPreparation._formulas_at`.
+    """
+
+    starts: Starts = field(default_factory=Starts)
+    specs: dict[str, RunSpec] = field(default_factory=dict)
+    formulas: dict[object, tuple[object, VariedNumbers]] = field(default_factory=dict)
+    latest: dict[object, tuple[Variant, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 class PreparedSpec:
@@ -205,9 +227,8 @@ class RunPreparation(Preparation):
         but `initial` share them.
     equations
         Equations of the start, whose residuals take the place of the start in the arrays.
-    formulas
-        The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths;
-        preparations of one base share them.
+    shared
+        What preparations of bases with equal models and parameters share.
     """
 
     ROUNDED = ("q", "v", POSITION, VELOCITY)
@@ -221,13 +242,12 @@ class RunPreparation(Preparation):
         values: Mapping[Path, float] = MappingProxyType({}),
         prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
         equations: StartEquations | None = None,
-        formulas: dict[object, tuple[object, VariedNumbers]] | None = None,
+        shared: SharedPreparation | None = None,
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
-        self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
-        self._starts = Starts()
+        self._shared = shared or SharedPreparation()
+        self._specs = VariedSpecs(spec.canonical_json(), self._shared.specs) if specs is None else specs
         self._prepared, self._equations = {} if prepared is None else prepared, equations
-        self._formulas = {} if formulas is None else formulas
         self._base = spec
         self._own = self._with_values(values)
         self.spec, self.mechanism = self._own.spec, self._own.start.mechanism
@@ -243,7 +263,7 @@ class RunPreparation(Preparation):
         key = tuple(values.items())
         if key not in self._prepared:
             spec = self._specs.spec(key) if key else self._base
-            self._prepared[key] = PreparedSpec(spec, self._numbers, self._starts, is_given=bool(self.initial))
+            self._prepared[key] = PreparedSpec(spec, self._numbers, self._shared.starts, is_given=bool(self.initial))
         return self._prepared[key]
 
     def _arrays(
@@ -265,8 +285,8 @@ class RunPreparation(Preparation):
         if given is not None and self._equations is None:
             equations = StartEquations(given, self.initial, self.base["q"][: given.n], self.base["v"][: given.n])
             if equations.determine_the_start:
-                shared = self._specs, self.values, self._prepared
-                other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations, self._formulas)
+                known = self._specs, self.values, self._prepared
+                other = RunPreparation(self._base, self._numbers, self.initial, *known, equations, self._shared)
                 return equations.completed(other.derivatives(parameters))
         recorded = self._recorded(parameters)
         if recorded is None or not np.any(recorded[1]):
@@ -302,15 +322,13 @@ class RunPreparation(Preparation):
         plain = [one for one, is_known in zip(parameters, known, strict=True) if is_known]
         values = np.array([one.value for one in plain])
         try:
-            variant = self._numbers_of(plain).results(values.tolist())[0]  # type: ignore[index]
-            exact = derivatives_of(variant.formulas, values.tolist())
+            variant, exact, is_inside = self._formulas_at(plain, values)
         except (Exception, SystemExit):  # code computes in a way that cannot be recorded
             return None
         every = np.zeros((len(exact), len(parameters)))
         every[:, known] = exact
         slopes = arrays_from(variant.places, variant.base, every)
-        around = np.minimum([WIDEST * self._scale(one) for one in plain], np.where(values, 0.5 * np.abs(values), np.inf))
-        known[known] = inside(variant.formulas, values, around)
+        known[known] = is_inside
         known &= np.all([np.isfinite(x).reshape(-1, len(parameters)).all(axis=0) for x in slopes.values()], axis=0)
         touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
         never = np.zeros(len(parameters), dtype=bool)
@@ -345,17 +363,30 @@ class RunPreparation(Preparation):
         none = np.zeros(len(parameters))
         return self._completed(slopes, parameters, none, none.astype(int)), known
 
-    def _numbers_of(self, parameters: Sequence[Parameter]) -> VariedNumbers:
-        """Return the recorded formulas of the arrays as functions of parameters."""
+    def _formulas_at(
+        self, parameters: Sequence[Parameter], values: np.ndarray
+    ) -> tuple[Variant, np.ndarray, np.ndarray]:
+        """Return the recorded formulas of the arrays as functions of parameters, their derivatives (R, K), and (K,)
+        whether all conditions hold around the values (K,).
+        """
         paths = tuple(one.path for one in parameters)
         others = tuple((path, value) for path, value in self.values.items() if path not in paths)
-        if paths not in self._formulas or self._formulas[paths][0] != others:
+        formulas, latest = self._shared.formulas, self._shared.latest
+        if paths not in formulas or formulas[paths][0] != others:
 
             def spec(numbers: Sequence[float]) -> RunSpec:
                 return self._specs.spec([*others, *zip(paths, numbers, strict=True)])
 
-            self._formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
-        return self._formulas[paths][1]
+            formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
+        key = paths, others, values.tobytes()
+        if key not in latest:
+            variant, _ = formulas[paths][1].results(values.tolist())  # type: ignore[misc]
+            exact = derivatives_of(variant.formulas, values.tolist())
+            sizes = np.array([WIDEST * self._scale(one) for one in parameters])
+            around = np.minimum(sizes, np.where(values, 0.5 * np.abs(values), np.inf))
+            latest.clear()
+            latest[key] = variant, exact, inside(variant.formulas, values, around)
+        return latest[key]
 
     def _by_differences(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return derivatives by differences.
@@ -374,7 +405,7 @@ class RunPreparation(Preparation):
                 values = {one.path: one.value for one in changed if one.path[0] != "initial"}
                 initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
                 start, both = {**self.initial, **initial}, {**self.values, **values}
-                made = self._specs, both, self._prepared, self._equations, self._formulas
+                made = self._specs, both, self._prepared, self._equations, self._shared
                 other = RunPreparation(self._base, self._numbers, start, *made)
                 known = np.array([one.value for one in parameters])
                 if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
