@@ -197,9 +197,9 @@ class StartDerivatives:
     def __init__(self, start: MechanismAtStart, t0: float, fixed: np.ndarray):
         mechanism, top = start.mechanism, start.mechanism.topology
         self.q, self.v = start.q0[:-3], start.v0[:-3]
-        own = top._replace(pair_parameters=top.pair_parameters.copy(), law_parameters=top.law_parameters.copy())
-        self._points, self._numbers = own.pair_parameters, own.law_parameters
+        own = top._replace(pair_parameters=top.pair_parameters.copy())
         self._search = LeastChange(replace(mechanism, topology=own), t0, fixed)
+        self._points, self._numbers = own.pair_parameters, self._search.scratch.law_values
         self._light = np.where(fixed, 0.0, np.sqrt(top.weight[:-1].ravel()))
         _, entries, _ = self._search.evaluate(self.q)
         self._jacobian = np.zeros((len(self._search.rows), len(self.q)))
