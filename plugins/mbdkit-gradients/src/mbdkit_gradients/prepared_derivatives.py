@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.given_start import GivenStart
 from mbdkit.runs.preparation import RunSetup
-from mbdkit.runs.varied_numbers import VariedNumbers, Variant
+from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_gradients.differentiated_expressions import NO_MEASURES, Definitions, numbers_in, numbers_of
@@ -41,7 +42,7 @@ from mbdkit_gradients.parameter_differences import (
     PreparedDerivatives,
     weights,
 )
-from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, in_functions, inside
+from mbdkit_gradients.recorded_derivatives import StartDerivatives, arrays_from, derivatives_of, inside
 
 #: Names of the residuals of the equations of a start with given values.
 POSITION, VELOCITY = "position equations", "velocity equations"
@@ -94,7 +95,7 @@ class SharedPreparation:
     starts: Starts = field(default_factory=Starts)
     specs: dict[str, RunSpec] = field(default_factory=dict)
     formulas: dict[object, tuple[object, VariedNumbers]] = field(default_factory=dict)
-    latest: dict[object, tuple[Variant, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    latest: dict[object, tuple[Any, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 class PreparedSpec:
@@ -334,7 +335,7 @@ class RunPreparation(Preparation):
         never = np.zeros(len(parameters), dtype=bool)
         top = self.mechanism.topology
         numbers = slopes.get("law_parameters", np.zeros((len(top.law_parameters), len(known))))
-        numbers = numbers * in_functions(top)[:, None]
+        numbers = numbers * self.mechanism.in_functions[:, None]
         moves = touched.get("motion_values", never)
         starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
         starts = starts | np.any(numbers, axis=0)
@@ -363,9 +364,7 @@ class RunPreparation(Preparation):
         none = np.zeros(len(parameters))
         return self._completed(slopes, parameters, none, none.astype(int)), known
 
-    def _formulas_at(
-        self, parameters: Sequence[Parameter], values: np.ndarray
-    ) -> tuple[Variant, np.ndarray, np.ndarray]:
+    def _formulas_at(self, parameters: Sequence[Parameter], values: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
         """Return the recorded formulas of the arrays as functions of parameters, their derivatives (R, K), and (K,)
         whether all conditions hold around the values (K,).
         """

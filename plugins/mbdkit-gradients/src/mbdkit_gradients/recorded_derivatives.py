@@ -16,8 +16,6 @@ import numpy as np
 from mbdkit.base.traced_numbers import Formulas, UntraceableError, recorded_functions
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.consistent_start import MechanismAtStart
-from mbdkit.engine.kernels.engine_bundles import Topology
-from mbdkit.engine.kernels.table_rows import FUNCTION, LAW_ROW
 from mbdkit.engine.least_change import LeastChange
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit_gradients.parameter_differences import CENTRAL, LEFT_OUT, RANK, weights
@@ -175,14 +173,6 @@ def inside(formulas: Formulas, values: np.ndarray, changes: np.ndarray) -> np.nd
     return np.array([hold(values + change) and hold(values - change) for change in single])
 
 
-def in_functions(topology: Topology) -> np.ndarray:
-    """Return (L,) whether numbers of laws are those of joints that are functions of the pose."""
-    found = np.zeros(len(topology.law_parameters), dtype=bool)
-    for begin in topology.laws[topology.functions[:, FUNCTION.law], LAW_ROW.parameters].tolist():
-        found[begin + 1 : begin + 1 + int(topology.law_parameters[begin])] = True
-    return found
-
-
 #: Largest residual of a consistent start, relative to its largest term, that counts as round-off.
 CONSISTENT = 1e-13
 
@@ -217,7 +207,7 @@ class StartDerivatives:
 
     def by_numbers(self, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
         """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K), and
-        of the numbers in functions of the pose (L, K); see `in_functions`.
+        of the numbers of laws (L, K) that are in functions of the pose.
         """
         total = np.zeros((2, len(self._search.rows), numbers.shape[-1]))
         for column in np.flatnonzero(np.any(points, axis=(0, 2))).tolist():

@@ -245,7 +245,9 @@ def geared(start: float) -> dict[str, Any]:
         "model": {
             "name": "mechanism",
             "bodies": {
-                "upper": {"mass": 1.0, "inertia": 0.01, "position": ["l*sin(swing)", "-l*cos(swing)"], "angle": "swing"},
+                "upper": {
+                    "mass": 1.0, "inertia": 0.01, "position": ["l*sin(swing)", "-l*cos(swing)"], "angle": "swing",
+                },
                 "lower": {"mass": 0.5, "inertia": 0.01, "position": ["l*sin(swing)", "-l*cos(swing) - c"]},
                 "rotor": {"mass": 0.1, "inertia": "J", "angle": "turn"},
             },
