@@ -334,11 +334,11 @@ class RunPreparation(Preparation):
         touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
         never = np.zeros(len(parameters), dtype=bool)
         top = self.mechanism.topology
-        numbers = slopes.get("law_parameters", np.zeros((len(top.law_parameters), len(known))))
-        numbers = numbers * self.mechanism.in_functions[:, None]
+        of_laws = slopes.get("law_parameters", np.zeros((len(top.law_parameters), len(known))))
+        of_functions = of_laws * self.mechanism.in_functions[:, None]
         moves = touched.get("motion_values", never)
         starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
-        starts = starts | np.any(numbers, axis=0)
+        starts = starts | np.any(of_functions, axis=0)
         if own.start.assembled.changed and equations is None:
             moves = moves | starts | touched.get("mass", never)
         known &= ~moves
@@ -353,7 +353,7 @@ class RunPreparation(Preparation):
         given = [slopes.pop(name, np.zeros((len(top.mass.ravel()), len(known)))) for name in "qv"]
         if np.any(starts & known):
             points = slopes.get("pair_parameters", np.zeros((*top.pair_parameters.shape, len(known))))
-            both = points * known, numbers * known
+            both = points * known, of_functions * known
             if equations is None:
                 bodies, fix = self.spec.mechanism().bodies, self.spec.mechanism().assembly.fix
                 begin = StartDerivatives(own.start, self.spec.time.start, np.repeat([x in fix for x in bodies], 3))
