@@ -336,6 +336,15 @@ class CompiledMechanism:
         return bool(len(self.drives) or np.any(claims == OF_TIME))
 
     @cached_property
+    def in_functions(self) -> np.ndarray:
+        """(L,) whether numbers of laws are those of joints that are functions of the pose."""
+        top = self.topology
+        found = np.zeros(len(top.law_parameters), dtype=bool)
+        for begin in top.laws[top.functions[:, FUNCTION.law], LAW_ROW.parameters].tolist():
+            found[begin + 1 : begin + 1 + int(top.law_parameters[begin])] = True
+        return found
+
+    @cached_property
     def is_locked(self) -> bool:
         """Whether nothing can move, so that all velocities and energies of motion are rounding errors."""
         return self.coordinates == int(np.sum(self.topology.rows)) and not self.is_driven

@@ -117,9 +117,9 @@ class CompiledForStarts:
     has_loops: bool
 
     @classmethod
-    def of(cls, mechanism: Mechanism, t0: float) -> CompiledForStarts:
-        """Compile a mechanism for starts at time `t0` [s]."""
-        compiled = compile_mechanism(mechanism)
+    def of(cls, mechanism: Mechanism, t0: float, compiled: CompiledMechanism | None = None) -> CompiledForStarts:
+        """Compile a mechanism for starts at time `t0` [s], unless it is `compiled`."""
+        compiled = compiled or compile_mechanism(mechanism)
         return cls(compiled, search_for(mechanism, compiled, t0), len(looped_rows(compiled)) > 0)
 
     def at_start(self, mechanism: Mechanism, end: float) -> MechanismAtStart:
@@ -168,8 +168,9 @@ class Starts:
         key = content, t0
         compiled = None if content is None else self._compiled.pop(key, None)
         if compiled is None:
+            known = [one.mechanism for (other, _), one in self._compiled.items() if None is not other == content]
             with within_double_precision():
-                compiled = CompiledForStarts.of(mechanism, t0)
+                compiled = CompiledForStarts.of(mechanism, t0, *known[:1])
         if content is None:
             return compiled
         self._compiled[key] = compiled

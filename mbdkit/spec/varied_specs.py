@@ -18,6 +18,8 @@ from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
 from mbdkit.spec.run_spec import RunSpec
 
+MOST_ALIKE = 8  #: Largest number of models that are kept.
+
 
 class VariedSpecs:
     """Makes run specs from a base by setting values in it.
@@ -27,11 +29,13 @@ class VariedSpecs:
     a value, if the spec has `accuracy`, and for options of the model if it has `parameters` or expressions. Errors are
     raised by the validation of the whole spec.
 
-    `base`: the spec before the values are set, as JSON.
+    `base`: the spec before the values are set, as JSON. `alike`: the latest specs by their models as JSON, for bases
+    that share them because they have equal models and parameters.
     """
 
-    def __init__(self, base: str):
+    def __init__(self, base: str, alike: dict[str, RunSpec] | None = None):
         self._base: dict[str, object] = json.loads(base)
+        self._alike = {} if alike is None else alike
         self._pattern: RunSpec | None = None
         self._expressed: RunSpec | None = None
         self._template: tuple[tuple[Path, ...], Callable[[Sequence[object]], str]] | None = None
@@ -85,8 +89,15 @@ class VariedSpecs:
                 holder = holder[key]
             holder[path[-1]] = written.value(numbers, path)
         text = json.dumps(data["model"], allow_nan=False)
-        model = type(pattern.model).model_validate_json(text, context=self._context)
-        return pattern.with_model(model, parameters, numbers)
+        if (known := self._alike.get(text)) is None:
+            model = type(pattern.model).model_validate_json(text, context=self._context)
+            found = self._alike[text] = pattern.with_model(model, parameters, numbers)
+            if len(self._alike) > MOST_ALIKE:
+                self._alike.pop(next(iter(self._alike)))
+            return found
+        found = pattern.with_model(known.model, parameters, numbers)
+        found.adopt(known.mechanism(), known._files)
+        return found
 
     def _check_parameters(self, spec: RunSpec, values: Sequence[tuple[Path, object]]) -> None:
         """Raise SpecError for a parameter that is set, but neither defined in the base nor used by an expression."""

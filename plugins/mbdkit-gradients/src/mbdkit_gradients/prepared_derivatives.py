@@ -12,9 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +75,28 @@ def prepared_derivatives(
         return numbers_of(spec, definitions) | numbers_in(spec.watched(), "events")
 
     return RunPreparation(spec, numbers).derivatives(parameters)
+
+
+@dataclass(frozen=True, eq=False)
+class SharedPreparation:
+    """What preparations of specs with equal models and parameters share, whatever their other sections are.
+
+    Attributes
+    ----------
+    starts
+        Compiled mechanisms.
+    specs
+        See `VariedSpecs`.
+    formulas
+        The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths.
+    latest
+        The latest formulas with their derivatives; see `RunPreparation._formulas_at`.
+    """
+
+    starts: Starts = field(default_factory=Starts)
+    specs: dict[str, RunSpec] = field(default_factory=dict)
+    formulas: dict[object, tuple[object, VariedNumbers]] = field(default_factory=dict)
+    latest: dict[object, tuple[Any, np.ndarray, np.ndarray]] = field(default_factory=dict)
 
 
 class PreparedSpec:
@@ -146,15 +169,16 @@ class StartEquations:
         length = self.given.length
         return {POSITION: position + length, VELOCITY: velocity + max(length, float(np.max(np.abs(self.v))))}
 
-    def by_points(self, points: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the derivatives (R, K) of the residuals, given those of the parameters of the joints (P, 6, K).
+    def by_numbers(self, points: np.ndarray, numbers: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the derivatives (R, K) of the residuals; see `StartDerivatives.by_numbers`.
 
-        The given quantities do not depend on these.
+        The given quantities do not depend on these numbers.
         """
         start = replace(self.given.start, q0=with_ground(self.q), v0=with_ground(self.v))
-        both = StartDerivatives(start, self.given.search.t0, np.zeros(self.given.n, dtype=bool)).by_points(points)
+        derivatives = StartDerivatives(start, self.given.search.t0, np.zeros(self.given.n, dtype=bool))
         slopes = {}
         residuals = (equations[0] for equations in self.given.equations(self.initial, self.q, self.v))
+        both = derivatives.by_numbers(points, numbers)
         for name, residual, own in zip((POSITION, VELOCITY), residuals, both, strict=True):
             slopes[name] = np.zeros((len(residual), points.shape[-1]))
             slopes[name][: len(own)] = own
@@ -205,9 +229,8 @@ class RunPreparation(Preparation):
         but `initial` share them.
     equations
         Equations of the start, whose residuals take the place of the start in the arrays.
-    formulas
-        The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths;
-        preparations of one base share them.
+    shared
+        What preparations of bases with equal models and parameters share.
     """
 
     ROUNDED = ("q", "v", POSITION, VELOCITY)
@@ -221,13 +244,12 @@ class RunPreparation(Preparation):
         values: Mapping[Path, float] = MappingProxyType({}),
         prepared: dict[tuple[tuple[Path, float], ...], PreparedSpec] | None = None,
         equations: StartEquations | None = None,
-        formulas: dict[object, tuple[object, VariedNumbers]] | None = None,
+        shared: SharedPreparation | None = None,
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
-        self._specs = VariedSpecs(spec.canonical_json()) if specs is None else specs
-        self._starts = Starts()
+        self._shared = shared or SharedPreparation()
+        self._specs = VariedSpecs(spec.canonical_json(), self._shared.specs) if specs is None else specs
         self._prepared, self._equations = {} if prepared is None else prepared, equations
-        self._formulas = {} if formulas is None else formulas
         self._base = spec
         self._own = self._with_values(values)
         self.spec, self.mechanism = self._own.spec, self._own.start.mechanism
@@ -243,7 +265,7 @@ class RunPreparation(Preparation):
         key = tuple(values.items())
         if key not in self._prepared:
             spec = self._specs.spec(key) if key else self._base
-            self._prepared[key] = PreparedSpec(spec, self._numbers, self._starts, is_given=bool(self.initial))
+            self._prepared[key] = PreparedSpec(spec, self._numbers, self._shared.starts, is_given=bool(self.initial))
         return self._prepared[key]
 
     def _arrays(
@@ -265,8 +287,8 @@ class RunPreparation(Preparation):
         if given is not None and self._equations is None:
             equations = StartEquations(given, self.initial, self.base["q"][: given.n], self.base["v"][: given.n])
             if equations.determine_the_start:
-                shared = self._specs, self.values, self._prepared
-                other = RunPreparation(self._base, self._numbers, self.initial, *shared, equations, self._formulas)
+                known = self._specs, self.values, self._prepared
+                other = RunPreparation(self._base, self._numbers, self.initial, *known, equations, self._shared)
                 return equations.completed(other.derivatives(parameters))
         if tables := self.tables(parameters):
             return self._with_tables(parameters, tables)
@@ -317,22 +339,25 @@ class RunPreparation(Preparation):
         plain = [one for one, is_known in zip(parameters, known, strict=True) if is_known]
         values = np.array([one.value for one in plain])
         try:
-            variant = self._numbers_of(plain).results(values.tolist())[0]  # type: ignore[index]
-            exact = derivatives_of(variant.formulas, values.tolist())
+            variant, exact, is_inside = self._formulas_at(plain, values)
         except (Exception, SystemExit):  # code computes in a way that cannot be recorded
             return None
         every = np.zeros((len(exact), len(parameters)))
         every[:, known] = exact
         slopes = arrays_from(variant.places, variant.base, every)
-        known[known] = inside(variant.formulas, values, WIDEST * np.array([self._scale(one) for one in plain]))
+        known[known] = is_inside
         known &= np.all([np.isfinite(x).reshape(-1, len(parameters)).all(axis=0) for x in slopes.values()], axis=0)
         touched = {name: np.any(x.reshape(-1, len(parameters)), axis=0) for name, x in slopes.items()}
         never = np.zeros(len(parameters), dtype=bool)
+        top = self.mechanism.topology
+        of_laws = slopes.get("law_parameters", np.zeros((len(top.law_parameters), len(known))))
+        of_functions = of_laws * self.mechanism.in_functions[:, None]
         moves = touched.get("motion_values", never)
         starts = touched.get("q", never) | touched.get("v", never) | touched.get("pair_parameters", never)
+        starts = starts | np.any(of_functions, axis=0)
         if own.start.assembled.changed and equations is None:
             moves = moves | starts | touched.get("mass", never)
-        known &= ~moves & ~(starts if len(self.mechanism.topology.functions) else never)
+        known &= ~moves
         named = [one for one in plain if one.path[0] == "parameters"]
         if named and own.numbers:
             changed = [(one.path, one.value + 0.01 * self._scale(one)) for one in named]
@@ -341,31 +366,42 @@ class RunPreparation(Preparation):
                 if all(np.array_equal(x, own.numbers[name]) for name, x in numbers.items()):
                     named = []
             known &= np.array([one not in named for one in parameters])
-        given = [slopes.pop(name, np.zeros((len(self.mechanism.topology.mass.ravel()), len(known)))) for name in "qv"]
+        given = [slopes.pop(name, np.zeros((len(top.mass.ravel()), len(known)))) for name in "qv"]
         if np.any(starts & known):
-            shape = *self.mechanism.topology.pair_parameters.shape, len(known)
-            points = slopes.get("pair_parameters", np.zeros(shape)) * known
+            points = slopes.get("pair_parameters", np.zeros((*top.pair_parameters.shape, len(known))))
+            both = points * known, of_functions * known
             if equations is None:
                 bodies, fix = self.spec.mechanism().bodies, self.spec.mechanism().assembly.fix
                 begin = StartDerivatives(own.start, self.spec.time.start, np.repeat([x in fix for x in bodies], 3))
-                slopes |= begin.of(given[0] * known, given[1] * known, points)
+                slopes |= begin.of(given[0] * known, given[1] * known, *both)
             else:
-                slopes |= equations.by_points(points)
+                slopes |= equations.by_numbers(*both)
         slopes = {name: x * known for name, x in slopes.items() if np.any(x[..., known])}
         none = np.zeros(len(parameters))
         return self._completed(slopes, parameters, none, none.astype(int)), known
 
-    def _numbers_of(self, parameters: Sequence[Parameter]) -> VariedNumbers:
-        """Return the recorded formulas of the arrays as functions of parameters."""
+    def _formulas_at(self, parameters: Sequence[Parameter], values: np.ndarray) -> tuple[Any, np.ndarray, np.ndarray]:
+        """Return the recorded formulas of the arrays as functions of parameters, their derivatives (R, K), and (K,)
+        whether all conditions hold around the values (K,).
+        """
         paths = tuple(one.path for one in parameters)
         others = tuple((path, value) for path, value in self.values.items() if path not in paths)
-        if paths not in self._formulas or self._formulas[paths][0] != others:
+        formulas, latest = self._shared.formulas, self._shared.latest
+        if paths not in formulas or formulas[paths][0] != others:
 
             def spec(numbers: Sequence[float]) -> RunSpec:
                 return self._specs.spec([*others, *zip(paths, numbers, strict=True)])
 
-            self._formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
-        return self._formulas[paths][1]
+            formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
+        key = paths, others, values.tobytes()
+        if key not in latest:
+            variant, _ = formulas[paths][1].results(values.tolist())  # type: ignore[misc]
+            exact = derivatives_of(variant.formulas, values.tolist())
+            sizes = np.array([WIDEST * self._scale(one) for one in parameters])
+            around = np.minimum(sizes, np.where(values, 0.5 * np.abs(values), np.inf))
+            latest.clear()
+            latest[key] = variant, exact, inside(variant.formulas, values, around)
+        return latest[key]
 
     def _by_differences(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         """Return derivatives by differences.
@@ -384,7 +420,7 @@ class RunPreparation(Preparation):
                 values = {one.path: one.value for one in changed if one.path[0] != "initial"}
                 initial = {str(one.path[1]): one.value for one in changed if one.path[0] == "initial"}
                 start, both = {**self.initial, **initial}, {**self.values, **values}
-                made = self._specs, both, self._prepared, self._equations, self._formulas
+                made = self._specs, both, self._prepared, self._equations, self._shared
                 other = RunPreparation(self._base, self._numbers, start, *made)
                 known = np.array([one.value for one in parameters])
                 if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:

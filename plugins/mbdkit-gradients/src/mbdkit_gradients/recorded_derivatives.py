@@ -188,8 +188,8 @@ class StartDerivatives:
         mechanism, top = start.mechanism, start.mechanism.topology
         self.q, self.v = start.q0[:-3], start.v0[:-3]
         own = top._replace(pair_parameters=top.pair_parameters.copy())
-        self._points = own.pair_parameters
         self._search = LeastChange(replace(mechanism, topology=own), t0, fixed)
+        self._points, self._numbers = own.pair_parameters, self._search.scratch.law_values
         self._light = np.where(fixed, 0.0, np.sqrt(top.weight[:-1].ravel()))
         _, entries, _ = self._search.evaluate(self.q)
         self._jacobian = np.zeros((len(self._search.rows), len(self.q)))
@@ -205,21 +205,29 @@ class StartDerivatives:
         terms = (w * (evaluate(place * unit) - now) for place, w in zip(CENTRAL, weights(CENTRAL), strict=True))
         return np.asarray(sum(terms)) / unit
 
-    def by_points(self, slopes: np.ndarray) -> np.ndarray:
-        """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K)."""
-        total = np.zeros((2, len(self._search.rows), slopes.shape[-1]))
-        for column in np.flatnonzero(np.any(slopes, axis=(0, 2))).tolist():
-            given = self._points[:, column].copy()
-            unit = 2.0 ** np.floor(np.log2(0.0125 * max(0.1, float(np.max(np.abs(given))))))
-
-            def moved(change: float, column: int = column, given: np.ndarray = given) -> np.ndarray:
-                self._points[:, column] = given + change
-                return self._residuals(self.q)
-
-            by_column = self._along(moved, unit)
-            self._points[:, column] = given
-            total += by_column[..., None] * slopes[self._search.rows[:, 0], column]
+    def by_numbers(self, points: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2, m, K) of the residuals, given those of the parameters of the joints (P, 6, K), and
+        of the numbers of laws (L, K) that are in functions of the pose.
+        """
+        total = np.zeros((2, len(self._search.rows), numbers.shape[-1]))
+        for column in np.flatnonzero(np.any(points, axis=(0, 2))).tolist():
+            total += self._by(self._points[:, column])[..., None] * points[self._search.rows[:, 0], column]
+        for place in np.flatnonzero(np.any(numbers, axis=1)).tolist():
+            total += self._by(self._numbers[place : place + 1])[..., None] * numbers[place]
         return total
+
+    def _by(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the derivatives (2, m) of the residuals, if some numbers of the mechanism change equally."""
+        given = numbers.copy()
+        unit = 2.0 ** np.floor(np.log2(0.0125 * max(0.1, float(np.max(np.abs(given))))))
+
+        def moved(change: float) -> np.ndarray:
+            numbers[:] = given + change
+            return self._residuals(self.q)
+
+        found = self._along(moved, unit)
+        numbers[:] = given
+        return found
 
     def _projected(self, given: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Return derivatives (n, K) near the given ones for which the residual ``J x + r`` (m, K) vanishes."""
@@ -230,13 +238,12 @@ class StartDerivatives:
         light = self._light
         return np.asarray(given - light[:, None] * np.linalg.lstsq(self._jacobian * light, miss, RANK)[0])
 
-    def of(self, q: np.ndarray, v: np.ndarray, points: np.ndarray) -> dict[str, np.ndarray]:
+    def of(self, q: np.ndarray, v: np.ndarray, points: np.ndarray, numbers: np.ndarray) -> dict[str, np.ndarray]:
         """Return the derivatives of the start ``q`` and ``v`` (3 (B + 1), K) from those of the given values, ground
-        last, and of the parameters of the joints (P, 6, K).
+        last; for `points` and `numbers`, see `by_numbers`.
         """
-        by_points = self.by_points(points)
-        dq = self._projected(q[:-3], by_points[0])
-        rate = by_points[1]
+        residuals, rate = self.by_numbers(points, numbers)
+        dq = self._projected(q[:-3], residuals)
         for k in np.flatnonzero(np.any(dq, axis=0)) if np.any(self.v) else ():
             way = 0.001 / float(np.max(np.abs(dq[:, k]))) * dq[:, k]
 

@@ -27,7 +27,6 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.mechanism.parameters import names_in
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.stepping.open_simulation import open as open_simulation
-from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
@@ -38,7 +37,7 @@ from mbdkit_gradients.differentiated_states import require_derivative, series_of
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
 from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.parameter_differences import Arrays, KnownDerivatives, PreparedDerivatives
-from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation
+from mbdkit_gradients.prepared_derivatives import PreparedSpec, RunPreparation, SharedPreparation
 from mbdkit_gradients.states_at_times import DifferentiatedRunAtTimes, RunAtTimes, Way
 
 #: First part of the names of parameters that are initial values, such as ``initial.crank.angle``.
@@ -156,6 +155,8 @@ class PreparedSensitivities:
         The validated spec.
     quantities, times, names, initial
         See `sensitivities`.
+    like
+        Another one, whose spec has an equal model and equal parameters; work that depends on these alone is shared.
 
     Attributes
     ----------
@@ -176,6 +177,7 @@ class PreparedSensitivities:
         names: Sequence[str],
         *,
         initial: Mapping[str, float] | None = None,
+        like: PreparedSensitivities | None = None,
     ):
         self.spec, self.initial = spec, dict(initial or {})
         self.quantities = (quantities,) if isinstance(quantities, str) else tuple(quantities)
@@ -189,9 +191,9 @@ class PreparedSensitivities:
         self.differences = self._why_differences()
         self._grid = _grid(spec, self.sorted)
         self._way: Way = "rows" if self._grid is not None else "ends" if is_smooth(spec) else "within"
-        self._specs = VariedSpecs(spec.canonical_json())
+        self._shared: SharedPreparation = SharedPreparation() if like is None else like._shared
+        self._specs = VariedSpecs(spec.canonical_json(), self._shared.specs)
         self._preparations: dict[object, RunPreparation] = {}
-        self._formulas: dict[object, tuple[object, VariedNumbers]] = {}
         self._known: dict[object, KnownDerivatives] = {}
         self._prepared_at: tuple[tuple[Mapping[Path, float], bool], dict[Any, PreparedSpec]] = ({}, False), {}
 
@@ -294,9 +296,8 @@ class PreparedSensitivities:
             self._prepared_at, self._preparations = ((values, bool(start)), {}), {}
         key = tuple(start.items())
         if key not in self._preparations:
-            shared = self._prepared_at[1]
             self._preparations[key] = RunPreparation(
-                self.spec, self._numbers, start, self._specs, values, shared, formulas=self._formulas
+                self.spec, self._numbers, start, self._specs, values, self._prepared_at[1], shared=self._shared
             )
         return self._preparations[key]
 

@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit import RunError, SpecError, load_spec
+from mbdkit_gradients.prepared_derivatives import RunPreparation
 from mbdkit_gradients.sensitivities import PreparedSensitivities
 from tests.margins import assert_within
 
@@ -234,3 +235,55 @@ def test_derivatives_follow_a_factor_of_their_parameter_that_is_not_differentiat
     rate = np.sqrt(30.0)
     exact = 5.0 * 0.3 * (np.sin(rate * t) / rate - t * np.cos(rate * t)) / 2.0
     assert_within(found - exact, 1e-8)
+
+
+def geared(start: float) -> dict[str, Any]:
+    """Two arms, and a rotor on the first one whose belt turns the second one, from a start time [s]."""
+    return {
+        "mbdkit": 1,
+        "parameters": {"l": 0.4, "c": 0.2, "r": 0.05, "J": 0.001, "turn": 0.3, "swing": 0.5},
+        "model": {
+            "name": "mechanism",
+            "bodies": {
+                "upper": {
+                    "mass": 1.0, "inertia": 0.01, "position": ["l*sin(swing)", "-l*cos(swing)"], "angle": "swing",
+                },
+                "lower": {"mass": 0.5, "inertia": 0.01, "position": ["l*sin(swing)", "-l*cos(swing) - c"]},
+                "rotor": {"mass": 0.1, "inertia": "J", "angle": "turn"},
+            },
+            "joints": {
+                "shoulder": {"type": "revolute", "bodies": ["ground", "upper"], "points": [[0, 0], [0, "l"]]},
+                "elbow": {"type": "revolute", "bodies": ["upper", "lower"], "points": [[0, 0], [0, "c"]]},
+                "axle": {"type": "revolute", "bodies": ["upper", "rotor"], "points": [[0, "l"], [0, 0]]},
+                "belt": {
+                    "type": "belt", "bodies": ["rotor", "lower"], "points": [[0, 0], [0, "c"]], "radii": [0.02, "r"],
+                },
+            },
+        },
+        "integrator": {"name": "rk4"},
+        "time": {"start": start, "end": start + 0.3, "step": 0.01},
+    }  # fmt: skip
+
+
+GIVEN = {"upper.angle": 0.6, "lower.angle": 0.1, "upper.angular_velocity": 0.5, "lower.angular_velocity": 1.0}
+
+
+@pytest.mark.parametrize("initial", [{}, GIVEN], ids=["start", "given"])
+def test_derivatives_with_a_belt_are_exact(initial: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    # expected: differences of runs
+    monkeypatch.delattr(RunPreparation, "_by_differences")
+    names = ["l", "c", "r", "J", "turn", "swing"]
+    quantities, times = ["lower.angle", "rotor.angle"], np.array([1.0, 1.1, 1.3])
+    spec, values = load_spec(geared(1.0)), {name: geared(1.0)["parameters"][name] for name in names}
+    other = PreparedSensitivities(load_spec(geared(0.5)), quantities, np.array([0.6]), names, initial=initial)
+    other.at(values)
+    prepared = PreparedSensitivities(spec, quantities, times, names, initial=initial, like=other)
+    found = prepared.at(values)
+    assert found.differences == ""
+    alone = PreparedSensitivities(spec, quantities, times, names, initial=initial).at(values)
+    np.testing.assert_array_equal(found.derivatives, alone.derivatives)
+    for k, name in enumerate(names):
+        h = 1e-3 * values[name]
+        at = {place: prepared.values(values | {name: values[name] + place * h}, initial) for place in (-2, -1, 1, 2)}
+        slope = (8.0 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12.0 * h)
+        assert_within((found.derivatives[..., k] - slope) / np.max(np.abs(slope)), 1e-7, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -76,7 +77,8 @@ class Segment:
     initial
         Initial values: the place of an unknown, or a number, by quantity.
     shared
-        What evaluates the quantities; windows of equal runs, which differ in their initial values alone, share it.
+        What evaluates the quantities; windows of equal runs, which differ in their initial values alone, share it, and
+        those of equal mechanisms share a part.
     """
 
     experiment: str
@@ -97,7 +99,12 @@ class Segment:
         key = self.spec.canonical_json(), *quantities, self.time.tobytes(), *names, *start
         with SpecError.locate(path_text(("experiments", self.experiment))):
             if key not in self.shared:
-                self.shared[key] = PreparedSensitivities(self.spec, quantities, self.time, names, initial=start)
+                data = data_of(self.spec)
+                content = json.dumps([data[section] for section in ("model", "parameters") if section in data])
+                like = self.shared.get(content)
+                made = PreparedSensitivities(self.spec, quantities, self.time, names, initial=start, like=like)
+                self.shared[key] = made
+                self.shared.setdefault(content, made)
             return self.shared[key]
 
     def given(self, x: np.ndarray) -> tuple[dict[str, float], dict[str, float]]:

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mbdkit.plugin import FunctionJoint, Number, Point, Pose, PoseFunction, Positive, SideForce, SpecError
+from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.mechanisms import pair
 
 TURN = 2 * math.pi
@@ -58,12 +59,12 @@ def _rolling(start: Pose, first: float, second: float) -> PoseFunction:
     distance = second + first
     if distance == 0.0:
         return PoseFunction(equal_turns, (("radius", second), ("start", start.angle)))
-    offset = second * start.angle - distance * math.atan2(start.y, start.x)
+    offset = second * start.angle - distance * elementary.atan2(start.y, start.x)
     return PoseFunction(rolling_circles, (("distance", distance), ("offset", offset), ("radius", second)))
 
 
 def _check_distance(start: Pose, wanted: float, key: str, text: str) -> None:
-    apart = math.hypot(start.x, start.y)
+    apart = elementary.hypot(start.x, start.y)
     if abs(apart - abs(wanted)) > PITCH * abs(wanted):
         raise SpecError(
             f"{text} need centres that are {abs(wanted):.6g} m apart, but these are {apart:.6g} m apart at the start; "
@@ -174,7 +175,7 @@ class Belt(FunctionJoint):
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         first, second = self.radii
-        apart, least = math.hypot(start.x, start.y), first + second
+        apart, least = elementary.hypot(start.x, start.y), first + second
         if apart <= least:
             kind = "a crossed" if self.crossed else "an open"
             raise SpecError(
@@ -191,7 +192,7 @@ class Belt(FunctionJoint):
 
 
 def _direction(axis: tuple[float, float]) -> tuple[float, float]:
-    length = math.hypot(*axis)
+    length = elementary.hypot(*axis)
     return axis[0] / length, axis[1] / length
 
 
@@ -216,7 +217,7 @@ class Rack(FunctionJoint):
     def functions(self, start: Pose) -> Sequence[PoseFunction]:
         """Return the constraint of each row; see `FunctionJoint.functions`."""
         ex, ey = _direction(self.axis)
-        c, s = math.cos(start.angle), math.sin(start.angle)
+        c, s = elementary.cos(start.angle), elementary.sin(start.angle)
         x, y = -(c * start.x + s * start.y), s * start.x - c * start.y  # the centre in b's frame
         height = ex * y - ey * x
         if abs(abs(height) - self.radius) > PITCH * self.radius:
