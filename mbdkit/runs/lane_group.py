@@ -38,7 +38,7 @@ from mbdkit.trust.finding import Doubts
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.assembly import AssembledState
-    from mbdkit.integrators.interface import Timetable
+    from mbdkit.integrators.interface import Guards, Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
     from mbdkit.runs.findings import WatcherOfMany
@@ -88,6 +88,11 @@ class LaneMember:
         settings = self.settings.output.recorded, tuple(self.settings.accept)
         return self.topology, self.method, pivots, steps, table.every, settings
 
+    def workspace(self) -> Workspace:
+        """Return the mechanism at its start."""
+        start, formulation = self.start, self.settings.formulated.name
+        return Workspace(start.mechanism, self.table.start, start.q0, start.v0, formulation=formulation)
+
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     """Return the loop that advances runs with the mechanism and method of `first`."""
@@ -131,8 +136,9 @@ class PreparedRuns:
 
     - `first`: one of the runs.
     - `starts`: the mechanisms and their starts.
-    - `tables`, `assembled`, `findings`: the timetable of each run, how its start was made consistent, and what was
-      found about its spec and its start.
+    - `tables`, `guards`: the timetable of each run, and its limits, which replace those of the timetable.
+    - `assembled`, `findings`: how the start of each run was made consistent, and what was found about its spec and its
+      start.
     - `size`, `extent`, `seconds`: (R,) arrays; see `LaneMember`.
     - `tolerance`: (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the
       start is known to be consistent.
@@ -143,6 +149,7 @@ class PreparedRuns:
     first: LaneMember
     starts: VariedStarts
     tables: Sequence[Timetable]
+    guards: Sequence[Guards]
     assembled: Sequence[AssembledState]
     findings: Sequence[tuple[Finding, ...]]
     size: np.ndarray
@@ -162,6 +169,7 @@ class PreparedRuns:
             first=members[0],
             starts=VariedStarts.of_starts([one.start for one in members], [one.pivots for one in members]),
             tables=[member.table for member in members],
+            guards=[member.table.guards for member in members],
             assembled=[member.start.assembled for member in members],
             findings=[member.findings for member in members],
             size=size, extent=extent, seconds=seconds, tolerance=np.full(len(members), np.inf),
@@ -178,8 +186,8 @@ class PreparedRuns:
             self.first,
             varied=partial(self.spec, self.indices[run]),
             start=MechanismAtStart(mechanism, q, v, self.assembled[run]),
-            table=self.tables[run], size=float(self.size[run]), extent=float(self.extent[run]),
-            findings=self.findings[run],
+            table=replace(self.tables[run], guards=self.guards[run]),
+            size=float(self.size[run]), extent=float(self.extent[run]), findings=self.findings[run],
         )  # fmt: skip
 
     def of(self, runs: Sequence[int]) -> PreparedRuns:
@@ -189,10 +197,6 @@ class PreparedRuns:
         for name, values in own.items():
             own[name] = values[places] if isinstance(values, np.ndarray) else [values[run] for run in places]
         return replace(self, starts=self.starts.of(places), **own)
-
-    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
-        """Advance some of the runs, at most `WIDTH`."""
-        return stepper.advance(self.starts.of([*runs]), self.tables[runs.start : runs.stop])
 
     def is_consistent(self, results: LaneResults) -> np.ndarray:
         """Return whether assembly certainly changes nothing, (R,)."""
@@ -204,8 +208,7 @@ class PreparedRuns:
         """Return the indices of the runs that need not be repeated alone: because of a limit or a finding, or because
         assembly may change their starts.
         """
-        guards = [table.guards for table in self.tables]
-        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in self.guards])
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         # Joints whose states may exceed a limit of misalignment must be checked one by one. The residual of a joint,
         # which has at most three rows, is below 4 times that of its largest row.
@@ -238,10 +241,8 @@ class PreparedRuns:
         integrals: list[Integrals] = []
         for run in range(len(self) if functionals_of(self.first.settings, measures) else 0):
             member, rows = self.member(run), int(results.rows[run])
-            start, stiff = member.start, member.method.traits
-            workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
-            functionals = functionals_of(member.spec, measures)
-            own = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff.suits_stiff)
+            functionals, stiff = functionals_of(member.spec, measures), member.method.traits
+            own = RunIntegrals(member.workspace(), functionals, member.table, suits_stiff=stiff.suits_stiff)
             assert own.continuous is not None
             time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
             own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
@@ -276,9 +277,7 @@ class LaneGroup:
 
     def __init__(self, first: LaneMember):
         mechanism, spec = first.start.mechanism, first.settings
-        start = first.start
-        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
-        self.stepper = _stepper(first, workspace)
+        self.stepper = _stepper(first, first.workspace())
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         self.layout = recorded_arrays(spec, first.method, mechanism)
@@ -292,9 +291,8 @@ class LaneGroup:
     def advanced(self, runs: PreparedRuns) -> Advanced:
         """Take the steps of at most `size` runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
-        begin, vectors = _clocks(), range(0, len(runs), WIDTH)
-        parts = [runs.advance(self.stepper, range(len(runs))[one : one + WIDTH]) for one in vectors]
-        return Advanced(LaneResults.joined(parts), _clocks() - begin)
+        begin = _clocks()
+        return Advanced(self.stepper.advance(runs.starts, runs.tables, runs.guards), _clocks() - begin)
 
     def concluded(
         self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
@@ -434,7 +432,7 @@ class _Extremes:
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
         ended = EndedRun(
             mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer,
-            coarse=lambda: coarse_step(member.spec),
+            coarse=lambda: coarse_step(member.settings, lambda: (member.workspace(), member.size)),
         )  # fmt: skip
         extremes = Extremes(
             float(self.results.time[run, -1]),
