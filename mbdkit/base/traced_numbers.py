@@ -142,7 +142,7 @@ def _one_by_one(function: Callable[..., float]) -> Callable[..., np.ndarray]:
             except (ArithmeticError, ValueError):
                 return math.nan
 
-        return np.frompyfunc(value, len(leaves), 1)(*leaves).astype(float)
+        return np.asarray(np.frompyfunc(value, len(leaves), 1)(*leaves), dtype=float)
 
     return call
 

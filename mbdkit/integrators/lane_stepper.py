@@ -132,8 +132,9 @@ class VariedStarts:
         """Return the mechanism of a run."""
         if self.mechanisms:
             return self.mechanisms[run]
-        own = {name: values[run] for name, values in self.numbers.items()}
-        return self.mechanism.with_numbers(own, float(self.lengths[run]))
+        own, length = {name: values[run] for name, values in self.numbers.items()}, float(self.lengths[run])
+        is_same = not own and length == self.mechanism.length
+        return self.mechanism if is_same else self.mechanism.with_numbers(own, length)
 
 
 class LaneStepper:
@@ -262,7 +263,9 @@ class _Collected:
         """Add the values (..., WIDTH) and (T, ..., WIDTH) of some runs, by name."""
         for name, lanes in single.items():
             own = _by_run(lanes, runs)
-            self.single.setdefault(name, np.empty((self.count, *own.shape[1:]), own.dtype))[runs] = own
+            if name not in self.single:
+                self.single[name] = np.empty((self.count, *own.shape[1:]), own.dtype)
+            self.single[name][runs] = own
         for name, lanes in by_row.items():
             own = _by_run(lanes, runs)
             rows, values = own.shape[1], self.by_row.get(name)

@@ -14,6 +14,7 @@ from mbdkit.archive.disk_space import row_bytes
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.engine.consistent_start import MechanismAtStart
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.input_schedule import start_settings
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
@@ -24,7 +25,7 @@ from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, 
 from mbdkit.quantities.array import TEXT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
-from mbdkit.runs.coarse_steps import coarse_step
+from mbdkit.runs.coarse_steps import Start, coarse_step
 from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end, logs_ends
 from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
@@ -38,6 +39,7 @@ from mbdkit.trust.finding import Doubts
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.assembly import AssembledState
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
     from mbdkit.integrators.interface import Guards, Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
@@ -251,9 +253,12 @@ class PreparedRuns:
 
 
 class Advanced(NamedTuple):
-    """The results of the steps of runs, and the wall and processor times that they took [s]."""
+    """The results of the steps of runs, the indices of the sound ones (see `PreparedRuns.sound`), and the wall and
+    processor times that they took [s].
+    """
 
     results: LaneResults
+    sound: np.ndarray
     spent: np.ndarray
 
 
@@ -284,6 +289,7 @@ class LaneGroup:
         self.recorded = {one.key: one for one in self.layout if isinstance(one, Recorded)}
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows and one.dtype != TEXT}
         self.hash = ArrayHash(self.names, self.layout)
+        self._latest: tuple[CompiledMechanism, EquationsOfMotion] | None = None
         rows = ROWS if first.method.traits.tolerances else _rows(first)
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
@@ -291,8 +297,15 @@ class LaneGroup:
     def advanced(self, runs: PreparedRuns) -> Advanced:
         """Take the steps of at most `size` runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
-        begin = _clocks()
-        return Advanced(self.stepper.advance(runs.starts, runs.tables, runs.guards), _clocks() - begin)
+        begin, results = _clocks(), self.stepper.advance(runs.starts, runs.tables, runs.guards)
+        return Advanced(results, runs.sound(results), _clocks() - begin)
+
+    def start_of(self, member: LaneMember) -> Start:
+        """Return the start of a run; runs that share their mechanism share its equations."""
+        mechanism, (q, v) = member.start.mechanism, (member.start.q0[:-3], member.start.v0[:-3])
+        if self._latest is None or self._latest[0] is not mechanism:
+            self._latest = mechanism, EquationsOfMotion(member.workspace())
+        return Start(self._latest[1], q, v, member.size)
 
     def concluded(
         self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
@@ -301,8 +314,7 @@ class LaneGroup:
 
         The others must be repeated alone.
         """
-        begin, results, count = _clocks(), advanced.results, len(runs)
-        ended = runs.sound(results)
+        begin, results, ended, count = _clocks(), advanced.results, advanced.sound, len(runs)
         if len(ended) < len(runs):
             results, runs = results.of(ended), runs.of(ended.tolist()) if len(ended) else runs
         watches = runs.watched(results) if len(ended) else None
@@ -407,7 +419,7 @@ class _Extremes:
     def __init__(self, group: LaneGroup, results: LaneResults, states: States):
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
-        self.mechanism, self.results = group.mechanism, results
+        self._group, self.mechanism, self.results = group, group.mechanism, results
         self.misalignment = np.maximum(group.joints.misalignment_of_squares(results.worst), misalignment)
         self.angles = group.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
@@ -432,7 +444,7 @@ class _Extremes:
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
         ended = EndedRun(
             mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer,
-            coarse=lambda: coarse_step(member.settings, lambda: (member.workspace(), member.size)),
+            coarse=lambda: coarse_step(member.settings, lambda: self._group.start_of(member)),
         )  # fmt: skip
         extremes = Extremes(
             float(self.results.time[run, -1]),

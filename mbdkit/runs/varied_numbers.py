@@ -127,7 +127,7 @@ class Variant:
     def rows(self, name: str, results: np.ndarray) -> np.ndarray:
         """Return an array of M members (M, ...) from the results of their formulas (M, R)."""
         base = self.base[name]
-        rows = np.tile(base.ravel(), (len(results), 1))
+        rows = base.reshape(1, -1).repeat(len(results), axis=0)
         if name in self.places:
             entries, columns = self.places[name]
             rows[:, entries] = results[:, columns]
@@ -193,7 +193,8 @@ class VariedNumbers:
         """Yield the names of the arrays that differ between the mechanisms of this variant and the first one."""
         first = self.variants[0].base
         for name, array in variant.base.items():
-            if name in variant.places or array.tobytes() != first[name].tobytes():
+            is_own = array is first[name] or array.tobytes() == first[name].tobytes()
+            if name in variant.places or not is_own:
                 yield name
 
     def _new_variant(self, numbers: Sequence[float]) -> Variant | None:

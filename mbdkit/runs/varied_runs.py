@@ -137,7 +137,7 @@ class VariedRuns:
 
     def _advanced(self, group: LaneGroup, runs: PreparedRuns) -> Advanced:
         advanced = group.advanced(runs)
-        self._failed = 0 if len(runs.sound(advanced.results)) else self._failed + 1
+        self._failed = 0 if len(advanced.sound) else self._failed + 1
         assert self._base is not None
         if not self._base.is_assembled:
             self._base.is_assembled = not runs.is_consistent(advanced.results).all()
