@@ -204,7 +204,8 @@ class ArrayHash:
         `lengths`: (R,) numbers of rows by growing axis. `known`: digests of arrays that are equal in all runs, by key.
         """
         keys, count = [key for _, _, key, _ in self._arrays], len(next(iter(lengths.values())))
-        if any(np.any(lengths[self._dims[key]] != arrays[key].shape[1]) for key in keys):
+        rows = {dim: {*values.tolist()} for dim, values in lengths.items()}
+        if any(rows[self._dims[key]] != {arrays[key].shape[1]} for key in keys):
             ends = {key: lengths[self._dims[key]].tolist() for key in keys}
             return [self.of({key: arrays[key][run, : ends[key][run]] for key in keys}) for run in range(count)]
         digests: dict[str, Iterable[str]] = {key: repeat(digest) for key, digest in known.items()}

@@ -31,6 +31,9 @@ Numbers = Sequence[float]
 _current: ContextVar[Trace | None] = ContextVar("current trace", default=None)
 
 
+_IF_NOT, _RETURN = " if not (", "): return None"  #: Beginning and end of the line of a condition.
+
+
 class UntraceableError(Exception):
     """Code uses a traced number in a way that cannot be recorded."""
 
@@ -58,17 +61,17 @@ class Formulas:
         function: Callable[..., tuple[Any, ...] | None] = space["formulas"]
         return function
 
-    def _compiled(self, *lines: str) -> CodeType:
-        text = "\n".join([*lines, f" return ({', '.join([*self.results, ''])})"])
+    def _compiled(self, lines: Iterable[str], results: Iterable[str]) -> CodeType:
+        text = "\n".join([*lines, f" return ({', '.join([*results, ''])})"])
         return compile(f"def formulas({', '.join(self.inputs)}):\n{text}", "<formulas>", "exec")
 
     @cached_property
     def _code(self) -> CodeType:
-        return self._compiled(*self.lines)
+        return self._compiled(self.lines, self.results)
 
     @cached_property
     def _function(self) -> Callable[..., tuple[float, ...] | None]:
-        return self._with(self._compiled(*self.lines, *self.kept), recorded_functions())
+        return self._with(self._compiled((*self.lines, *self.kept), self.results), recorded_functions())
 
     def __call__(self, *inputs: float) -> tuple[float, ...] | None:
         """Return the results; see the class."""
@@ -77,10 +80,81 @@ class Formulas:
         except (ArithmeticError, ValueError):
             return None
 
+    def of_columns(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return whether the results for N rows of values (N, K) of the inputs are known, (N,), and the results (N, R),
+        which have the same bits as those of single calls; single calls know more of them.
+        """
+        known, results = np.zeros(len(values), bool), np.zeros((len(values), len(self.results)))
+        if self._of_columns is not None:
+            with np.errstate(all="ignore"):
+                holds, *columns = self._of_columns(*values.T) or ()
+            known[:] = holds & np.isfinite(values).all(axis=1)
+            for column, result in enumerate(columns):
+                results[:, column] = result
+        return known, results
+
+    @cached_property
+    def _of_columns(self) -> Callable[..., tuple[Any, ...] | None] | None:
+        """The results as a function of arrays, which returns before them where all conditions hold; None if an
+        operation is not known for arrays.
+        """
+        lines = [" holds = True"]
+        for line in (*self.lines, *self.kept):
+            name, is_operation, text = line.partition(" = ")
+            _, is_quotient, divisor = text.partition(" / ")
+            if not is_operation:
+                condition = line.removeprefix(_IF_NOT).removesuffix(_RETURN)
+                lines.append(f" holds = holds & {condition.replace('not ', '~', 1)}")
+                continue
+            lines.append(line)
+            if is_quotient:
+                lines.append(f" holds = holds & ({divisor} != 0.0)")
+            elif "(" in text:  # functions of single numbers may raise errors where these return nan
+                lines.append(f" holds = holds & ({name.strip()} == {name.strip()})")
+        function = self._with(self._compiled(lines, ("holds", *self.results)), _of_arrays())
+        is_known = _of_arrays().keys() >= {*function.__code__.co_names}
+        return function if is_known and not any(symbol in line for line in lines for symbol in ("//", "%")) else None
+
 
 def recorded_functions() -> dict[str, Callable[..., Any]]:
     """Return the functions that recorded operations call, by name."""
     return {**higher_layers.elementary_functions(), **_FUNCTIONS}
+
+
+@functools.cache
+def _of_arrays() -> dict[str, Any]:
+    """Return what formulas of arrays may use: functions with the same bits as those of single numbers."""
+    chosen = {"_sqrt": np.sqrt, "_max": _choice(operator.gt), "_min": _choice(operator.lt)}
+    single = {name: _one_by_one(_FUNCTIONS[name]) for name in ("_dist", "_hypot", "_power", "_second")}
+    return {**elementary.FUNCTIONS, **chosen, **single, "abs": abs, "sum": sum, "inf": math.inf, "nan": math.nan}
+
+
+def _one_by_one(function: Callable[..., float]) -> Callable[..., np.ndarray]:
+    """Return a function of arrays, and of sequences of them, that calls `function` for each element; nan for errors."""
+
+    def call(*operands: Any) -> np.ndarray:
+        leaves = [*_flat(operands)]
+
+        def value(*numbers: float) -> float:
+            left = iter(numbers)
+            try:
+                return function(*([next(left) for _ in x] if isinstance(x, tuple) else next(left) for x in operands))
+            except (ArithmeticError, ValueError):
+                return math.nan
+
+        return np.asarray(np.frompyfunc(value, len(leaves), 1)(*leaves), dtype=float)
+
+    return call
+
+
+def _choice(is_better: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    """Return a function like `max` that chooses among several arrays; the first of equal ones remains."""
+
+    def choose(*given: Any) -> Any:
+        values = given if len(given) > 1 else given[0]
+        return functools.reduce(lambda best, x: np.where(is_better(x, best), x, best), values)
+
+    return choose
 
 
 _serials = count()
@@ -164,7 +238,7 @@ class Trace:
         required = text if holds else f"not {text}"
         if required not in self._conditions:
             self._conditions.add(required)
-            self._lines.append(f" if not ({required}): return None")
+            self._lines.append(f"{_IF_NOT}{required}{_RETURN}")
         return holds
 
     def formulas(self, results: Iterable[Any]) -> Formulas:
@@ -180,7 +254,7 @@ class Trace:
             if isinstance(number, TracedNumber):
                 self.condition(f"({number.name} != 0.0)", number.value != 0.0)
         sizes = ", ".join([*(f"abs({name})" for name in dict.fromkeys(names)), ""])
-        kept = (*self._lines[count:], f" if not (sum(({sizes})) < inf): return None")
+        kept = (*self._lines[count:], f"{_IF_NOT}(sum(({sizes})) < inf){_RETURN}")
         return Formulas(tuple(self._inputs), tuple(self._lines[:count]), kept, names)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -42,18 +42,16 @@ class SparseParts:
     def __init__(self, workspace: Workspace, classes: Iterable[int]):
         from scipy.sparse import csr_array
 
-        n, class_of = 3 * len(workspace.mechanism.bodies), classes_of(workspace)
+        n = 3 * len(workspace.mechanism.bodies)
         sources, places = [], []
         self._patterns: list[tuple[slice, csr_array]] = []
         self._count = 0
-        for of_class in classes:
-            first, rows = (n, workspace.unknowns - n) if of_class in (JACOBIAN, GAMMA_V, RESIDUAL_Q) else (0, n)
-            terms = workspace.terms.kept((class_of == of_class) & (workspace.terms.row >= first))
-            entries, which = np.unique((terms.row - first) * n + terms.column, return_inverse=True)
+        for rows, source, place in _terms_of(workspace, classes):
+            entries, which = np.unique(place, return_inverse=True)
             pattern = csr_array((np.zeros(len(entries)), (entries // n, entries % n)), shape=(rows, n))
             assert pattern.has_canonical_format
             pattern.indices.flags.writeable = pattern.indptr.flags.writeable = False
-            sources.append(terms.source)
+            sources.append(source)
             places.append(self._count + which)
             self._patterns.append((slice(self._count, self._count + len(entries)), pattern))
             self._count += len(entries)
@@ -68,3 +66,20 @@ class SparseParts:
             array.data = values[part]
             arrays.append(array)
         return arrays
+
+
+def dense_parts(workspace: Workspace, classes: Iterable[int], source: np.ndarray) -> list[np.ndarray]:
+    """Return the arrays of `SparseParts` for the values `source` of all terms as dense ones, for small mechanisms."""
+    n = 3 * len(workspace.mechanism.bodies)
+    return [
+        np.bincount(place, source[own], rows * n).reshape(rows, n) for rows, own, place in _terms_of(workspace, classes)
+    ]
+
+
+def _terms_of(workspace: Workspace, classes: Iterable[int]) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Yield the number of rows of the array of each class, and sources and flat indices of its terms."""
+    n, class_of, terms = 3 * len(workspace.mechanism.bodies), classes_of(workspace), workspace.terms
+    for of_class in classes:
+        first, rows = (n, workspace.unknowns - n) if of_class in (JACOBIAN, GAMMA_V, RESIDUAL_Q) else (0, n)
+        own = terms.kept((class_of == of_class) & (terms.row >= first))
+        yield rows, own.source, (own.row - first) * n + own.column

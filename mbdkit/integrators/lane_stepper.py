@@ -21,12 +21,12 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
 from mbdkit.engine.native.number_arrays import Lanes, new_lanes
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.interface import StepEvidence, Timetable
+from mbdkit.integrators.interface import Guards, StepEvidence, Timetable
 from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots, load_stage_pivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
 from mbdkit.integrators.lanes.lane_run import BY_LANE, new_lane_run
-from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
+from mbdkit.integrators.run.run_plan import smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
 from mbdkit.integrators.run.step_guards import new_guard_state
@@ -80,34 +80,8 @@ class LaneResults:
             turns=[self.turns[run] for run in runs.tolist()],
         )
 
-    @classmethod
-    def joined(cls, parts: Sequence[LaneResults]) -> LaneResults:
-        """Return the results of several vectors; the last recorded state of shorter ones is repeated."""
-        if len(parts) == 1:
-            return parts[0]
-        count = max(part.time.shape[1] for part in parts)
-
-        def join(arrays: Sequence[np.ndarray], *, has_rows: bool = True) -> np.ndarray:
-            if has_rows:
-                short = [(array, count - array.shape[1]) for array in arrays]
-                arrays = [np.hstack([x, np.repeat(x[:, -1:], n, axis=1)]) if n else x for x, n in short]
-            return np.concatenate(arrays)
-
-        works = [part.work for part in parts if part.work is not None]
-        arrays = {name: [getattr(part, name) for part in parts] for name in _BY_RUN}
-        joined: dict[str, Any] = {name: join(values, has_rows=name not in _SINGLE) for name, values in arrays.items()}
-        return replace(
-            parts[0],
-            **joined,
-            observed=Observed(*map(join, zip(*(part.observed for part in parts), strict=True))),
-            work=join(works) if works else None,
-            counters={name: np.concatenate([part.counters[name] for part in parts]) for name in parts[0].counters},
-            turns=[turns for part in parts for turns in part.turns],
-        )
-
 
 _BY_RUN = ("lost", "time", "q", "v", "z", "energy", "worst", "iterations", "rows", "guards")
-_SINGLE = ("lost", "worst", "rows", "guards")  #: Arrays of `_BY_RUN` without an axis for the recorded states.
 
 
 AtStart = MechanismAtStart | Workspace  #: A mechanism at its consistent initial state.
@@ -158,8 +132,9 @@ class VariedStarts:
         """Return the mechanism of a run."""
         if self.mechanisms:
             return self.mechanisms[run]
-        own = {name: values[run] for name, values in self.numbers.items()}
-        return self.mechanism.with_numbers(own, float(self.lengths[run]))
+        own, length = {name: values[run] for name, values in self.numbers.items()}, float(self.lengths[run])
+        is_same = not own and length == self.mechanism.length
+        return self.mechanism if is_same else self.mechanism.with_numbers(own, length)
 
 
 class LaneStepper:
@@ -182,9 +157,35 @@ class LaneStepper:
         self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
         self.run.watch.guards[:] = [pinned_guard.address for pinned_guard in self._pinned_guards]
 
-    def advance(self, varied: VariedStarts, tables: Sequence[Timetable]) -> LaneResults:
-        """Return the results of at most `WIDTH` runs, whose timetables have equal numbers of steps."""
-        lanes, c, mechanism = _filled(len(varied.q)), self.run, varied.mechanism
+    def advance(
+        self, varied: VariedStarts, tables: Sequence[Timetable], guards: Sequence[Guards] | None = None
+    ) -> LaneResults:
+        """Return the results of runs, whose timetables have equal numbers of steps.
+
+        `guards`: limits of the runs; by default, those of their timetables.
+        """
+        count, collected = len(varied.q), _Collected(len(varied.q))
+        limits = _limits(varied.mechanism, [table.guards for table in tables] if guards is None else guards)
+        for first in range(0, count, WIDTH):
+            last = min(count, first + WIDTH)
+            lanes = [*range(first, last), *[first] * (first + WIDTH - last)]  # idle lanes repeat the first run
+            self._load(varied, lanes, limits)
+            needs_own = self._guards[0].has_loops[0] or varied.mechanism.states or self.tolerances_by_size
+            if varied.mechanisms or (needs_own and varied.numbers):
+                mechanisms = [varied.mechanism_of(lane) for lane in lanes]
+            else:
+                mechanisms = [varied.mechanism] * WIDTH
+            planned = [tables[lane] for lane in lanes]
+            self._reset(mechanisms, planned)
+            steps, rows, work = self._drive(
+                mechanisms, planned, [varied.pivots[lane] for lane in lanes if varied.pivots]
+            )
+            self._collect(collected, slice(first, last), steps, rows, work)
+        return collected.results()
+
+    def _load(self, varied: VariedStarts, lanes: list[int], limits: tuple[np.ndarray, np.ndarray]) -> None:
+        """Load starts, numbers and limits of runs into the lanes."""
+        c, mechanism = self.run, varied.mechanism
         if self._loaded is None or self._loaded[0] is not mechanism or self._loaded[1] != [*varied.numbers]:
             fill_lanes(c.top, slice(None), mechanism.topology)
             self._loaded = mechanism, [*varied.numbers]
@@ -192,21 +193,14 @@ class LaneStepper:
             own, chosen = getattr(c.top, name), values[lanes]
             own[...] = chosen if name in BY_LANE else chosen.transpose(*range(1, chosen.ndim), 0)
         c.q[...], c.v[...] = varied.q[lanes].T, varied.v[lanes].T
-        planned = [tables[lane] for lane in lanes]
-        limits_of = {guards: guard_limits(mechanism, guards) for guards in dict.fromkeys(one.guards for one in planned)}
-        limits = [limits_of[one.guards] for one in planned]
-        c.squared_misalignment[...] = np.stack([limit.squared_misalignment for limit in limits], axis=-1)
-        c.energy_share[...] = np.stack([limit.energy_jump for limit in limits], axis=-1)
-        is_needed = self._guards[0].has_loops[0] or mechanism.states or self.tolerances_by_size
-        has_own = varied.mechanisms or (is_needed and varied.numbers)
-        mechanisms = [varied.mechanism_of(lane) for lane in lanes] if has_own else [mechanism] * WIDTH
-        self._reset(mechanisms, planned)
-        return self._drive(mechanisms, planned, [varied.pivots[lane] for lane in lanes if varied.pivots], len(varied.q))
+        c.squared_misalignment[...], c.energy_share[...] = limits[0][:, lanes], limits[1][lanes]
 
     def _drive(
-        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots], count: int
-    ) -> LaneResults:
-        """Take the steps of the `count` runs that are loaded; lists have an item for each lane."""
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots]
+    ) -> tuple[Mapping[str, np.ndarray], np.ndarray, np.ndarray | None]:
+        """Take the steps of the runs that are loaded, and return their numbers of steps by the names of `Counters`,
+        their numbers of recorded states, and lanes of `LaneResults.work`; lists have an item for each lane.
+        """
         times = self.run.times
         for name in ("step", "last_step"):
             getattr(times, name)[0] = [getattr(table, name) for table in tables]
@@ -214,8 +208,8 @@ class LaneStepper:
         if pivots:
             load_stage_pivots(self.run.method, pivots)
         self._in_lanes.drive(self._pinned.address)
-        made = np.full(count, tables[0].steps)
-        return self.results({"steps": made, "accepted": made}, np.full(count, len(self.run.row_time)))
+        made = np.full(WIDTH, tables[0].steps)
+        return {"steps": made, "accepted": made}, np.full(WIDTH, len(self.run.row_time)), None
 
     def _reset(self, mechanisms: list[CompiledMechanism], tables: list[Timetable]) -> None:
         """Begin the runs of `WIDTH` mechanisms, whose numbers are in the lanes."""
@@ -237,31 +231,78 @@ class LaneStepper:
                 for array, values in zip(guards, fresh[id(mechanism)], strict=True):
                     array[...] = values
 
-    def results(self, steps: Mapping[str, np.ndarray], rows: np.ndarray, work: np.ndarray | None = None) -> LaneResults:
-        """Return the results of the first runs.
+    def _collect(
+        self, collected: _Collected, runs: slice, steps: Mapping[str, np.ndarray], rows: np.ndarray,
+        work: np.ndarray | None,
+    ) -> None:  # fmt: skip
+        """Collect the results of the runs in the first lanes; see `_drive`."""
+        c, count = self.run, runs.stop - runs.start
+        last = int(rows[:count].max())
+        single = {"worst": c.worst, "lost": c.lost, "counts": c.counts}
+        single |= {name: getattr(c.guards, name) for name in ("kinetic", "jump", "jump_time")}
+        by_row = {
+            "time": c.row_time, "q": c.row_q, "v": c.row_v, "z": c.row_z, "energy": c.row_energy,
+            "iterations": c.row_interval, **c.observed._asdict(), **({} if work is None else {"work": work}),
+        }  # fmt: skip
+        collected.add(runs, {**single, **steps, "rows": rows}, {name: lanes[:last] for name, lanes in by_row.items()})
+        collected.turns += [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
 
-        Parameters
-        ----------
-        steps
-            (W,) numbers of steps, by the names of `Counters`.
-        rows
-            Number of recorded states of each run.
-        work
-            See `LaneResults.work`.
-        """
-        c, count = self.run, len(rows)
-        arrays = (c.row_time, c.row_q, c.row_v, c.row_z, c.row_energy, *c.observed, c.row_interval)
-        worst, last = by_run(c.worst, count), int(rows.max())
-        time, q, v, z, energy, *observed, iterations = [by_run(x[:last], count) for x in arrays]
-        guards = by_run(np.concatenate([c.guards.kinetic, c.guards.jump, c.guards.jump_time]), count)
-        turns = [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
-        counts = {name: c.counts[place, :count].astype(int) for name, place in _COUNTED.items()}
-        none = dict.fromkeys((one.name for one in fields(Counters)), np.zeros(count, int))
-        lost = np.asarray(c.lost[0, :count] != 0.0)
+
+class _Collected:
+    """The results of R runs, which are added vector by vector.
+
+    - `single`, `by_row`: arrays (R, ...) and (R, T, ...) by name. `turns`: see `LaneResults`.
+    """
+
+    def __init__(self, count: int):
+        self.count, self.turns = count, list[list[list[float]]]()
+        self.single: dict[str, np.ndarray] = {}
+        self.by_row: dict[str, np.ndarray] = {}
+
+    def add(self, runs: slice, single: Mapping[str, np.ndarray], by_row: Mapping[str, np.ndarray]) -> None:
+        """Add the values (..., WIDTH) and (T, ..., WIDTH) of some runs, by name."""
+        for name, lanes in single.items():
+            own = _by_run(lanes, runs)
+            if name not in self.single:
+                self.single[name] = np.empty((self.count, *own.shape[1:]), own.dtype)
+            self.single[name][runs] = own
+        for name, lanes in by_row.items():
+            own = _by_run(lanes, runs)
+            rows, values = own.shape[1], self.by_row.get(name)
+            if values is None:
+                self.by_row[name] = values = np.empty((self.count, *own.shape[1:]), own.dtype)
+            elif rows > values.shape[1]:
+                more = np.repeat(values[:, -1:], rows - values.shape[1], axis=1)
+                self.by_row[name] = values = np.hstack([values, more])
+            values[runs, :rows], values[runs, rows:] = own, own[:, -1:]
+
+    def results(self) -> LaneResults:
+        """Return the results of all runs."""
+        single, by_row = self.single, dict(self.by_row)
+        counted = {name: single["counts"][:, place].astype(int) for name, place in _COUNTED.items()}
+        names = [one.name for one in fields(Counters)]
+        none = dict.fromkeys(names, np.zeros(self.count, int))
+        observed = Observed(*(by_row.pop(name) for name in Observed._fields))
         return LaneResults(
-            lost, time, q, v, z, energy, worst, iterations, rows, Observed(*observed), work,
-            {**none, **counts, **steps}, guards, turns,
-        )  # fmt: skip
+            lost=single["lost"][:, 0] != 0.0,
+            worst=single["worst"],
+            rows=single["rows"],
+            observed=observed,
+            work=by_row.pop("work", None),
+            counters={**none, **counted, **{name: single[name] for name in names if name in single}},
+            guards=np.hstack([single[name] for name in ("kinetic", "jump", "jump_time")]),
+            turns=self.turns,
+            **by_row,
+        )
+
+
+def _limits(mechanism: CompiledMechanism, guards: Sequence[Guards]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the fields `squared_misalignment` and `energy_jump` of `guard_limits` of R runs, (P, R) and (R,)."""
+    given = np.array([(one.misalignment, one.angle_misalignment, one.energy_jump) for one in guards]).T
+    largest = np.tile(given[0], (len(mechanism.topology.pairs), 1))
+    largest[[row.pair for row in mechanism.rows if row.unit == "rad"]] = given[1]
+    with np.errstate(over="ignore"):  # an infinite limit is never exceeded
+        return largest**2, np.full(len(guards), np.inf) if mechanism.is_locked else given[2]
 
 
 _COUNTED = {
@@ -270,10 +311,11 @@ _COUNTED = {
 }  # fmt: skip
 
 
-def by_run(lanes: np.ndarray, count: int) -> np.ndarray:
-    """Return a copy of the values (..., WIDTH) of the first `count` lanes as a contiguous array (count, ...)."""
+def _by_run(lanes: np.ndarray, runs: slice) -> np.ndarray:
+    """Return a view of the values (..., WIDTH) of the first lanes as an array (R, ...)."""
     last = lanes.ndim - 1
-    return np.array(lanes.transpose(last, *range(last))[:count], order="C")  # `moveaxis` takes 20 times as long
+    own = lanes.view(np.ndarray).transpose(last, *range(last))  # `moveaxis` takes 20 times as long
+    return own[: runs.stop - runs.start]
 
 
 class PivotsAtStart:
@@ -308,11 +350,6 @@ class PivotsAtStart:
             raise
 
 
-def _filled(count: int) -> list[int]:
-    """Return the run of each lane; idle lanes repeat the first run."""
-    return [*range(count), *[0] * (WIDTH - count)]
-
-
 FEW_ROWS = 64  #: Initial number of rows of the buffer of recorded states; it is doubled when it is full.
 
 
@@ -336,8 +373,8 @@ class ControlledLaneStepper(LaneStepper):
         self._pinned = PinnedBundle(self.runs)
 
     def _drive(
-        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots], count: int
-    ) -> LaneResults:
+        self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots]
+    ) -> tuple[Mapping[str, np.ndarray], np.ndarray, np.ndarray | None]:
         """See `LaneStepper`; the runs may take different numbers of steps."""
         while max(map(_rows_by_interval, tables)) > len(self.runs.row_work):
             self._grow()
@@ -346,12 +383,8 @@ class ControlledLaneStepper(LaneStepper):
         self._load_control(mechanisms, tables, [pivot.size for pivot in pivots])
         while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
-        accepted, rejected = (
-            x[0, :count].astype(int) for x in (self.runs.progress.accepted, self.runs.progress.rejected)
-        )
-        steps = {"steps": accepted, "accepted": accepted, "rejected": rejected}
-        rows = self.runs.rows[:count].copy()
-        return self.results(steps, rows, by_run(self.runs.row_work[: rows.max()], count))
+        accepted, rejected = (x[0].astype(int) for x in (self.runs.progress.accepted, self.runs.progress.rejected))
+        return {"steps": accepted, "accepted": accepted, "rejected": rejected}, self.runs.rows, self.runs.row_work
 
     def _control(self, mechanism: CompiledMechanism) -> Control:
         control = step_control(self.method.traits, mechanism)
@@ -386,7 +419,7 @@ class ControlledLaneStepper(LaneStepper):
         if None in sizes:
             accelerate(self._pinned.address)
             y, rates = (
-                by_run(np.concatenate([x[:-3] for x in pair]), WIDTH)
+                np.ascontiguousarray(_by_run(np.concatenate([x[:-3] for x in pair]), slice(0, WIDTH)))
                 for pair in ((self.run.q, self.run.v), (self.run.v, self.run.method.accelerations[0]))
             )
             sizes = [

@@ -14,6 +14,7 @@ from mbdkit.archive.disk_space import row_bytes
 from mbdkit.archive.finished_run import ArrayHash
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.engine.consistent_start import MechanismAtStart
+from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.input_schedule import start_settings
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.levels import WIDTH
@@ -24,7 +25,7 @@ from mbdkit.integrators.lane_stepper import ControlledLaneStepper, LaneResults, 
 from mbdkit.quantities.array import TEXT, Recorded
 from mbdkit.quantities.names import ArchiveNames, archive_names
 from mbdkit.quantities.states import States
-from mbdkit.runs.coarse_steps import coarse_step
+from mbdkit.runs.coarse_steps import Start, coarse_step
 from mbdkit.runs.conclusion import EndedRun, Extremes, conclude, log_end, logs_ends
 from mbdkit.runs.findings import StateWatchers
 from mbdkit.runs.integrals import RunIntegrals, functionals_of
@@ -38,7 +39,8 @@ from mbdkit.trust.finding import Doubts
 if TYPE_CHECKING:
     from mbdkit.archive.measured_values import Integrals
     from mbdkit.engine.assembly import AssembledState
-    from mbdkit.integrators.interface import Timetable
+    from mbdkit.engine.compiled_mechanism import CompiledMechanism
+    from mbdkit.integrators.interface import Guards, Timetable
     from mbdkit.integrators.lanes.lane_collocation import StagePivots
     from mbdkit.methods.kinds import Method
     from mbdkit.runs.findings import WatcherOfMany
@@ -88,6 +90,11 @@ class LaneMember:
         settings = self.settings.output.recorded, tuple(self.settings.accept)
         return self.topology, self.method, pivots, steps, table.every, settings
 
+    def workspace(self) -> Workspace:
+        """Return the mechanism at its start."""
+        start, formulation = self.start, self.settings.formulated.name
+        return Workspace(start.mechanism, self.table.start, start.q0, start.v0, formulation=formulation)
+
 
 def _stepper(first: LaneMember, workspace: Workspace) -> LaneStepper:
     """Return the loop that advances runs with the mechanism and method of `first`."""
@@ -131,8 +138,9 @@ class PreparedRuns:
 
     - `first`: one of the runs.
     - `starts`: the mechanisms and their starts.
-    - `tables`, `assembled`, `findings`: the timetable of each run, how its start was made consistent, and what was
-      found about its spec and its start.
+    - `tables`, `guards`: the timetable of each run, and its limits, which replace those of the timetable.
+    - `assembled`, `findings`: how the start of each run was made consistent, and what was found about its spec and its
+      start.
     - `size`, `extent`, `seconds`: (R,) arrays; see `LaneMember`.
     - `tolerance`: (R,) largest residual of constraints with which assembly certainly changes nothing; infinite if the
       start is known to be consistent.
@@ -143,6 +151,7 @@ class PreparedRuns:
     first: LaneMember
     starts: VariedStarts
     tables: Sequence[Timetable]
+    guards: Sequence[Guards]
     assembled: Sequence[AssembledState]
     findings: Sequence[tuple[Finding, ...]]
     size: np.ndarray
@@ -162,6 +171,7 @@ class PreparedRuns:
             first=members[0],
             starts=VariedStarts.of_starts([one.start for one in members], [one.pivots for one in members]),
             tables=[member.table for member in members],
+            guards=[member.table.guards for member in members],
             assembled=[member.start.assembled for member in members],
             findings=[member.findings for member in members],
             size=size, extent=extent, seconds=seconds, tolerance=np.full(len(members), np.inf),
@@ -178,8 +188,8 @@ class PreparedRuns:
             self.first,
             varied=partial(self.spec, self.indices[run]),
             start=MechanismAtStart(mechanism, q, v, self.assembled[run]),
-            table=self.tables[run], size=float(self.size[run]), extent=float(self.extent[run]),
-            findings=self.findings[run],
+            table=replace(self.tables[run], guards=self.guards[run]),
+            size=float(self.size[run]), extent=float(self.extent[run]), findings=self.findings[run],
         )  # fmt: skip
 
     def of(self, runs: Sequence[int]) -> PreparedRuns:
@@ -189,10 +199,6 @@ class PreparedRuns:
         for name, values in own.items():
             own[name] = values[places] if isinstance(values, np.ndarray) else [values[run] for run in places]
         return replace(self, starts=self.starts.of(places), **own)
-
-    def advance(self, stepper: LaneStepper, runs: range) -> LaneResults:
-        """Advance some of the runs, at most `WIDTH`."""
-        return stepper.advance(self.starts.of([*runs]), self.tables[runs.start : runs.stop])
 
     def is_consistent(self, results: LaneResults) -> np.ndarray:
         """Return whether assembly certainly changes nothing, (R,)."""
@@ -204,8 +210,7 @@ class PreparedRuns:
         """Return the indices of the runs that need not be repeated alone: because of a limit or a finding, or because
         assembly may change their starts.
         """
-        guards = [table.guards for table in self.tables]
-        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in guards])
+        smallest = np.array([min(limit.misalignment, limit.angle_misalignment) for limit in self.guards])
         largest = np.abs(results.observed.phi).max(axis=(1, 2, 3), initial=0.0)
         # Joints whose states may exceed a limit of misalignment must be checked one by one. The residual of a joint,
         # which has at most three rows, is below 4 times that of its largest row.
@@ -238,10 +243,8 @@ class PreparedRuns:
         integrals: list[Integrals] = []
         for run in range(len(self) if functionals_of(self.first.settings, measures) else 0):
             member, rows = self.member(run), int(results.rows[run])
-            start, stiff = member.start, member.method.traits
-            workspace = Workspace(start.mechanism, member.table.start, start.q0, start.v0)
-            functionals = functionals_of(member.spec, measures)
-            own = RunIntegrals(workspace, functionals, member.table, suits_stiff=stiff.suits_stiff)
+            functionals, stiff = functionals_of(member.spec, measures), member.method.traits
+            own = RunIntegrals(member.workspace(), functionals, member.table, suits_stiff=stiff.suits_stiff)
             assert own.continuous is not None
             time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
             own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))
@@ -250,9 +253,12 @@ class PreparedRuns:
 
 
 class Advanced(NamedTuple):
-    """The results of the steps of runs, and the wall and processor times that they took [s]."""
+    """The results of the steps of runs, the indices of the sound ones (see `PreparedRuns.sound`), and the wall and
+    processor times that they took [s].
+    """
 
     results: LaneResults
+    sound: np.ndarray
     spent: np.ndarray
 
 
@@ -276,15 +282,14 @@ class LaneGroup:
 
     def __init__(self, first: LaneMember):
         mechanism, spec = first.start.mechanism, first.settings
-        start = first.start
-        workspace = Workspace(mechanism, first.table.start, start.q0, start.v0, formulation=spec.formulated.name)
-        self.stepper = _stepper(first, workspace)
+        self.stepper = _stepper(first, first.workspace())
         self.mechanism, self.joints = mechanism, joint_sums(mechanism)
         self.names: ArchiveNames = archive_names(mechanism)
         self.layout = recorded_arrays(spec, first.method, mechanism)
         self.recorded = {one.key: one for one in self.layout if isinstance(one, Recorded)}
         self.types = {one.key: np.dtype(one.dtype) for one in self.layout if one.grows and one.dtype != TEXT}
         self.hash = ArrayHash(self.names, self.layout)
+        self._latest: tuple[CompiledMechanism, EquationsOfMotion] | None = None
         rows = ROWS if first.method.traits.tolerances else _rows(first)
         together = min(MOST_TOGETHER, BYTES // max(1, rows * row_bytes(self.names, spec.output.recorded)))
         self.size = max(1, together // WIDTH) * WIDTH
@@ -292,9 +297,15 @@ class LaneGroup:
     def advanced(self, runs: PreparedRuns) -> Advanced:
         """Take the steps of at most `size` runs of the group."""
         # Measured once for all: for a process with several threads, reading the processor time is slow on some systems.
-        begin, vectors = _clocks(), range(0, len(runs), WIDTH)
-        parts = [runs.advance(self.stepper, range(len(runs))[one : one + WIDTH]) for one in vectors]
-        return Advanced(LaneResults.joined(parts), _clocks() - begin)
+        begin, results = _clocks(), self.stepper.advance(runs.starts, runs.tables, runs.guards)
+        return Advanced(results, runs.sound(results), _clocks() - begin)
+
+    def start_of(self, member: LaneMember) -> Start:
+        """Return the start of a run; runs that share their mechanism share its equations."""
+        mechanism, (q, v) = member.start.mechanism, (member.start.q0[:-3], member.start.v0[:-3])
+        if self._latest is None or self._latest[0] is not mechanism:
+            self._latest = mechanism, EquationsOfMotion(member.workspace())
+        return Start(self._latest[1], q, v, member.size)
 
     def concluded(
         self, runs: PreparedRuns, advanced: Advanced, measures: Sequence[str]
@@ -303,8 +314,7 @@ class LaneGroup:
 
         The others must be repeated alone.
         """
-        begin, results, count = _clocks(), advanced.results, len(runs)
-        ended = runs.sound(results)
+        begin, results, ended, count = _clocks(), advanced.results, advanced.sound, len(runs)
         if len(ended) < len(runs):
             results, runs = results.of(ended), runs.of(ended.tolist()) if len(ended) else runs
         watches = runs.watched(results) if len(ended) else None
@@ -409,7 +419,7 @@ class _Extremes:
     def __init__(self, group: LaneGroup, results: LaneResults, states: States):
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
-        self.mechanism, self.results = group.mechanism, results
+        self._group, self.mechanism, self.results = group, group.mechanism, results
         self.misalignment = np.maximum(group.joints.misalignment_of_squares(results.worst), misalignment)
         self.angles = group.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
@@ -434,7 +444,7 @@ class _Extremes:
     def _judgement(self, run: int, member: LaneMember, doubts: Doubts) -> Judgement:
         ended = EndedRun(
             mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer,
-            coarse=lambda: coarse_step(member.spec),
+            coarse=lambda: coarse_step(member.settings, lambda: self._group.start_of(member)),
         )  # fmt: skip
         extremes = Extremes(
             float(self.results.time[run, -1]),

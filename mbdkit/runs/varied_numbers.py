@@ -9,6 +9,7 @@ comparisons have the same outcome; for other values, the model is built and reco
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -127,7 +128,7 @@ class Variant:
     def rows(self, name: str, results: np.ndarray) -> np.ndarray:
         """Return an array of M members (M, ...) from the results of their formulas (M, R)."""
         base = self.base[name]
-        rows = np.tile(base.ravel(), (len(results), 1))
+        rows = base.reshape(1, -1).repeat(len(results), axis=0)
         if name in self.places:
             entries, columns = self.places[name]
             rows[:, entries] = results[:, columns]
@@ -163,19 +164,26 @@ class VariedNumbers:
 
     def stacks(self, values: np.ndarray) -> Stacks | None:
         """Return the arrays of N mechanisms with other numbers (N, K); None if there are formulas for none of them."""
-        parts: dict[Variant, tuple[list[int], list[tuple[float, ...]]]] = {}
-        for member, numbers in enumerate(values.tolist()):
-            if (found := self.results(numbers)) is not None:
-                part = parts.setdefault(found[0], ([], []))
-                part[0].append(member)
-                part[1].append(found[1])
-        if not parts:
+        parts: dict[Variant, list[tuple[np.ndarray, np.ndarray]]] = defaultdict(list)
+        left = np.arange(len(values))
+        if len(values) > 1:
+            self.results(values[0].tolist())  # which records formulas if there are none
+            for variant in self.variants:
+                known, results = variant.formulas.of_columns(values[left])
+                parts[variant].append((left[known], results[known]))
+                left = left[~known]
+        for member in left.tolist():
+            if (found := self.results(values[member].tolist())) is not None:
+                parts[found[0]].append((np.array([member]), np.array([found[1]])))
+        joined = {variant: [*map(np.concatenate, zip(*some, strict=True))] for variant, some in parts.items()}
+        known_parts = {variant: part for variant, part in joined.items() if len(part[0])}
+        if not known_parts:
             return None
-        members = np.concatenate([members for members, _ in parts.values()])
+        members = np.concatenate([part[0] for part in known_parts.values()])
         order = np.argsort(members)
-        names = {name for variant in parts for name in self._varying(variant)}
+        names = {name for variant in known_parts for name in self._varying(variant)}
         arrays = {
-            name: np.concatenate([variant.rows(name, np.array(results)) for variant, (_, results) in parts.items()])
+            name: np.concatenate([variant.rows(name, results) for variant, (_, results) in known_parts.items()])
             for name in (*STATE, *names.difference(STATE))
         }
         arrays = {name: array[order] for name, array in arrays.items()}
@@ -186,7 +194,8 @@ class VariedNumbers:
         """Yield the names of the arrays that differ between the mechanisms of this variant and the first one."""
         first = self.variants[0].base
         for name, array in variant.base.items():
-            if name in variant.places or array.tobytes() != first[name].tobytes():
+            is_own = array is first[name] or array.tobytes() == first[name].tobytes()
+            if name in variant.places or not is_own:
                 yield name
 
     def _new_variant(self, numbers: Sequence[float]) -> Variant | None:

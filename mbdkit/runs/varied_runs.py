@@ -28,7 +28,7 @@ from mbdkit.engine.consistent_start import (
 )
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.self_stress import looped_rows
-from mbdkit.integrators.interface import Timetable
+from mbdkit.integrators.interface import Guards
 from mbdkit.integrators.lane_stepper import VariedStarts
 from mbdkit.integrators.lanes.lane_collocation import StagePivots
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
@@ -137,7 +137,7 @@ class VariedRuns:
 
     def _advanced(self, group: LaneGroup, runs: PreparedRuns) -> Advanced:
         advanced = group.advanced(runs)
-        self._failed = 0 if len(runs.sound(advanced.results)) else self._failed + 1
+        self._failed = 0 if len(advanced.sound) else self._failed + 1
         assert self._base is not None
         if not self._base.is_assembled:
             self._base.is_assembled = not runs.is_consistent(advanced.results).all()
@@ -191,18 +191,18 @@ class _Base:
             # Residuals are computed in another order than by assembly.
             tolerance = stacks.tolerance.ravel() * (1.0 - 1e-6)
         runs = PreparedRuns(
-            first, starts, self._tables(size), [start.assembled] * count, [first.findings] * count, size, extent,
-            np.zeros(count), tolerance, stacks.members.tolist(), spec,
+            first=first, starts=starts, tables=[first.table] * count, guards=self._guards(size),
+            assembled=[start.assembled] * count, findings=[first.findings] * count, size=size, extent=extent,
+            seconds=np.zeros(count), tolerance=tolerance, indices=stacks.members.tolist(), spec=spec,
         )  # fmt: skip
         is_shared = np.isinf(tolerance[0])
         if (is_shared or not self.is_assembled) and first.pivots is None:
             return runs
         return self._assembled(runs, stacks if self.is_assembled and not is_shared else None, lanes)
 
-    def _tables(self, size: np.ndarray) -> list[Timetable]:
-        """Return the timetables of runs of mechanisms with these sizes [m]."""
-        spec, table = self.member.settings, self.member.table
-        return [replace(table, guards=guards_of(spec, one)) for one in size.tolist()]
+    def _guards(self, size: np.ndarray) -> list[Guards]:
+        """Return the limits of runs of mechanisms with these sizes [m]."""
+        return [guards_of(self.member.settings, one) for one in size.tolist()]
 
     def _is_given(self, stacks: Stacks) -> bool:
         """Return whether all runs have the same initial state before assembly as this one, to the bit."""
@@ -234,7 +234,7 @@ class _Base:
             for run in np.flatnonzero(moved).tolist():
                 runs.extent[run] = mechanism_size(first.settings.mechanism(), runs.assembled[run].q)
                 runs.size[run] = runs.extent[run] or runs.size[run]
-            runs.tables = self._tables(runs.size)
+            runs.guards = self._guards(runs.size)
         return runs
 
     def _start(self, stacks: Stacks, run: int) -> MechanismAtStart | None:

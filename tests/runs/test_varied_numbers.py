@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path
-from mbdkit.base.traced_numbers import Trace, UntraceableError
+from mbdkit.base.traced_numbers import Trace, UntraceableError, hypot, largest, sqrt
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.findings import findings
@@ -167,6 +168,26 @@ def test_a_traced_number_that_is_lost_has_no_formulas_even_if_the_error_is_caugh
         math.sin(number)
     with pytest.raises(UntraceableError):
         trace.formulas([number])
+
+
+def test_formulas_of_many_numbers_are_those_of_single_ones() -> None:
+    # expected: the bits of single calls, and no results where these have none
+    trace = Trace()
+    x, y = trace.input(0.7), trace.input(0.3)
+    with trace.recording():
+        quotient = elementary.cos(x) / (y - 0.25)
+        powers = hypot(x, quotient) ** 2.0 + sqrt(largest(x, y, -0.0)) + (x - y) ** 0.5
+        formulas = trace.formulas([powers, quotient, x if y < x else y])
+    rng = np.random.default_rng(3)
+    values = np.vstack([rng.uniform(-1.0, 1.0, (300, 2)), rng.uniform(0.0, 9.0, (50, 1)) * [1.0, 0.5]])
+    values = np.vstack([values, [[0.5, 0.25], [0.3, 0.3], [math.inf, 1.0], [1e308, -1e308]]])
+    known, results = formulas.of_columns(values)
+    single = [formulas(*numbers) for numbers in values.tolist()]
+    assert 50 <= known.sum() < len(values)
+    assert known.tolist() == [found is not None for found in single]
+    assert [results[k].tobytes() for k in np.flatnonzero(known)] == [
+        np.array(found).tobytes() for found in single if found is not None
+    ]
 
 
 def test_formulas_hold_only_while_comparisons_have_the_same_outcome() -> None:

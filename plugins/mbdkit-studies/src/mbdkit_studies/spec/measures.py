@@ -60,7 +60,7 @@ class RunGroup:
     @property
     def time(self) -> np.ndarray:
         """(T,) times of the rows [s]."""
-        return self.first.time
+        return self.first.time if self.results is None else self.results.arrays["time"][0]
 
     @cached_property
     def complete(self) -> np.ndarray:
@@ -76,7 +76,9 @@ class RunGroup:
 
     def records(self, path: str) -> bool:
         """Return whether the runs recorded the array with this path in the layout of archives."""
-        return self.first.records(path)
+        if self.results is None:
+            return self.first.records(path)
+        return any(array.path == path for array in self.results.layout)
 
     def array(self, path: str) -> np.ndarray:
         """Return the array with this path, stacked for all runs, (R, T, ...)."""
