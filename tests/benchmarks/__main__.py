@@ -19,6 +19,7 @@ from . import (
     chain,
     contacts,
     drawn_emg,
+    drawn_frontal,
     drawn_persons,
     elementary,
     ensemble,
@@ -48,6 +49,7 @@ SECTIONS: dict[str, Callable[[Console], None]] = {
     "ensemble": ensemble.ensemble,
     "evaluations": evaluations,
     "executors": executors.executors,
+    "frontal": drawn_frontal.frontal,
     "gradients": gradients.gradients,
     "implicit": chain.implicit,
     "inverse": inverse_frames.inverse_frames,
@@ -83,7 +85,9 @@ def main() -> None:
         action="store_true",
         help="print the calls of Python functions a step of `contacts` instead of times",
     )
-    parser.add_argument("--count", type=int, default=20, metavar="N", help="number of persons of `persons` and `emg`")
+    parser.add_argument(
+        "--count", type=int, default=20, metavar="N", help="number of persons of `persons`, `emg`, `frontal`"
+    )
     parser.add_argument(
         "--doubled", action="store_true", help="double the deviations of every second person of `persons`"
     )
@@ -99,6 +103,7 @@ def main() -> None:
         **SECTIONS,
         "contacts": functools.partial(contacts.contacts, **of_contacts),
         "emg": functools.partial(drawn_emg.emg, count=asked.count),
+        "frontal": functools.partial(drawn_frontal.frontal, count=asked.count),
         "persons": functools.partial(drawn_persons.persons, count=asked.count, doubled=asked.doubled),
     }
     if asked.output is not None:

@@ -21,7 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import redirect_stderr
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from rich.console import Console
@@ -211,15 +211,16 @@ def stance_share() -> Array:
     return found
 
 
-def forces_of(truth: InverseSpec, together: Sequence[float] = (0.0, 0.0)) -> Run:
+def forces_of(truth: InverseSpec, together: Sequence[float] = (0.0, 0.0), moment: Array | None = None) -> Run:
     """Return the forces of a drawn person, whose knee has compartments that cannot pull, with activations of extensors
-    and flexors of the knee together.
+    and flexors of the knee together, and a moment (T,) about its forward axis [N m].
     """
     problem = InverseProblem.of(truth)
     names, recruiter, walker = problem.names, problem.recruiter, _walker()
     assert recruiter is not None
     load, joint = walker.loads["foot"][0][:, 1], list(names.mechanism.joints).index("knee")
-    knee = Compartments("knee", joint, names.body("shank", "model"), COMPARTMENTS, HARD, MEDIAL * load, load)
+    moment = MEDIAL * load if moment is None else moment
+    knee = Compartments("knee", joint, names.body("shank", "model"), COMPARTMENTS, HARD, moment, load)
     recruiter.targets = replace(recruiter.targets, knees=(knee,))
     windows = (np.interp(stance_share(), *one) for one in TOGETHER_ACTIVE.values())
     both = sum(size * own for size, own in zip(together, windows, strict=True))
@@ -258,17 +259,32 @@ class Wider:
         return float(self.random.uniform(middle - half, middle + half))
 
 
-def drawn_person(random: np.random.Generator, factor: float = 1.0, **sections: Any) -> Drawn:
+class Across(Protocol):
+    """The frontal plane of a person: what it makes of columns, and the moment (T,) about the axis of the knee [N m]."""
+
+    def columns(self, columns: Mapping[str, Array]) -> dict[str, Array]:
+        """Return columns of markers and plates with other places across."""
+
+    @property
+    def moment(self) -> Array:
+        """The moment."""
+
+
+def drawn_person(
+    random: np.random.Generator, factor: float = 1.0, plane: Across | None = None, **sections: Any
+) -> Drawn:
     """Return a person drawn at random, whose deviations are `factor` times those that are stated; `sections` are added
     to the spec of what was measured.
     """
     wider = Wider(random, factor)
-    measured = _spec(_measured(wider), **sections)
+    columns = _measured(wider)
+    measured = _spec(plane.columns(columns) if plane else columns, **sections)
     for left in reversed(range(DRAWS)):
         truth = _truth(wider)
         together = [max(0.0, wider.uniform(0.0, most)) for most in TOGETHER_ACTIVE]
         try:
-            return Drawn(measured, truth, forces_of(truth, together), DELAY * wider.standard_normal())
+            forces = forces_of(truth, together, plane.moment if plane else None)
+            return Drawn(measured, truth, forces, DELAY * wider.standard_normal())
         except MbdkitError:
             if not left:
                 raise
@@ -427,12 +443,7 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
         corrected = excess - parts["reaction_peak_bias"][place]
         tally.add(f"peak of the {joint}, corrected", corrected, bar)
         tally.excess.setdefault(joint, []).append((excess, corrected))
-    knee, alone = found.knees["knee"], truth.array("muscles/reaction_force_without")
-    angle, place = truth["shank"].angle, list(truth.joint_names).index("knee")
-    least = np.sin(angle) * alone[:, place, 0] - np.cos(angle) * alone[:, place, 1]
-    true = least + later(at_time, truth.knees["knee"].compression - least, -person.late)
-    bars = (knee.compression_lower, knee.compression_upper)
-    tally.knee.append(np.stack([true - knee.compression, *bars, stance_share()], axis=1))
+    tally.knee.append(errors_of_knee(found, person))
     errors, peaks, wide, wide_at_peaks = [], [], [], []
     for name, muscle in found.muscles.items():
         tension = later(at_time, truth.muscles[name].force, -person.late)
@@ -443,3 +454,15 @@ def add_person(tally: Tally, random: np.random.Generator, samples: int, factor: 
         wide_at_peaks.append(muscle.force_error[at])
     tally.add("forces of muscles", np.concatenate(errors), np.concatenate(wide))
     tally.add("peaks of muscles", np.array(peaks), np.array(wide_at_peaks))
+
+
+def errors_of_knee(run: Run, person: Drawn) -> Array:
+    """Return how much larger the true compression of the knee is, both sides of its bars, and shares of the stance
+    (T, 4).
+    """
+    knee, truth = run.knees["knee"], person.forces
+    alone, at = truth.array("muscles/reaction_force_without"), list(truth.joint_names).index("knee")
+    angle = truth["shank"].angle
+    least = np.sin(angle) * alone[:, at, 0] - np.cos(angle) * alone[:, at, 1]
+    true = least + later(np.asarray(truth.time), truth.knees["knee"].compression - least, -person.late)
+    return np.stack([true - knee.compression, knee.compression_lower, knee.compression_upper, stance_share()], axis=1)

@@ -203,14 +203,14 @@ def test_the_scale_of_emg_is_found_whatever_its_unit(factor):
     wrong = 1.0 + random.standard_normal(80) ** 2
     channels = (EmgTarget(0, factor * envelope, 0.4, has_scale=False), EmgTarget(1, true[:, 1], 0.4),
                 EmgTarget(2, factor * wrong, 0.4, "wrong", has_scale=False))  # fmt: skip
-    found = Targets(emg=channels).calibrated(alone, programme)
+    found = Targets(emg=channels).calibrated(alone, alone, programme)
     # without the flexor, the least squares of activations alone give 0.8 of the scale
     np.testing.assert_allclose(found.emg[0].activation, envelope, rtol=0.15)
     assert found.emg[0].spread < 0.1
     assert found.emg[1] is channels[1]
     assert found.emg[2].spread > 2.0 * found.emg[0].spread
     assert [one.column for one, _ in found.remarks] == ["wrong"]
-    assert found.calibrated(0.5 * alone, programme) is found
+    assert found.calibrated(0.5 * alone, alone, programme) is found
 
 
 @pytest.mark.parametrize(

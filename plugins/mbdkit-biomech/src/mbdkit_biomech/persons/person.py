@@ -227,17 +227,17 @@ class Skeleton:
         found, unknown, lines, findings = {}, [], [], []
         for leg in self.segments.legs:
             knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
-            side = 1.0 if self.segments.side(leg) == "r" else -1.0
+            side, vertical = 1.0 if self.segments.side(leg) == "r" else -1.0, sum(one.force[:, 1] for one in loads)
             at, deviation = self.points[knee], float(np.sqrt(self.centers[knee].covariance[2, 2]))
             if deviation > ACROSS:
                 hip, variance = self.points[f"hip{leg}"][:, 2], float(self.centers[f"hip{leg}"].covariance[2, 2])
                 foot = self.plane.coordinates(self.segments.motion.poses[f"foot{leg}"].position)[:, 2]
                 at = np.column_stack([at[:, :2], 0.5 * (hip + foot) + side * OUTWARD])
                 deviation = float(np.sqrt(ALIGNMENT**2 + 0.25 * (variance + FOOT**2)))
-                lines += [f"{knee} {1000 * deviation:.0f} mm"] * (deviation <= FARTHEST_ACROSS) * bool(loads)
+                if loads:
+                    (lines if deviation <= FARTHEST_ACROSS else unknown).append(f"{knee} {1000 * deviation:.0f} mm")
             if loads and np.sqrt(self.centers[f"ankle{leg}"].covariance[2, 2]) <= ACROSS:
                 moments = sum(one.frontal_moment(self.points[f"ankle{leg}"]) for one in loads)
-                vertical = sum(one.force[:, 1] for one in loads)
                 beside = float(np.nansum(moments) / np.sum(vertical, where=~np.isnan(moments)))
                 if abs(beside) > BESIDE:
                     where = f"{1000 * abs(beside):.0f} mm to the {'left' if beside > 0 else 'right'} of the ankle"
@@ -246,12 +246,9 @@ class Skeleton:
                         "the place of its plates across the plane of motion, on which the forces in the knee depend"
                     )
                     findings.append(_doubt("plates", sentence))
-            if loads and deviation > FARTHEST_ACROSS:
-                unknown.append(f"{knee} {1000 * deviation:.0f} mm")
-            elif loads:
+            if loads and deviation <= FARTHEST_ACROSS:
                 moment = side * sum(one.frontal_moment(at) for one in loads)
-                force = np.maximum(sum(one.force[:, 1] for one in loads), 0.0)
-                found[knee] = KneeLoad(np.asarray(moment), np.asarray(force), deviation)
+                found[knee] = KneeLoad(np.asarray(moment), np.maximum(vertical, 0.0), deviation)
         sentence = (
             f"where knees are across the plane of motion is not known ({listed(unknown, 'and')}; at most "
             f"{1000 * FARTHEST_ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of "

@@ -40,8 +40,8 @@ from mbdkit_biomech.uncertainty.changed_problem import (
 from mbdkit_biomech.uncertainty.sources import Place, UncertainScalar, shared_activations
 
 #: Number of programmes of recruitment that are solved together. Fewer cost more calls of NumPy for the frames that need
-#: many steps, more cost memory: two blocks of this size take about 1 GB.
-ROWS = 24_000
+#: many steps, more cost memory: two blocks of this size take about 0.4 GB.
+ROWS = 8_000
 
 THREADS = 2  #: Number of blocks that are solved at once. Results do not depend on it.
 
@@ -207,8 +207,7 @@ class StackedOutcomes:
             out.actuators[rows], out.reactions[rows] = own["value"].swapaxes(0, 1), own["reactions"].swapaxes(0, 1)
             out.without[rows], out.lost[rows] = out.reactions[rows], 0
             return
-        frames, count = smooth.shape[:2]
-        flat = own.reshape(-1)
+        (frames, count), flat = smooth.shape[:2], own.reshape(-1)
         driven, exponent = recruited.sharing.driven, recruiter.exponent + float(self._total(values, ("exponent",))[0])
         programme, capacity, passive = self._programme(recruiter, driven, values, own)
         if exponent not in self._starts:

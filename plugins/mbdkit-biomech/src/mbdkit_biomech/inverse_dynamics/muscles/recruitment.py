@@ -48,6 +48,10 @@ NO_ARM = 1e-9
 
 TIMES_NAMED = 6
 
+#: Number of times that scales of EMG follow from activations, and activations from scales. The error of the knee of 24
+#: drawn persons falls by 30, 37, 39 and 40 % after one, two, three and four of them.
+CALIBRATIONS = 3
+
 
 class Recruiter:
     """Recruits the muscles of a mechanism.
@@ -209,13 +213,16 @@ class Recruiter:
         failed = ~np.isfinite(shared.certificate)
         if strict and failed.any():
             raise self._impossible(sharing, motion.time, failed)
-        targets = self.targets.calibrated(shared.value[:, : len(self.muscles)], sharing.programme)
+        targets, alone = self.targets, shared.value[:, : len(self.muscles)]
         if targets:
-            soft = targets.soft(axial(own.pull), own.capacity, own.passive)
-            programme, shared = share_softly(sharing.programme, self.exponent, soft)
-            failed = ~np.isfinite(shared.certificate)
-            if strict and failed.any():
-                raise self._impossible(sharing, motion.time, failed)
+            along, programme = axial(own.pull), sharing.programme
+            for _ in range(1 if all(one.has_scale for one in targets.emg) else CALIBRATIONS):
+                targets = self.targets.calibrated(alone, shared.value[:, : len(self.muscles)], sharing.programme)
+                soft = targets.soft(along, own.capacity, own.passive)
+                programme, shared = share_softly(sharing.programme, self.exponent, soft)
+                failed = ~np.isfinite(shared.certificate)
+                if strict and failed.any():
+                    raise self._impossible(sharing, motion.time, failed)
             sharing = replace(sharing, programme=programme)
         if self.asked.dynamics == "activation" and len(motion.time) > 1:
             shared = self._over_time(sharing, shared, motion.time, strict=strict)

@@ -162,21 +162,22 @@ class Targets:
         emg = [replace(one, activation=np.tile(one.activation, count)) for one in self.emg]
         return Targets(tuple(knees), tuple(emg))
 
-    def calibrated(self, activation: np.ndarray, programme: Programme) -> Targets:
+    def calibrated(self, alone: np.ndarray, activation: np.ndarray, programme: Programme) -> Targets:
         """Return the targets with EMG whose scales and deviations follow from the moments, and remarks.
 
-        Muscles without EMG have the activations (T, M) of recruitment without EMG. The scales s of the channels are
-        those with which all muscles together produce the moments of `programme` best, as least squares with the prior
-        of `EmgTarget.scaled_to`. The deviation is larger the less a channel is like its activation without EMG, and its
-        moments are like those that the other muscles leave.
+        Muscles without EMG have the activations `alone` (T, M) of recruitment without EMG. The scales s of the channels
+        are those with which all muscles together produce the moments of `programme` best, as least squares with the
+        prior of `EmgTarget.scaled_to` for the activations (T, M) of recruitment with the last scales. The deviation is
+        larger the less a channel is like its activation without EMG, and its moments like those that the other muscles
+        leave: with EMG, they would follow noise.
         """
         free = [k for k, one in enumerate(self.emg) if not one.has_scale]
         if not free:
             return self
         emg = [one if one.has_scale else one.scaled_to(activation[:, one.muscle]) for one in self.emg]
-        known = np.all(np.isfinite(activation), axis=1)
-        matrix, right = programme.matrix[known][..., : activation.shape[1]], programme.right[known]
-        own, counts = activation[known], np.bincount([one.muscle for one in emg], minlength=activation.shape[1])
+        known = np.all(np.isfinite(alone), axis=1)
+        matrix, right = programme.matrix[known][..., : alone.shape[1]], programme.right[known]
+        own, counts = alone[known], np.bincount([one.muscle for one in emg], minlength=alone.shape[1])
         shares = [matrix[..., one.muscle] * (one.activation[known, None] / counts[one.muscle]) for one in emg]
         rest = right - products(matrix, np.where(counts > 0, 0.0, own))
         rest = rest - sum((share for one, share in zip(self.emg, shares, strict=True) if one.has_scale), start=0.0)
@@ -190,7 +191,7 @@ class Targets:
         remarks = list(self.remarks)
         for k, column, factor in zip(free, columns.T, factors.tolist(), strict=True):
             one = emg[k]
-            acts, alike = column != 0, correlation(one.activation, activation[:, one.muscle])
+            acts, alike = column != 0, correlation(one.activation, alone[:, one.muscle])
             changes = (np.where(acts, x, 0.0).reshape(right.shape) for x in (factor * column, left))
             mine, lacks = (x - np.mean(x, axis=0) for x in changes)
             follows = max(alike, correlation(mine.ravel(), (mine + lacks).ravel()), 1e-9)
