@@ -11,14 +11,17 @@ import numpy as np
 GRAVITY, ANGLE, DURATION = 9.81, 0.3, 1.0
 
 
-def chain(count: int) -> dict[str, Any]:
-    """Return a problem of rods of 1 m and 1 kg that hang in a row, with torques in all joints."""
+def chain(count: int, length: float = 1.0, angle: float = 0.3) -> dict[str, Any]:
+    """Return a problem of rods of 1 kg that hang in a row and are raised by an angle, with torques in all joints."""
     names = ["ground", *(f"rod{k}" for k in range(count))]
     pairs = list(pairwise(names))
     model = {
         "name": "mechanism",
-        "bodies": {b: {"mass": 1, "inertia": 1 / 12, "position": [0, -k - 0.5]} for k, (_, b) in enumerate(pairs)},
-        "joints": {b: {"type": "revolute", "bodies": [a, b], "at": [0, -k]} for k, (a, b) in enumerate(pairs)},
+        "bodies": {
+            b: {"mass": 1, "inertia": length**2 / 12, "position": [0, -length * (k + 0.5)]}
+            for k, (_, b) in enumerate(pairs)
+        },
+        "joints": {b: {"type": "revolute", "bodies": [a, b], "at": [0, -length * k]} for k, (a, b) in enumerate(pairs)},
         "forces": {
             b: {"type": "torque", "body": b, "value": 0.0, **({} if a == "ground" else {"reaction_body": a})}
             for a, b in pairs
@@ -28,7 +31,9 @@ def chain(count: int) -> dict[str, Any]:
         "mbdkit_predict": 1, "base": {"model": model}, "duration": 1.0,
         "controls": {f"forces.{b}.value": {"bounds": [-1e4, 1e4]} for b in names[1:]},
         "initial": {f"bodies.{b}.{what}": 0 for b in names[1:] for what in ("angle", "angular_velocity")},
-        "final": {f"bodies.{b}.{what}": x for b in names[1:] for what, x in (("angle", 0.3), ("angular_velocity", 0))},
+        "final": {
+            f"bodies.{b}.{what}": x for b in names[1:] for what, x in (("angle", angle), ("angular_velocity", 0))
+        },
         "minimize": " + ".join(f"integral(forces.{b}.value**2)" for b in names[1:]),
     }  # fmt: skip
 

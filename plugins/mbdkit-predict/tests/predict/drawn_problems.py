@@ -1,7 +1,7 @@
 """Drawn problems of least effort with pulses, steps, contacts and tables; run as a script, compares predictions with
 the optima of an independent method.
 
-    python plugins/mbdkit-predict/tests/predict/drawn_problems.py [NUMBER ...]
+    PYTHONPATH=plugins/mbdkit-predict/tests python -m predict.drawn_problems [NUMBER ...]
 
 The optima are those of L. S. Pontryagin's conditions in minimal coordinates, by single shooting: the costates at the
 start are found by Newton's method, states and costates are integrated by DOP853 with a tolerance of 1e-11, and the

@@ -519,18 +519,12 @@ def test_a_mechanism_without_freedom_moves_only_its_states(coordinates: str) -> 
     assert abs(run.objective - 1.0) <= run.objective_error
 
 
-def raised_chain(count: int, **sections: Any) -> dict[str, Any]:
-    """Return a chain that is raised by 0.6 rad, whose least effort on coarse meshes is an artefact."""
-    spec = chain(count)
-    return spec | {"final": {name: 0.6 * (x > 0.0) for name, x in spec["final"].items()}} | sections
-
-
 def test_a_search_whose_meshes_wander_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     # optima on meshes of 5 and 10 intervals are 88.5 and 128.6; that of the transcription in absolute angles is 436.94
     monkeypatch.setattr(chains, "ANGLE", 0.6)
     program, start = chains.program(4, 40, 5)
     exact = float(ca.nlpsol("angles", "ipopt", program, nonlinear_program._OPTIONS)(**start)["f"])
-    run = mbdkit.predict(raised_chain(4, collocation={"intervals": 5}, tolerance=1e-4))
+    run = mbdkit.predict(chain(4, angle=0.6) | {"collocation": {"intervals": 5}, "tolerance": 1e-4})
     assert run.objective == pytest.approx(exact, rel=1e-4)
     assert run.verdict_reasons[-1] == "Local minimum: 2 of 2 starts end here."
     table = run.summary()
@@ -540,6 +534,6 @@ def test_a_search_whose_meshes_wander_begins_anew(monkeypatch: pytest.MonkeyPatc
 
 @pytest.mark.slow
 def test_an_optimum_that_no_second_guess_finds_after_wandering_is_doubtful() -> None:
-    run = mbdkit.predict(raised_chain(5, collocation={"intervals": 8}, tolerance=1e-4))
+    run = mbdkit.predict(chain(5, angle=0.6) | {"collocation": {"intervals": 8}, "tolerance": 1e-4})
     assert run.verdict == "doubtful"
     assert "1 of 2 starts end here, the best of the others is" in run.verdict_reasons[0]
