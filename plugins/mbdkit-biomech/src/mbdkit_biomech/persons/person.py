@@ -224,7 +224,10 @@ class Skeleton:
 
     def _knees(self, plates: PlateResult) -> tuple[dict[str, KneeLoad], list[Finding]]:
         """Return the knees above plates, and what was found about places of forces and knees across the plane."""
-        found, unknown, lines, findings = {}, [], [], []
+        found: dict[str, KneeLoad] = {}
+        unknown: list[str] = []
+        lines: list[str] = []
+        findings: list[Finding] = []
         for leg in self.segments.legs:
             knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
             side, vertical = 1.0 if self.segments.side(leg) == "r" else -1.0, sum(one.force[:, 1] for one in loads)
