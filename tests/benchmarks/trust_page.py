@@ -90,11 +90,12 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
   give an estimated error for every recorded position, velocity, reaction force and reaction torque. From the time at
   which these differences no longer decrease with the step, the estimates are nan; `run.accuracy.known_until` is the
   last recorded time before, and the summary and the verdict give the reason. The summary prints, for example, `largest
-  force in J1 24.525000 +- 1.1e-06 N`. Plots draw the errors as bands, and the group `accuracy` of the archive contains
-  them. A force may have its peak between two recorded times: a check determines the largest forces and torques there as
-  well, and [states these](#one-number-one-bar). By how much they exceed the recorded ones counts in the verdict, except
-  for a joint whose largest force is a measure; smaller steps, or more recorded ones, reduce it. A check usually takes
-  10 to 20 times as long as the run, and longer with beams, controllers or time-stepping methods
+  force in J1 24.525000 +- 1.1e-06 N`. In Python, `run.joints["J1"].reaction_force_error` is the error at each time, and
+  `print(run.accuracy)` tells what is known. Plots draw the errors as bands, and the group `accuracy` of the archive
+  contains them. A force may have its peak between two recorded times: a check determines the largest forces and
+  torques there as well, and [states these](#one-number-one-bar). By how much they exceed the recorded ones counts in
+  the verdict, except for a joint whose largest force is a measure; smaller steps, or more recorded ones, reduce it. A
+  check usually takes 10 to 20 times as long as the run, and longer with beams, controllers or time-stepping methods
   ([performance](performance.md#a-single-run)).
 - **`check: true` with estimated parameters** (`parameters: {{from: fit.h5}}`) states the errors by the estimates as
   well, by 2 K more runs for K parameters: bounds of 95 % at each time for normally distributed estimates, to first
