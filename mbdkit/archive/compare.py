@@ -97,8 +97,8 @@ def compare(first: Run, second: Run) -> Comparison:
 
 
 def _leaves(value: object, path: Path = ()) -> Iterator[tuple[str, str]]:
-    """Yield the values of a spec that are no mappings, as JSON, with their keys."""
-    if isinstance(value, Mapping):
+    """Yield the values of a spec that are no mappings with keys, as JSON, with their own keys."""
+    if isinstance(value, Mapping) and value:
         for key, inner in value.items():
             yield from _leaves(inner, (*path, str(key)))
     else:

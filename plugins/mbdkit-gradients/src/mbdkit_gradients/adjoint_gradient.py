@@ -7,6 +7,7 @@ back through the steps to the start; on the way, those with respect to the numbe
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
@@ -52,6 +53,7 @@ AROUND = 8  #: Number of step ends on both sides of a step that may determine th
 WINDOW = 256  #: Largest number of steps whose stages, and the derivatives with respect to these, are stored at once.
 #: Largest size of the stored states [bytes], and of the derivatives with respect to them; larger arrays are in files.
 MOST_BYTES = 256_000_000
+BLOCK = 1_000_000  #: Number of bytes that are written at once.
 
 
 def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
@@ -469,6 +471,10 @@ def _array(file: SpooledTemporaryFile[bytes], shape: tuple[int, int]) -> np.ndar
     """Return the numbers in a file, and zeros behind these, as an array: in memory, or in the file if it is large."""
     size = 8 * shape[0] * shape[1]
     if size > MOST_BYTES:
+        file.seek(0, os.SEEK_END)
+        for begin in range(file.tell(), size, BLOCK):  # really written, so that a full disk is an error here
+            file.write(bytes(min(BLOCK, size - begin)))
+        file.flush()
         return np.asarray(np.memmap(file, float, "r+", shape=shape))
     file.seek(0)
     given = np.frombuffer(file.read())

@@ -170,6 +170,8 @@ class BackwardSweep:
         )  # fmt: skip
 
         def call(begin: int) -> tuple[int, int]:
+            for terms in (work.scratch.gamma_v, work.scratch.res_q):  # of Baumgarte, which recorded forces do not have
+                terms[...] = 0.0
             rest = kernels.Given(*(x[begin:] if k < 11 else x for k, x in enumerate(given)))
             pinned = PinnedBundle(rest)
             status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)

@@ -20,6 +20,7 @@ import numpy as np
 from mbdkit_identify.estimation import best_fit, factors
 from mbdkit_identify.intervals import Goal, covariance_of, interval_of
 from mbdkit_identify.posterior import posterior
+from mbdkit_identify.problem import Problem
 
 from .regressions import Regression
 
@@ -59,8 +60,9 @@ def repeat(loss: str, method: str, number: int) -> Repeat:
     noise = dice.normal(0.0, NOISE, len(TIMES))
     if loss != "linear":
         noise *= np.where(dice.random(len(TIMES)) < 0.05, 10.0, 1.0)
-    problem = replace(clean, y=[*(oscillation(TIMES, *truth) + noise)]).problem
-    problem.unknowns[3].low, problem.unknowns[3].size = 0.0, deviation
+    free = replace(clean, y=[*(oscillation(TIMES, *truth) + noise)]).problem
+    free.unknowns[3].low, free.unknowns[3].size = 0.0, deviation
+    problem = Problem(free.unknowns, free.names, free.segments)
     fit = best_fit(problem, 1, 0, loss)
     covariance = factors(fit)[0] * covariance_of(fit.jacobian, np.ones(4, dtype=bool))
     covers, why = [], ""
