@@ -46,7 +46,7 @@ def generated() -> str:
         source = law_source(module.LAW, dict(zip(names, values, strict=True)))
         parts.append(_LAW.format(name=name, source=source.replace("def law(", f"def _{name}(", 1)))
     lines = "".join(f'    "{name}": {names!r},\n' for name, names in parameters.items())
-    parts.append(f'\nPARAMETERS = {{\n{lines}}}\n"""Names of the parameters of each law."""\n')
+    parts.append(f"\n#: Names of the parameters of each law.\nPARAMETERS = {{\n{lines}}}\n")
     return "".join(parts)
 
 
