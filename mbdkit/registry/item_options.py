@@ -78,7 +78,7 @@ def check_item(item: Registered, *, create: bool = False) -> None:
 def _create_with_defaults(item: Registered) -> None:
     plugin: Any = item.plugin
     try:
-        defaults = plugin.options()
+        defaults = create_model("Defaults", __base__=plugin.options)()  # BaseModel itself makes no instances
     except ValidationError:
         return
     with blaming("it cannot be created with its default options"):
