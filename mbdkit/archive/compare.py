@@ -18,7 +18,7 @@ from mbdkit.base.plain_data import Path, json_text, path_text
 from mbdkit.base.text import shortened, shown
 
 #: Provenance attributes that cannot affect the results.
-_NOT_VERSIONS = {"command", layout.EVIDENCE}
+_NOT_VERSIONS = {"assembly", "command", layout.EVIDENCE}
 
 
 @dataclass(frozen=True)

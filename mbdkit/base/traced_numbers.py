@@ -55,10 +55,10 @@ class Formulas:
         """Return the results as a Python function that calls `functions` by their names; `kept` is not asked for."""
         return self._with(self._code, functions)
 
-    def _with(self, code: CodeType, functions: Mapping[str, Any]) -> Callable[..., tuple[Any, ...] | None]:
+    def _with(self, code: CodeType, functions: Mapping[str, Any]) -> Callable[..., Any]:
         space: dict[str, Any] = {"inf": math.inf, "nan": math.nan, **functions}
         exec(code, space)  # the text consists of recorded operations only
-        function: Callable[..., tuple[Any, ...] | None] = space["formulas"]
+        function: Callable[..., Any] = space["formulas"]
         return function
 
     def _compiled(self, lines: Iterable[str], results: Iterable[str]) -> CodeType:
@@ -87,14 +87,14 @@ class Formulas:
         known, results = np.zeros(len(values), bool), np.zeros((len(values), len(self.results)))
         if self._of_columns is not None:
             with np.errstate(all="ignore"):
-                holds, *columns = self._of_columns(*values.T) or ()
+                holds, *columns = self._of_columns(*values.T)
             known[:] = holds & np.isfinite(values).all(axis=1)
             for column, result in enumerate(columns):
                 results[:, column] = result
         return known, results
 
     @cached_property
-    def _of_columns(self) -> Callable[..., tuple[Any, ...] | None] | None:
+    def _of_columns(self) -> Callable[..., tuple[Any, ...]] | None:
         """The results as a function of arrays, which returns before them where all conditions hold; None if an
         operation is not known for arrays.
         """

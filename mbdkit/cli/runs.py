@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cmath
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -256,16 +255,18 @@ def validate_run(source: Document | str, name: str, assignments: list[str]) -> N
 
 def _slides(mechanism: Mechanism, start: AssembledState) -> list[tuple[str, ...]]:
     """Return a table row for each joint with a travel: its global direction and the travel at the start."""
+    from mbdkit.mechanism.mechanism_quantities import Point, Travel
+    from mbdkit.mechanism.quantity_names import QuantityNames
+
     rows: list[tuple[str, ...]] = []
-    poses = dict(zip(mechanism.bodies, start.q.tolist(), strict=True))
+    q, names = start.q.reshape(1, -1), QuantityNames(mechanism)
     for name, joint in mechanism.joints.items():
-        if joint.travel is not None:
-            first, second, line = (complex(*joint.travel[k : k + 2]) for k in (0, 2, 4))
-            (xa, ya, a), (xb, yb, b) = (poses.get(body, (0.0, 0.0, 0.0)) for body in joint.bodies)
-            line *= cmath.rect(1.0, a)
-            apart = complex(xb - xa, yb - ya) + second * cmath.rect(1.0, b) - first * cmath.rect(1.0, a)
-            along = f"({round(line.real, 4) + 0.0:g}, {round(line.imag, 4) + 0.0:g})"
-            rows.append((name, joint.bodies[1], joint.bodies[0], along, f"{(apart * line.conjugate()).real:.6g} m"))
+        travel = names.joint(name, name)
+        if isinstance(travel, Travel):
+            x, y = (
+                round(component.item(), 4) + 0.0 for component in Point(travel.first.body, *travel.direction).arm(q)
+            )
+            rows.append((name, joint.bodies[1], joint.bodies[0], f"({x:g}, {y:g})", f"{travel.value(q).item():.6g} m"))
     return rows
 
 

@@ -26,7 +26,7 @@ from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
 from mbdkit.integrators.lanes.lane_run import BY_LANE, new_lane_run
-from mbdkit.integrators.run.run_plan import smallest_step
+from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
 from mbdkit.integrators.run.step_guards import new_guard_state
@@ -193,7 +193,7 @@ class LaneStepper:
             own, chosen = getattr(c.top, name), values[lanes]
             own[...] = chosen if name in BY_LANE else chosen.transpose(*range(1, chosen.ndim), 0)
         c.q[...], c.v[...] = varied.q[lanes].T, varied.v[lanes].T
-        c.squared_misalignment[...], c.energy_share[...] = limits[0][:, lanes], limits[1][lanes]
+        c.squared_misalignment[...], c.energy_share[...] = (one[:, lanes] for one in limits)
 
     def _drive(
         self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots]
@@ -297,12 +297,9 @@ class _Collected:
 
 
 def _limits(mechanism: CompiledMechanism, guards: Sequence[Guards]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the fields `squared_misalignment` and `energy_jump` of `guard_limits` of R runs, (P, R) and (R,)."""
-    given = np.array([(one.misalignment, one.angle_misalignment, one.energy_jump) for one in guards]).T
-    largest = np.tile(given[0], (len(mechanism.topology.pairs), 1))
-    largest[[row.pair for row in mechanism.rows if row.unit == "rad"]] = given[1]
-    with np.errstate(over="ignore"):  # an infinite limit is never exceeded
-        return largest**2, np.full(len(guards), np.inf) if mechanism.is_locked else given[2]
+    """Return the first two fields of `guard_limits` of R runs, (P, R) and (1, R)."""
+    of = {one: guard_limits(mechanism, one) for one in set(guards)}
+    return np.array([of[one][0] for one in guards]).T, np.array([of[one][1] for one in guards]).T
 
 
 _COUNTED = {

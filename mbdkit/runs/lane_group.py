@@ -419,7 +419,7 @@ class _Extremes:
     def __init__(self, group: LaneGroup, results: LaneResults, states: States):
         shape = results.time.shape
         misalignment = states.misalignment.reshape(*shape, -1).max(axis=1)
-        self._group, self.mechanism, self.results = group, group.mechanism, results
+        self._group, self.results = group, results
         self.misalignment = np.maximum(group.joints.misalignment_of_squares(results.worst), misalignment)
         self.angles = group.joints.angle_misalignment(np.abs(results.observed.phi).max(axis=1))
         kinetic, balance = results.observed.kinetic, states.balance.reshape(shape)
@@ -431,7 +431,7 @@ class _Extremes:
         sizes = runs.size
         gap, angle = (values.max(axis=1, initial=0.0) for values in (self.misalignment, self.angles))
         kinetic, jump, _ = self.results.guards.T
-        errors = [jump, self.energies[2]] if not self.mechanism.is_locked else [0.0 * jump] * 2
+        errors = [jump, self.energies[2]] if not self._group.mechanism.is_locked else [0.0 * jump] * 2
         with np.errstate(all="ignore"):
             share = np.where(sizes > 0.0, gap / sizes, gap)
             energy = self.energies[1]

@@ -22,7 +22,7 @@ from mbdkit import Run
 from mbdkit.base.errors import MbdkitError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 
-from .drawn_persons import Array, Drawn, _walker, drawn_person, forces_of
+from .drawn_persons import Array, Drawn, drawn_person, forces_of, page_walker
 
 FACTOR, TOGETHER, NOISE, DEVIATION, EARLY = 0.3, 0.08, 0.3, 0.4, 0.07
 """Standard deviations of factors, of co-contraction, and of EMG; the stated one, with that of the strength; and the
@@ -46,7 +46,7 @@ def _truth(person: Drawn, random: np.random.Generator) -> Run:
     """Return the forces of a person who co-contracts."""
     with person.forces as alone:
         activation = {name: np.asarray(muscle.activation) for name, muscle in alone.muscles.items()}
-    process = lambda: _walker().skin(random)[:, 0]  # noqa: E731
+    process = lambda: page_walker().skin(random)[:, 0]  # noqa: E731
     targets = {
         name: np.clip(own * np.exp(FACTOR * process()) + TOGETHER * np.abs(process()), 0.01, 0.95).tolist()
         for name, own in activation.items()
@@ -69,7 +69,7 @@ def emg(console: Console, count: int = 20, seed: int = 76) -> None:
                 truth = _truth(person, random)
                 channels: dict[str, dict[str, Array]] = {"no EMG": {}, "EMG": {}, "noise": {}}
                 for name, muscle in truth.muscles.items():
-                    scatter, noise = (_walker().skin(random)[:, 0] for _ in range(2))
+                    scatter, noise = (page_walker().skin(random)[:, 0] for _ in range(2))
                     at = np.asarray(truth.time)
                     own = np.interp(at + EARLY, at, muscle.activation)
                     channels["EMG"][name] = own * np.exp(NOISE * scatter + random.standard_normal())

@@ -21,7 +21,7 @@ from rich.console import Console
 import mbdkit
 from mbdkit.base.errors import MbdkitError
 
-from .drawn_persons import Array, _walker, drawn_person, errors_of_knee
+from .drawn_persons import Array, drawn_person, errors_of_knee, page_walker
 from .person_markers import HIP, MARKERS, SHANK, THIGH
 
 SWAY, STEP = (0.022, 0.005), (0.10, 0.03)
@@ -55,7 +55,7 @@ class FrontalPlane:
     @classmethod
     def drawn(cls, random: np.random.Generator) -> FrontalPlane:
         """Return the plane of a person drawn at random."""
-        walker, normal = _walker(), random.standard_normal
+        walker, normal = page_walker(), random.standard_normal
         (first, end), *_ = [pair for foot, *pair in walker.contacts() if foot == "foot" and pair[0] > 0]
         share = (walker.time - walker.time[first]) / (walker.time[end] - walker.time[first])
         sway = (SWAY[0] + SWAY[1] * normal()) * np.cos(2 * np.pi * 0.62 * (share - 0.5))  # 0.62 of a stride is a stance
@@ -79,7 +79,7 @@ class FrontalPlane:
         """Moment (T,) of the ground's force about the forward axis of the knee, positive if it presses the medial side
         [N m].
         """
-        walker = _walker()
+        walker = page_walker()
         force, point = walker.loads["foot"]
         knee = np.column_stack([walker.joints["knee"][:, :2], self.knee])
         way = np.column_stack([np.nan_to_num(point[:, 0]), 0.0 * self.knee, self.pressed]) - knee
@@ -101,7 +101,7 @@ class FrontalPlane:
                 found[f"R{name}"][:, 1] -= first - HIP[2]
         for name in ("RASI", "LASI", "RPSI", "LPSI"):
             found[name][:, 1] -= self.pelvis
-        for number, (foot, *_) in enumerate(_walker().contacts(), 1):
+        for number, (foot, *_) in enumerate(page_walker().contacts(), 1):
             if foot == "foot":
                 found[f"plate{number}.point"][:, 1] = -self.pressed
                 found[f"plate{number}.force"][:, 1] = -self.across * found[f"plate{number}.force"][:, 2]

@@ -178,7 +178,7 @@ class Tally:
 
 
 @lru_cache(maxsize=1)
-def _walker() -> Walker:
+def page_walker() -> Walker:
     walker = Walker.of_example(2, slice(24, 230))
     walker.loads = walker.filtered(CUTOFF)
     return walker
@@ -189,8 +189,8 @@ def _expanded() -> tuple[dict[str, Any], float]:
     """Return the spec of the model that is scaled to exact markers, as plain data, and the angle of its flat foot less
     that of the walker.
     """
-    walker = _walker()
-    spec = load_inverse_spec(_spec(columns_of(walker, walker.markers())))
+    walker = page_walker()
+    spec = load_inverse_spec(spec_of_columns(columns_of(walker, walker.markers())))
     assert spec.person is not None
     data: dict[str, Any] = json.loads(spec.expanded.canonical_json())
     data["model"] |= {"thigh_length": THIGH, "shank_length": SHANK}
@@ -200,7 +200,7 @@ def _expanded() -> tuple[dict[str, Any], float]:
 
 def stance_share() -> Array:
     """Return the shares (T,) of the nearest stance of the right foot that have passed."""
-    walker = _walker()
+    walker = page_walker()
     time, found = walker.time, np.full(len(walker.time), np.inf)
     length = max(end - first for foot, first, end in walker.contacts() if foot == "foot")
     for foot, first, end in walker.contacts():
@@ -216,7 +216,7 @@ def forces_of(truth: InverseSpec, together: Sequence[float] = (0.0, 0.0), moment
     and flexors of the knee together, and a moment (T,) about its forward axis [N m].
     """
     problem = InverseProblem.of(truth)
-    names, recruiter, walker = problem.names, problem.recruiter, _walker()
+    names, recruiter, walker = problem.names, problem.recruiter, page_walker()
     assert recruiter is not None
     load, joint = walker.loads["foot"][0][:, 1], list(names.mechanism.joints).index("knee")
     moment = MEDIAL * load if moment is None else moment
@@ -228,9 +228,9 @@ def forces_of(truth: InverseSpec, together: Sequence[float] = (0.0, 0.0), moment
     return run_of(compute(problem))
 
 
-def _spec(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
+def spec_of_columns(columns: Mapping[str, Array], **sections: Any) -> dict[str, Any]:
     """Return the spec of a person with one leg and eleven muscles, from columns (T, 3) of markers and plates."""
-    data = {"time": _walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
+    data = {"time": page_walker().time} | {f"{n}.{a}": x[:, k] for n, x in columns.items() for k, a in enumerate("xyz")}
     clusters = {body: names for body, names in CLUSTERS.items() if not body.endswith("_left")}
     smooth = {"name": "butterworth", "cutoff": CUTOFF}
     return {
@@ -277,8 +277,8 @@ def drawn_person(
     to the spec of what was measured.
     """
     wider = Wider(random, factor)
-    columns = _measured(wider)
-    measured = _spec(plane.columns(columns) if plane else columns, **sections)
+    columns = drawn_columns(wider)
+    measured = spec_of_columns(plane.columns(columns) if plane else columns, **sections)
     for left in reversed(range(DRAWS)):
         truth = _truth(wider)
         together = [max(0.0, wider.uniform(0.0, most)) for most in TOGETHER_ACTIVE]
@@ -291,9 +291,9 @@ def drawn_person(
     raise AssertionError
 
 
-def _measured(random: Wider) -> dict[str, Array]:
+def drawn_columns(random: Wider) -> dict[str, Array]:
     """Return the columns of markers and plates."""
-    walker = _walker()
+    walker = page_walker()
     markers = walker.markers(random.random)  # artefacts are estimated from the markers, not stated
     shift = HIP * random.standard_normal(3)
     for name in CLUSTERS["trunk"]:
@@ -332,7 +332,7 @@ def _later(at: Array, values: Array, late: float) -> Array:
 
 def _truth(random: Wider) -> InverseSpec:
     """Return the spec of the drawn person with its own motion, loads and muscles."""
-    walker, (data, flat) = _walker(), json.loads(json.dumps(_expanded()))
+    walker, (data, flat) = page_walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
     common, longer = STRENGTH * random.standard_normal(), float(random.standard_normal())
     for muscle in muscles.values():

@@ -8,7 +8,7 @@ import mbdkit
 from mbdkit import SpecError
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 from tests.benchmarks.drawn_frontal import FrontalPlane, errors_of_both
-from tests.benchmarks.drawn_persons import Wider, _measured, _spec
+from tests.benchmarks.drawn_persons import Wider, drawn_columns, spec_of_columns
 from tests.benchmarks.person_markers import HIP, Walker, columns_of, in_laboratory
 
 INWARD, SIDEWAYS = 0.04, 0.05
@@ -47,7 +47,7 @@ def test_moments_without_landmarks_are_within_their_deviation_for_drawn_persons(
     for number in numbers:
         random = np.random.default_rng([93, number])
         plane = FrontalPlane.drawn(random)
-        knee = load_inverse_spec(_spec(plane.columns(_measured(Wider(random, 1.0))))).person.knees["knee"]
+        knee = load_inverse_spec(spec_of_columns(plane.columns(drawn_columns(Wider(random, 1.0))))).person.knees["knee"]
         stands = knee.load > 300.0
         assert 0.015 < knee.deviation < 0.025
         errors.append(np.mean((knee.moment - plane.moment)[stands] / knee.load[stands]) / knee.deviation)
