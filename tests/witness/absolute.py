@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from .rods import Motion, TwoRods
 
-Array = NDArray[np.floating[Any]]
+Array = NDArray[Any]
 RightSide = Callable[[float, Array], Array]
 
 
@@ -40,6 +40,8 @@ class AbsoluteRods:
         theta1(t), if the first rod is driven.
     gravity
         Downward acceleration of gravity [m/s^2].
+
+    All numbers may be complex, for derivatives by complex steps.
     """
 
     lengths: tuple[float, ...]
@@ -65,7 +67,8 @@ class AbsoluteRods:
 
     def state(self, angles: Array, rates: Array) -> Array:
         """Return (q, v), shape (6 n,), on the constraints, from the rods' angles [rad] and rates [rad/s]."""
-        q, v = np.zeros((len(angles), 3)), np.zeros((len(angles), 3))
+        kind = np.result_type(angles, rates, *self.lengths)
+        q, v = np.zeros((len(angles), 3), kind), np.zeros((len(angles), 3), kind)
         end, end_rate = np.zeros(2), np.zeros(2)
         for i, (length, angle, rate) in enumerate(zip(self.lengths, angles, rates, strict=True)):
             along = length * np.array([np.cos(angle), np.sin(angle)])
@@ -78,7 +81,8 @@ class AbsoluteRods:
         """Return accelerations (3 n,) and multipliers (2 n or 2 n + 1,)."""
         n = len(self.lengths)
         rows = 2 * n + (self.motion is not None)
-        jacobian, gamma = np.zeros((rows, 3 * n)), np.zeros(rows)
+        kind = np.result_type(q, v, *self.lengths)
+        jacobian, gamma = np.zeros((rows, 3 * n), kind), np.zeros(rows, kind)
         for i, length in enumerate(self.lengths):
             half, angle, rate = length / 2, q[3 * i + 2], v[3 * i + 2]
             x, y = half * np.cos(angle), half * np.sin(angle)

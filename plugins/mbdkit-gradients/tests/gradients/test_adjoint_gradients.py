@@ -31,6 +31,7 @@ from mbdkit_gradients.measured_derivatives import derived_measures, needs_of
 from mbdkit_gradients.table_derivatives import TableValues
 from tests.engine.strategies import Drawn, mechanisms
 from tests.margins import assert_within
+from tests.witness.absolute import AbsoluteRods, rk4
 
 MODES: tuple[GradientMode, GradientMode] = ("forward", "adjoint")
 QUICK = ("pendulum", "double-pendulum", "four-bar", "slider-crank", "knee", "gravity-balanced-arm")
@@ -290,6 +291,59 @@ def test_adjoint_of_a_pendulum_agrees_with_complex_steps_of_its_equation_in_the_
     found = pendulum("adjoint", time={"end": 1.0, "step": 0.0005})
     expected = pendulum_by_complex_steps(lambda y: y[0], [2.0, 0.7, 3.0, 0.4])
     assert_within(found.jacobian[0] - expected, 1e-6 * np.max(np.abs(expected)))
+
+
+def hinged_rods(count: int) -> dict[str, Any]:
+    """Return a chain of rods with springs in its hinges; each number is a named parameter ``QUANTITY_ROD``."""
+    x, y, vx, vy = "0", "0", "0", "0"
+    bodies, joints, forces = {}, {}, {}
+    for k in range(count):
+        along, up = f"l_{k}*cos(a_{k})", f"l_{k}*sin(a_{k})"
+        bodies[f"rod{k}"] = {
+            "mass": f"m_{k}", "inertia": f"m_{k}*l_{k}**2/12", "angle": f"a_{k}", "angular_velocity": f"w_{k}",
+            "position": [f"{x} + {along}/2", f"{y} + {up}/2"], "velocity": [f"{vx} - w_{k}*{up}/2", f"{vy} + w_{k}*{along}/2"],
+        }  # fmt: skip
+        pair = [f"rod{k - 1}" if k else "ground", f"rod{k}"]
+        inner = [f"l_{k - 1}/2", 0] if k else [0, 0]
+        joints[f"J{k}"] = {"type": "revolute", "bodies": pair, "points": [inner, [f"-l_{k}/2", 0]]}
+        forces[f"s{k}"] = {"type": "torsion-spring", "bodies": pair, "stiffness": f"k_{k}"}
+        x, y, vx, vy = f"{x} + {along}", f"{y} + {up}", f"{vx} - w_{k}*{up}", f"{vy} + w_{k}*{along}"
+    return {"name": "mechanism", "gravity": [0, "-g"], "bodies": bodies, "joints": joints, "forces": forces}
+
+
+@pytest.mark.parametrize("number", range(10))
+def test_adjoint_agrees_with_complex_steps_of_a_code_of_its_own(number: int) -> None:
+    # expected: own equations of motion in absolute coordinates and own rk4, with complex numbers
+    draw = np.random.default_rng(7300 + number)
+    count, h, steps = 1 + number // 2, 0.01, 30
+    drawn = {"l": draw.uniform(0.4, 1.2, count), "m": draw.uniform(0.5, 3.0, count), "a": draw.normal(size=count),
+             "w": 3.0 * draw.normal(size=count), "k": draw.uniform(1.0, 20.0, count)}  # fmt: skip
+    parameters = {f"{name}_{k}": float(x) for name, values in drawn.items() for k, x in enumerate(values)} | {"g": 9.81}
+
+    def final(numbers: np.ndarray) -> np.ndarray:
+        l, m, a, w, k = numbers[:-1].reshape(5, count)  # noqa: E741
+
+        def load(_time: float, q: np.ndarray, _v: np.ndarray) -> np.ndarray:
+            moments = k * np.diff(q[2::3], prepend=0.0)
+            loads = np.zeros_like(q)
+            loads[2::3] = np.append(moments[1:], 0.0) - moments
+            return loads
+
+        rods = AbsoluteRods(tuple(l), tuple(m), load, gravity=numbers[-1])
+        q, v = np.split(rk4(rods.right_side, rods.state(a, w), h, steps)[-1], 2)
+        masses = np.array([[mass, mass, mass * length**2 / 12] for mass, length in zip(m, l, strict=True)]).ravel()
+        forces = rods.solve(h * steps, q, v)[1]
+        return np.array([q[-2], 0.5 * masses @ v**2, np.sqrt(forces[0] ** 2 + forces[1] ** 2)])
+
+    values = np.array([*parameters.values()])
+    expected = np.stack([final(values + 1e-30j * one).imag / 1e-30 for one in np.eye(len(values))], axis=-1)
+    spec = {"mbdkit": 1, "model": hinged_rods(count), "parameters": parameters, "integrator": {"name": "rk4"},
+            "time": {"end": h * steps, "step": h}}  # fmt: skip
+    measures = [f"final(bodies.rod{count - 1}.y)", "final(energy.kinetic)", "abs(final(joints.J0.force))"]
+    found = mbdkit.gradient(spec, measures, [*parameters], check=False, mode="adjoint")
+    size = np.max(np.abs(expected), axis=1, keepdims=True)
+    assert_within((found.jacobian - expected) / size, 1e-11)
+    assert_within((found.value - final(values)) / np.abs(final(values)), 1e-12)
 
 
 @pytest.mark.parametrize(
