@@ -11,8 +11,8 @@ folder ``stored``. They name themselves as entry points of the group ``mbdkit.ke
 
 A wheel for a platform has its libraries uncompressed, and they are loaded in place: programs that guard against
 unpacked code block copies in other folders. A clone has those of all platforms compressed, because Git keeps every
-version. There a library is decompressed into a file in memory and loaded from there; on systems other than Linux, once
-into the folder ``built``, under a name that contains its digest. The digest of a library is compared with the manifest
+version. There a library is decompressed once into the folder ``built``, under a name that contains its digest; where
+this folder cannot be written, on Linux, into a file in memory. The digest of a library is compared with the manifest
 before it is loaded.
 
 With ``MBDKIT_JIT=1`` the stored code is not used, for comparison. With ``MBDKIT_KERNELS=python`` kernels run as

@@ -11,5 +11,6 @@ if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a na
     from mbdkit_gradients.gradient_parameters import resolved as resolved
     from mbdkit_gradients.measure_gradients import Gradient as Gradient
     from mbdkit_gradients.measure_gradients import gradient as gradient
+    from mbdkit_gradients.measure_gradients import gradients_at as gradients_at
 else:
     __getattr__, __dir__ = door(globals())

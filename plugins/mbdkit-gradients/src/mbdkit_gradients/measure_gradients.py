@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, Self, TypeVar
@@ -24,6 +24,7 @@ from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.run_criteria import zero_reactions_in
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.sections import GradientMode
 from mbdkit.spec.varied_specs import VariedSpecs
@@ -49,7 +50,12 @@ from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, r
 from mbdkit_gradients.measured_derivatives import DerivedMeasure, derived_measures, needs_of
 from mbdkit_gradients.other_method import Reference, measured_values
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
-from mbdkit_gradients.prepared_derivatives import prepared_derivatives
+from mbdkit_gradients.prepared_derivatives import (
+    RunPreparation,
+    SharedPreparation,
+    numbers_of_run,
+    prepared_derivatives,
+)
 from mbdkit_report import Cell, Column, Table, View, columns_of
 from mbdkit_report.notebook.result_views import object_view
 
@@ -287,6 +293,39 @@ def gradient_of_run_spec(
 S = TypeVar("S", bound=ModelSpec)
 
 
+def gradients_at(
+    spec: RunSpec, measures: Measures, names: Sequence[str], settings: Iterable[Mapping[str, float]]
+) -> Iterator[Gradient | None]:
+    """Yield gradients, without their checks, of runs of a spec with other numbers, which share their preparation.
+
+    Parameters
+    ----------
+    measures, names
+        See `gradient`.
+    settings
+        For each run, numbers by name of a parameter, or by key.
+
+    Yields
+    ------
+    Gradient or None
+        None for a run that stops early, or that has no value of a measure.
+    """
+    definitions, shared = definitions_of(spec, measures), SharedPreparation()
+    for setting in settings:
+        values = {variable_path(name): value for name, value in setting.items()}
+        preparation = RunPreparation(
+            spec, partial(numbers_of_run, definitions=definitions), values=values, shared=shared
+        )
+        problem = _RunProblem(preparation.spec, definitions, preparation)
+        try:
+            with one_thread_of_linear_algebra():
+                found = problem.gradient(resolved(problem.spec, names), check=False)
+        except RunError:
+            yield None
+        else:
+            yield found
+
+
 class GradientProblem(ABC, Generic[S]):
     """A spec and its measures, whose gradient is computed in the same way for runs and for other kinds of specs.
 
@@ -390,14 +429,17 @@ class _RunProblem(GradientProblem[RunSpec]):
 
     mode: GradientMode = "auto"
 
-    def __init__(self, spec: RunSpec, definitions: Definitions):
+    def __init__(self, spec: RunSpec, definitions: Definitions, preparation: RunPreparation | None = None):
         super().__init__(spec, definitions)
+        self._preparation = preparation
         every = [needs_of(expression) for expression in self.expressions.values()]
         self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
         apart: dict[str, Any] = {"measures": {}, "gradients": [], "check": False}
         self._specs = VariedSpecs(RunSpec(**spec.sections() | apart).canonical_json())
 
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
+        if self._preparation is not None:
+            return self._preparation.derivatives(parameters)
         return prepared_derivatives(self.spec, parameters, self.definitions)
 
     def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:

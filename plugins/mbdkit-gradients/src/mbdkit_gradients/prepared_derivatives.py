@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 from typing import Any
 
@@ -70,11 +70,12 @@ def prepared_derivatives(
     SpecError
         If the structure of the mechanism depends on a parameter, or if the spec is not valid near its value.
     """
+    return RunPreparation(spec, partial(numbers_of_run, definitions=definitions)).derivatives(parameters)
 
-    def numbers(spec: RunSpec) -> Arrays:
-        return numbers_of(spec, definitions) | numbers_in(spec.watched(), "events")
 
-    return RunPreparation(spec, numbers).derivatives(parameters)
+def numbers_of_run(spec: RunSpec, definitions: Definitions) -> Arrays:
+    """Return the numbers in the instructions of measures and of events of a spec."""
+    return numbers_of(spec, definitions) | numbers_in(spec.watched(), "events")
 
 
 @dataclass(frozen=True, eq=False)

@@ -301,7 +301,8 @@ def hinged_rods(count: int) -> dict[str, Any]:
         along, up = f"l_{k}*cos(a_{k})", f"l_{k}*sin(a_{k})"
         bodies[f"rod{k}"] = {
             "mass": f"m_{k}", "inertia": f"m_{k}*l_{k}**2/12", "angle": f"a_{k}", "angular_velocity": f"w_{k}",
-            "position": [f"{x} + {along}/2", f"{y} + {up}/2"], "velocity": [f"{vx} - w_{k}*{up}/2", f"{vy} + w_{k}*{along}/2"],
+            "position": [f"{x} + {along}/2", f"{y} + {up}/2"],
+            "velocity": [f"{vx} - w_{k}*{up}/2", f"{vy} + w_{k}*{along}/2"],
         }  # fmt: skip
         pair = [f"rod{k - 1}" if k else "ground", f"rod{k}"]
         inner = [f"l_{k - 1}/2", 0] if k else [0, 0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from functools import partial
+from pathlib import Path as FilePath
 from typing import Unpack
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.base.file_locks import UseLock, one_thread_at_a_time
-from mbdkit.base.plain_data import Path
+from mbdkit.base.plain_data import Path, path_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, with_ground
@@ -28,6 +29,8 @@ from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_report import keys_ending_in
+from mbdkit_studies.lanes.run_batch import Measures, RunBatch, batch
+from mbdkit_studies.store.block_writer import Store
 
 #: Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
 #:
@@ -143,6 +146,63 @@ class PreparedRun:
         if made.status == "interrupted":
             raise KeyboardInterrupt
         return made
+
+    @one_thread_at_a_time
+    def run_many(
+        self,
+        parameters: Mapping[str, Sequence[float] | np.ndarray],
+        measures: Measures = "all",
+        derivatives: str | Sequence[str] = (),
+        store: Store = "hashes",
+        *,
+        out: str | FilePath | None = None,
+        workers: int = 1,
+    ) -> RunBatch:
+        """Run the spec with N values of some numbers; the results are bitwise equal to those of `run`.
+
+        Parameters
+        ----------
+        parameters
+            (N,) values by name of a parameter, or by key; see `run`. Run i has the values at index i.
+        measures
+            Expressions such as ``"max(abs(joints.B.force))"``, and names of measures of the spec or of studies: one,
+            several, or a mapping of names to them. By default, all measures that studies compute.
+        derivatives
+            Names of parameters, or keys, with respect to which the measures are differentiated; see `mbdkit.gradient`.
+            Their values need not be among `parameters`.
+        store, out, workers
+            What is stored of each run, the folder for it, and the number of processes; see `mbdkit.ensemble`.
+
+        Returns
+        -------
+        RunBatch
+            Measures, verdicts, hashes and derivatives; `RunBatch.remake` repeats a run with all its arrays. Runs that
+            fail, or whose numbers are not valid, are part of it.
+
+        Raises
+        ------
+        SpecError
+            If the spec has no such parameter or key, arrays differ in length, or a measure is not valid or has no
+            derivatives.
+        ResourceError
+            If the folder cannot be written to.
+
+        Examples
+        --------
+        >>> import mbdkit
+        >>> prepared = mbdkit.prepare("double-pendulum", time={"end": 1.0, "step": 0.01})
+        >>> masses = {"model.masses.1": [1.0, 2.0, 3.0]}
+        >>> runs = prepared.run_many(masses, "final(energy.kinetic)", derivatives=["model.masses.1"])
+        >>> len(runs), runs.statuses[0]
+        (3, 'complete')
+        >>> runs.derivatives["final(energy.kinetic)"].shape
+        (3, 1)
+        >>> runs.remake(2).data_sha256 == runs.hashes[2]
+        True
+        """
+        columns = {path_text(self._path_of(name)): np.asarray(values) for name, values in parameters.items()}
+        by = [derivatives] if isinstance(derivatives, str) else [*derivatives]
+        return batch(self.spec, columns, measures, by, store, out, workers)
 
     def _by_formulas(self, parameters: Numbers) -> Run | None:
         """Return the run with these numbers if there are formulas for them, otherwise None."""
