@@ -212,14 +212,13 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
         for pair in own.pairs(name, mechanism.joints):
             moving = _coordinates(mechanism, pair.bodies[0]), _coordinates(mechanism, pair.bodies[1])
             bodies = (number[pair.bodies[0]], number[pair.bodies[1]])
-            static, kinetic = own.friction_coefficients
             if is_rigid and own.rolling_resistance > 0.0:
                 raise SpecError(
                     "rigid contacts have no rolling resistance; omit it, or use the compliant treatment",
                     key=f"{pair.key}.rolling_resistance",
                 )
             if is_rigid:
-                given = own.restitution, static, kinetic
+                given = (own.restitution, *own.friction_coefficients)
                 rows.append(ActingContact(pair, "none", moving, bodies, NO_LAW, 0, coefficients=given))
                 continue
             if own.compliance is None:
@@ -233,9 +232,7 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
 
 
 def _coordinates(mechanism: Mechanism, body: str) -> int:
-    if body == GROUND:
-        return 0
-    return 2 if mechanism.bodies[body].inertia is None else 3
+    return 0 if body == GROUND else 2 if mechanism.bodies[body].inertia is None else 3
 
 
 @lowering

@@ -61,8 +61,7 @@ class CompiledEventDriven(CompiledMethod):
 
     def kept(self, *roles: str) -> dict[str, np.ndarray]:
         """See `CompiledMethod.kept`."""
-        inner = {f"between.{name}": array for name, array in self.between.kept(*roles).items()}
-        return super().kept(*roles) | inner
+        return super().kept(*roles) | {f"between.{name}": array for name, array in self.between.kept(*roles).items()}
 
     def start(self, run_state: RunState, h: float) -> None:
         """See `CompiledMethod.start`."""
@@ -114,9 +113,8 @@ class CompiledEventDriven(CompiledMethod):
         self._take_up_addresses()
         events.check_indices()
         own = events.state()
-        events.impacts[:] = own.restored(
-            own.stored() | {name: state[name] for name in ("impacts", "reactions")}
-        ).impacts
+        stored = own.stored() | {name: state[name] for name in ("impacts", "reactions")}
+        events.impacts[:] = own.restored(stored).impacts
         events.bundle.known.number[:] = 0
 
     @property

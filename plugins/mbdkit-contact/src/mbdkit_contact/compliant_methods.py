@@ -119,8 +119,7 @@ class CompliantSteps(StepMethod):
         """Take a step; reject it if a contact begins or ends within it, and ask for the part before."""
         new = self.method.step(equations, t, state, h)
         made = new if isinstance(new, Step) else Step(new)
-        is_whole = made.accepted and made.time is None
-        share = _change(equations, t, state, made, t + h) if is_whole else 1.0
+        share = _change(equations, t, state, made, t + h) if made.accepted and made.time is None else 1.0
         return made if share == 1.0 else replace(made, accepted=False, next_step=share * h)
 
 

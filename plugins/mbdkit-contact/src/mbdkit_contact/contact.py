@@ -388,8 +388,7 @@ class Contact(Element):
         e = self.restitution
         # H. M. Lankarani and P. E. Nikravesh, J. Mech. Des. 112, 1990; P. Flores et al., Multibody Syst. Dyn. 25, 2011
         slope = {"lankarani-nikravesh": 0.75 * (1.0 - e * e), "hunt-crossley": 1.5 * (1.0 - e)}
-        factor = slope[own.law] if own.law in slope else 1.6 * (1.0 - e) / e
-        return factor / (1.5 * own.impact_speed)
+        return (slope[own.law] if own.law in slope else 1.6 * (1.0 - e) / e) / (1.5 * own.impact_speed)
 
     def law_numbers(self, radius: float) -> dict[str, float]:
         """Return the parameters of the laws of normal force, friction and rolling resistance by name.

@@ -89,8 +89,7 @@ def shapes_of(contacts: Sequence[ActingContact], bodies: int, exact: float) -> S
 
     def pair_of(place: tuple[int, ActingContact]) -> object:
         number, contact = place
-        is_single = contact.pair.kind[0] in KINDS
-        return number if is_single else (contact.pair.key, frozenset(contact.pair.bodies))
+        return number if contact.pair.kind[0] in KINDS else (contact.pair.key, frozenset(contact.pair.bodies))
 
     for _, some in groupby(enumerate(contacts), pair_of):
         own = [contact for _, contact in some]

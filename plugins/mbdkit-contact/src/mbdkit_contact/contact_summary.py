@@ -51,8 +51,7 @@ def _overlaps(run: Run) -> str:
             when += " in the recorded rows" if np.isnan(unseen) else ""
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)
             crept = f", creeps at up to {creep:.2g} m/s" if creep > EXACT else ""
-            slip = np.where(contact.mode == SLIP, np.abs(contact.slip), 0.0)
-            path = float(np.trapezoid(slip, run.time))
+            path = float(np.trapezoid(np.where(contact.mode == SLIP, np.abs(contact.slip), 0.0), run.time))
             slipped = f", slips {path:.2g} m" if path > EXACT else ""
             parts.append((depth, f"{name} overlaps by up to {depth:.3g} m {when}{crept}{slipped}"))
     if not parts:

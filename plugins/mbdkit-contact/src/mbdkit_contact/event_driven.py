@@ -127,8 +127,8 @@ def _with_forces(events: ContactEvents, begin: StepPoint, end: StepState, dense:
     dense
         Gives the other states; if None, they are those of the cubic through both ends.
     """
-    own = begin.z, events.contacts.own(end.z)
-    taken = StepTaken(begin.t, end.memory.time, begin.q, begin.v, end.q, end.v, *own)
+    own = events.contacts.own(end.z)
+    taken = StepTaken(begin.t, end.memory.time, begin.q, begin.v, end.q, end.v, begin.z, own)
     equations, powers = ForcedEquations(events), list[Powers]()
 
     def state(theta: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
@@ -222,10 +222,8 @@ class EventDrivenLibrary(ExternalMethod):
         if share < 1.0:
             there = step.inside(there, share)
         is_over = there.t >= self._until - SAME_INSTANT * max(abs(self._until), 1.0)
-        if (
-            share < 1.0 or event is not None or is_over or step.drift(there) > DRIFT * step.events.p.length
-        ):  # the library is opened again
-            there = step.closed(there)
+        if share < 1.0 or event is not None or is_over or step.drift(there) > DRIFT * step.events.p.length:
+            there = step.closed(there)  # where the library is opened again
             self._ended = True
         h = there.t - begin.t
         inside = _closing(lambda theta: dense(theta * share), begin, replace(there, made=Step(_end(result, share))))
@@ -285,9 +283,6 @@ class _LibraryStep(EventStep):
         """Return the state at a share of the step that leads to `there`."""
         q, v, z = self.dense(share)[:3]
         return StepPoint(self.now.t + share * (there.t - self.now.t), np.array(q), np.array(v), np.array(z))
-
-    def _inside(self, there: StepPoint, share: float) -> StepPoint:
-        return self.inside(there, share)
 
     def first_event(self, there: StepPoint) -> tuple[float, Event | None] | None:
         """See `EventStep.first_event`."""

@@ -246,11 +246,9 @@ class EventStep:
         h = there.t - self.now.t
         places = self._places(there)
         shares = np.arange(places + 1) / places
-        points = (self.now, *(self._inside(there, share) for share in shares[1:-1].tolist()), there)
-        values, gap_rates = zip(
-            *((self._values(point), self.events.bundle.pace.copy()) for point in points), strict=True
-        )
-        samples, rates = np.stack(values), np.stack(gap_rates)
+        points = (self.now, *(self.inside(there, share) for share in shares[1:-1].tolist()), there)
+        looks = [(self._values(point), self.events.bundle.pace.copy()) for point in points]
+        samples, rates = (np.stack(arrays) for arrays in zip(*looks, strict=True))
         q, v = (np.array([[*getattr(point, name), 0.0, 0.0, 0.0] for point in points]) for name in ("q", "v"))
         self._look_at(there)
         self.events.called(lambda engine, method: begin_search_at(engine, method, h, shares, samples, rates, q, v))
@@ -269,11 +267,11 @@ class EventStep:
         fastest = max(float(np.max(np.abs(at.v[2::3]), initial=0.0)) for at in (self.now, there))
         return max(SAMPLES, int(min(fastest * (there.t - self.now.t) / TURN, MOST_SAMPLES)))
 
-    def _inside(self, there: StepPoint, share: float) -> StepPoint:
+    def inside(self, there: StepPoint, share: float) -> StepPoint:
+        """Return the state at a share of the step to `there`."""
         now, result = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
-        between = taken.between if result is None or result.dense is None else result.dense
-        q, v, z = between(share)[:3]
+        q, v, z = (taken.between if result is None or result.dense is None else result.dense)(share)[:3]
         return StepPoint(taken.time(share), q, v, z)
 
     def drift(self, at: StepPoint) -> float:

@@ -71,8 +71,7 @@ def _new_known(count: int, size: int, pairs: int, held: int) -> Known:
         "shown": (2, held),
     }  # fmt: skip
     counts = {"basis": (1 + 2 * count,), "determined event number": (2,), "streak": (1,), "flags": (4, count)}
-    arrays = zeros(shapes) | zeros(counts, np.int64)
-    return Known(**arrays, features=np.full(count, -1.0), times=np.full(2, np.inf))
+    return Known(**zeros(shapes), **zeros(counts, np.int64), features=np.full(count, -1.0), times=np.full(2, np.inf))
 
 
 class ContactEvents:
@@ -210,21 +209,17 @@ class ContactEvents:
 
     def state(self, impacts: tuple[ElementImpact, ...] = (), **more: Any) -> ContactState:
         """Return the present data of the contacts, with impacts so far."""
-        known = self.bundle.known
-
-        def names(row: int) -> frozenset[str]:
-            return frozenset(self.contacts.names[i] for i in np.flatnonzero(known.flags[row]).tolist())
-
+        known, named = self.bundle.known, self.contacts.named
         return ContactState(
             known.modes.astype(int),
             known.normal.copy(),
             known.tangent.copy(),
             known.force[:-3].copy(),
             impacts=impacts,
-            cut=names(CUT),
-            changed=names(CHANGED),
-            undetermined=names(UNDETERMINED),
-            ordered=names(ORDERED),
+            cut=named(known.flags[CUT]),
+            changed=named(known.flags[CHANGED]),
+            undetermined=named(known.flags[UNDETERMINED]),
+            ordered=named(known.flags[ORDERED]),
             cut_time=float(known.times[0]),
             undecided=float(known.times[1]),
             known={name: getattr(known, name).copy() for name in _PASSED},
@@ -234,8 +229,7 @@ class ContactEvents:
     @contextmanager
     def as_in(self, memory: ContactState) -> Iterator[None]:
         """Use the modes of the step that has ended with `memory`; what the next step takes up does not change."""
-        known = self.bundle.known
-        kept = {name: getattr(known, name).copy() for name in _PASSED}
+        kept = {name: getattr(self.bundle.known, name).copy() for name in _PASSED}
         self._use(memory.known)
         try:
             yield

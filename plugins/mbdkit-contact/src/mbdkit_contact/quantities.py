@@ -46,10 +46,6 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     """
     pairs = [contact.pair.ordered for contact in contacts]
     names = feet(pairs)
-    touching: dict[str, list[int]] = {name: [] for name in names}
-    for i, pair in enumerate(pairs):
-        if GROUND in pair:
-            touching[pair[0] if pair[1] == GROUND else pair[1]].append(i)
     push, normal = values["normal_force"], values["normal"]
     turned = np.stack([normal[..., 1], -normal[..., 0]], axis=-1)
     on_second = push[..., None] * normal + values["friction_force"][..., None] * turned
@@ -61,7 +57,7 @@ def ground_reactions(contacts: Sequence[ActingContact], values: Mapping[str, np.
     }
     with np.errstate(invalid="ignore", divide="ignore"):
         for number, name in enumerate(names):
-            own = touching[name]
+            own = [i for i, pair in enumerate(pairs) if GROUND in pair and name in pair]
             signs = np.array([1.0 if contacts[i].pair.bodies[1] == name else -1.0 for i in own])
             on_body, points = signs[:, None] * on_second[:, own], values["point"][:, own]
             force = np.sum(on_body, axis=1)

@@ -58,6 +58,10 @@ class RigidContacts:
         self.arms = arms_of(self.shapes)
         self.reach = NEAR * equations.length if len(self.contacts) > FEW else math.inf
 
+    def named(self, marked: np.ndarray) -> frozenset[str]:
+        """Return the names of the contacts for which an array (C,) is not 0."""
+        return frozenset(self.names[i] for i in np.flatnonzero(marked).tolist())
+
     def own(self, z: np.ndarray) -> np.ndarray:
         """Return those of the first-order states (Z,) that do not belong to contacts."""
         return z[self._is_own]

@@ -82,14 +82,13 @@ class CompiledTimeStepping(CompiledMethod):
         super().__init__(workspace)
         top, size = workspace.mechanism.topology, workspace.mechanism.size
         contacts = RigidContacts(EquationsOfMotion(workspace, states_at_start(workspace)))
-        self._names, count = contacts.names, len(contacts.names)
+        self._contacts, count = contacts, len(contacts.names)
         few, pairs = min(count, MOST_PIVOTED), len(top.pairs)
         self.matrix = StepMatrix(workspace)
         bodies, sources = self.matrix.coupling_terms()
         states, coordinates = contacts.held.states, np.array(contacts.held.coordinates, dtype=np.int64)
         # the loads of contacts have no derivatives: a force if a body has two coordinates, and a torque if three
-        of_contacts = int(np.sum(np.unique(coordinates // 3, return_counts=True)[1] - 1))
-        others = len(top.loads) - of_contacts
+        others = len(top.loads) - int(np.sum(np.unique(coordinates // 3, return_counts=True)[1] - 1))
         is_jointed = len(top.pairs) + len(top.springs) + len(top.sections) + others > 0
 
         given: dict[str, Any] = zeros({
@@ -104,14 +103,12 @@ class CompiledTimeStepping(CompiledMethod):
             "moved": (2 * (count if is_jointed else few), size),
             "krylov": (9, 2 * count if count > few else 0),
         })  # fmt: skip
-        given |= zeros(
-            {
-                "by_matrix is_sparse number other_law reason": (1,),
-                "some is_some closed slipping slides stops states": (count,),
-                "free_body": (size // 3,),
-            },
-            np.int64,
-        )
+        counts = {
+            "by_matrix is_sparse number other_law reason": (1,),
+            "some is_some closed slipping slides stops states": (count,),
+            "free_body": (size // 3,),
+        }
+        given |= zeros(counts, np.int64)
         given |= {name: new_held(count, size) for name in ("now", "before", "saved", "new")}
         self.bundle = Stepping(
             **given,
@@ -174,17 +171,13 @@ class CompiledTimeStepping(CompiledMethod):
     def reacting(self) -> ContactState:
         """See `CompiledMethod.reacting`."""
         held = self.bundle.now
-
-        def names(some: np.ndarray) -> frozenset[str]:
-            return frozenset(self._names[i] for i in np.flatnonzero(some).tolist())
-
         return ContactState(
             held.modes.astype(int),
             held.normal.copy(),
             held.tangent.copy(),
             held.force[:-3].copy(),
-            changed=names(held.changed),
-            ordered=names(held.ordered),
+            changed=self._contacts.named(held.changed),
+            ordered=self._contacts.named(held.ordered),
             is_over_step=True,
             residual=float(held.residual[0]),
         )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -19,13 +19,14 @@ from mbdkit.registry.target import Target
 JEAN, CHEN = Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n")
 
 
-_TRAITS = Traits(
-    Target("mbdkit_contact.stepping:CompiledTimeStepping"),
-    suits_stiff=True,
-    is_time_stepping=True,
-    integrates_states=False,
-    holds_states=True,
-)
+class TimeStepping(Method):
+    """What time-stepping methods have in common."""
+
+    @property
+    def traits(self) -> Traits:
+        """See `Method`."""
+        steps: Target[Any] = Target("mbdkit_contact.stepping:CompiledTimeStepping")
+        return Traits(steps, suits_stiff=True, is_time_stepping=True, integrates_states=False, holds_states=True)
 
 
 class MoreauJeanOptions(Options):
@@ -37,15 +38,10 @@ class MoreauJeanOptions(Options):
 
 
 @dataclass(frozen=True)
-class MoreauJean(Method):
+class MoreauJean(TimeStepping):
     """The method of Moreau and Jean with the weight `theta` of the forces at the end of a step."""
 
     theta: float = 0.5
-
-    @property
-    def traits(self) -> Traits:
-        """See `Method`."""
-        return _TRAITS
 
 
 class NonsmoothGeneralizedAlphaOptions(Options):
@@ -57,15 +53,10 @@ class NonsmoothGeneralizedAlphaOptions(Options):
 
 
 @dataclass(frozen=True)
-class NonsmoothGeneralizedAlpha(Method):
+class NonsmoothGeneralizedAlpha(TimeStepping):
     """The nonsmooth generalized-alpha method."""
 
     spectral_radius: float = 0.8
-
-    @property
-    def traits(self) -> Traits:
-        """See `Method`."""
-        return _TRAITS
 
 
 @integrator_method

@@ -36,13 +36,7 @@ from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.adjoint_events import AdjointCorner, AdjointEvent
 from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, LongStates, MakeBars, Nodes, NotByAdjointError
 from mbdkit_gradients.backward_sweep import ARRAYS, BackwardSweep, SweptPart
-from mbdkit_gradients.differentiated_run import (
-    Needs,
-    PassedEvent,
-    differentiated_stepper,
-    doubts_of_laws,
-    events_of,
-)
+from mbdkit_gradients.differentiated_run import Needs, PassedEvent, differentiated_stepper, doubts_of_laws, events_of
 from mbdkit_gradients.differentiated_states import nearby
 from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.measured_derivatives import DerivedMeasure
@@ -166,9 +160,8 @@ class AdjointRun:
 
     def _take_corners(self, stepper: SidedStepper) -> None:
         """Note the discontinuities of force laws, at which steps end; one at the end of the run has no effect."""
-        for corner, (before, after) in zip(
-            stepper.corners, pairwise(one.sides for one in stepper.history), strict=True
-        ):
+        sides = pairwise(one.sides for one in stepper.history)
+        for corner, (before, after) in zip(stepper.corners, sides, strict=True):
             node = int(np.argmin(np.abs(self.time - corner.before.time[0])))
             if node == len(self.time) - 1:
                 break
@@ -213,8 +206,7 @@ class AdjointRun:
             self._corners = [one for one in self._corners if one.node <= n]
             del self.parts
         unit = self.spec.time.step or 1e-3
-        states = partial(self._states, sides=self._sides_at(n))
-        return AdjointEvent.at(event, piece.q[1], piece.v[1], unit, states)
+        return AdjointEvent.at(event, piece.q[1], piece.v[1], unit, partial(self._states, sides=self._sides_at(n)))
 
     def _check(self) -> None:
         """Raise NotByAdjointError for a mechanism that the kernels do not differentiate."""
@@ -244,11 +236,9 @@ class AdjointRun:
         springs = top.springs[top.springs[:, SPRING.law] >= 0, SPRING.law]
         for law in (*springs, *top.interactions[:, INTERACTION.law]):
             begin = int(top.laws[law, LAW_ROW.parameters])
-            count = int(top.law_parameters[begin])
-            of_springs[begin + 1 : begin + 1 + count] = True
+            of_springs[begin + 1 : begin + 1 + int(top.law_parameters[begin])] = True
             if self.workspace.mechanism.laws[law][1].law is TABLE:
-                pieces = int(top.law_parameters[begin + 2])
-                of_springs[begin + 2 : begin + 4 + pieces] = False
+                of_springs[begin + 2 : begin + 4 + int(top.law_parameters[begin + 2])] = False
         return bool(np.any(changed & ~of_springs))
 
     @cached_property
@@ -261,7 +251,7 @@ class AdjointRun:
             cuts |= {int(k): margin for k in near}
         corners = {one.node for one in self._corners}
         cuts = dict.fromkeys(corners, np.inf) | cuts
-        borders, parts = sorted(cuts), []
+        borders, parts, names = sorted(cuts), [], archive_names(self.workspace.mechanism)
         for begin, end in pairwise(borders):
             first, last = cuts[begin], cuts[end]
             sides = (time[begin] + first if first < np.inf else -np.inf, time[end] - last if last < np.inf else np.inf)
@@ -270,9 +260,7 @@ class AdjointRun:
             of_laws, no_acc = self._sides_at(begin), self.method.traits.suits_stiff or not self._needs.ends
             acc = None if no_acc else self._observed(np.clip(time[some], *sides), q, v, of_laws).acc
             ends = StepEnds(time[some], q, v, acc)
-            motion = MotionPart(
-                self._observer, archive_names(self.workspace.mechanism), ends, range(end - begin), sides
-            )
+            motion = MotionPart(self._observer, names, ends, range(end - begin), sides)
             parts.append(SweptPart(begin, end, motion, begin in corners, partial(self._use, of_laws)))
         return parts
 
@@ -292,13 +280,9 @@ class AdjointRun:
         for part in self.parts:
             for begin in range(part.begin, part.end, WINDOW):
                 end = min(begin + WINDOW, part.end)
-                arrays = (
-                    self.time[begin : end + 1],
-                    self.size[begin:end],
-                    self.q[begin : end + 1],
-                    self.v[begin : end + 1],
-                )
-                found.append(_Piece(self.method, *arrays, [replace(part, begin=0, end=end - begin)], begin))
+                ends, own = slice(begin, end + 1), replace(part, begin=0, end=end - begin)
+                arrays = self.time[ends], self.size[begin:end], self.q[ends], self.v[ends]
+                found.append(_Piece(self.method, *arrays, [own], begin))
         return found
 
     def _kept(self, make: Callable[[int], States]) -> Callable[[int], States]:

@@ -234,8 +234,7 @@ class AdjointMeasure(MeasureEvaluation):
         )
         self._ends_at_event = bool(events) and events[-1].stops
         self._reads = list[tuple[int, _Read]]()
-        end = units[-1] if self._ends_at_event else np.zeros(count)
-        run = SimpleNamespace(**run, end=end, crossings=crossings)
+        run = SimpleNamespace(**run, end=units[-1] if self._ends_at_event else np.zeros(count), crossings=crossings)
         super().__init__(run, states, expression, np.zeros((len(expression.program), count)))
 
     def bars(self) -> tuple[DerivedMeasure, list[tuple[int, MakeBars]], np.ndarray]:
@@ -332,8 +331,7 @@ class AdjointMeasure(MeasureEvaluation):
         return self._with_corners(self._noted(np.asarray(total), reads), index, square)
 
     def _at_peak(self, number: int, peak: Peak, index: int) -> DerivedValue:
-        parts = self.run.motions[0].parts
-        corners = [part.span[0] for part in parts if part.corner]
+        corners = [part.span[0] for part in self.run.motions[0].parts if part.corner]
         if peak.switch >= 0 or peak.time in corners:
             raise NotByAdjointError(f"an extremum of '{self.expression.text}' is not smooth")
         if self._reads and self._peak_of == index:

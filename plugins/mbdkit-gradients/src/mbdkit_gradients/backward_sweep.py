@@ -86,8 +86,7 @@ class BackwardSweep:
         classes, terms = classes_of(workspace), workspace.terms
         keep = np.isin(classes, (STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q))
         columns = (terms.source[keep], terms.row[keep], terms.column[keep], classes[keep])
-        laws = top.springs[:, SPRING.law]
-        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in laws]
+        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in top.springs[:, SPRING.law]]
         size, pairs, springs = mechanism.size, len(top.pairs), len(top.springs)
         slots = np.zeros((pairs, 6, 12)), np.zeros((springs, 6, 12))
         for k in range(6):
@@ -104,7 +103,6 @@ class BackwardSweep:
         self._recorded = PinnedBundle(states._replace(top=self._run.top._replace(baumgarte=states.top.baumgarte)))
         self._stepping = PinnedBundle(states._replace(top=self._run.top))
         w = self._run.w
-        gradients = {name: np.zeros(getattr(top, name).shape) for name in ARRAYS}
         self.bundle = kernels.Adjoint(
             terms=np.ascontiguousarray(np.column_stack(columns).astype(np.int64)),
             wants=np.array([wants_points, wanted is not None], dtype=np.int64),
@@ -113,7 +111,7 @@ class BackwardSweep:
             mu=np.zeros(size), nu=np.zeros((pairs, 2)), rest=np.zeros(size), rest_rows=np.zeros((pairs, 2)),
             right=np.zeros(mechanism.unknowns), lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
             by_reaction=np.zeros(len(top.reactions)), friction=np.zeros(workspace.scratch.friction.shape),
-            **gradients,
+            **{name: np.zeros(getattr(top, name).shape) for name in ARRAYS},
             jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
             tension=np.asarray(w.tension), interaction=np.asarray(w.interaction), values=np.asarray(w.law_values),
             rate=np.asarray(states.v)[0, :2],

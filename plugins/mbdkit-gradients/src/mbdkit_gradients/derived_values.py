@@ -43,7 +43,9 @@ def of_operands(operation: str, number: float, *operands: DerivedValue) -> Deriv
     """
     x, *others = operands
     if operation == "norm":
-        return _norm(x)
+        value = elementary.hypot(x.value[0], x.value[1])
+        scale = np.where(value > 0.0, value, 1.0)
+        return DerivedValue(value, (x.value[0] * x.slope[:, 0] + x.value[1] * x.slope[:, 1]) / scale)
     if operation in ("along_max", "along_min"):
         index = np.argmax(x.value, axis=0) if operation == "along_max" else np.argmin(x.value, axis=0)
         columns = np.arange(x.value.shape[-1])
@@ -66,9 +68,3 @@ def _aligned(x: DerivedValue, y: DerivedValue) -> tuple[DerivedValue, DerivedVal
         return DerivedValue(value.value[more], value.slope[(slice(None), *more)])
 
     return widened(x), widened(y)
-
-
-def _norm(x: DerivedValue) -> DerivedValue:
-    value = elementary.hypot(x.value[0], x.value[1])
-    scale = np.where(value > 0.0, value, 1.0)
-    return DerivedValue(value, (x.value[0] * x.slope[:, 0] + x.value[1] * x.slope[:, 1]) / scale)

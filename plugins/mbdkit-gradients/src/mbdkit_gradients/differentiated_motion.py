@@ -103,14 +103,11 @@ class DifferentiatedMotion:
             v[:, 1:] += np.outer(before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0], corner.slope)
             self._begin_at(time, after.q[0], v, corner)
         if reached > self._parts[-1].time[-1]:
-            self._add_end(reached, *self._state())
-
-    def _add_end(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
-        self._parts[-1].add(time, q, v)
-        end = self._beside_stop(time, -1.0)
-        if np.isfinite(end):
-            self._parts[-1].sides = self._parts[-1].sides[0], end
-            self._begin_at(time, q, v)
+            state = self._state()
+            self._parts[-1].add(reached, *state)
+            if np.isfinite(end := self._beside_stop(reached, -1.0)):
+                self._parts[-1].sides = self._parts[-1].sides[0], end
+                self._begin_at(reached, *state)
 
     def end_at(self, time: float, q: np.ndarray, v: np.ndarray) -> None:
         """End the motion at the event that ends the run."""

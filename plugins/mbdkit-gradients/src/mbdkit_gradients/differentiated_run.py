@@ -165,9 +165,8 @@ def refuse(spec: RunSpec, method: Method) -> None:
     if spec.is_to_be_chosen:
         raise SpecError("gradients are not available with `accuracy`; give an integrator and a step", key="accuracy")
     if spec.output.interval is not None:
-        raise SpecError(
-            "gradients are not available with `interval`; use `every` to record every k-th step", key="output.interval"
-        )
+        message = "gradients are not available with `interval`; use `every` to record every k-th step"
+        raise SpecError(message, key="output.interval")
 
 
 def _why_no_derivatives(method: Method, spec: RunSpec) -> str:
@@ -392,8 +391,7 @@ class _Pass:
         held = (np.repeat(constants(x[-1:, ..., 0]), len(offsets), axis=0) for x in (rows.q, rows.v, rows.z))
         around = self._evaluator.states(rows.time[-1] + offsets, *held).observed
         for x, near in zip(rows.observed, around, strict=True):
-            rate = rate_of(near[..., 0], x[-1, ..., 0], distance)
-            x[-1, ..., 1 : self.width] += np.multiply.outer(rate, moved)
+            x[-1, ..., 1 : self.width] += np.multiply.outer(rate_of(near[..., 0], x[-1, ..., 0], distance), moved)
 
     def _crossing(self, event: PassedEvent, at: _AtEvent) -> DifferentiatedCrossing:
         """Return the time of an event and its derivatives.
@@ -401,19 +399,17 @@ class _Pass:
         They are ``-g_p / g_t``, where the expression g crosses zero, g_p are its derivatives with respect to the
         parameters, and g_t is its rate.
         """
+        key = path_text(("events", event.name, "when"))
         if event.at_jump:
-            raise SpecError(
-                "the time of this event has no derivative: its expression jumps there from one sign to the other",
-                key=path_text(("events", event.name, "when")),
-            )
+            message = "the time of this event has no derivative: its expression jumps there from one sign to the other"
+            raise SpecError(message, key=key)
         use_sides(self.stepper, at.sides)
         here = self._evaluator.states(np.array([event.time]), *(x[None] for x in at.state))
         slopes = slopes_of(event.expression.program, self.seeds, f"events.{event.name}")
         try:
             value = series_of(event.expression, here, slopes)
         except SpecError as error:
-            message = f"the time of this event has no derivative: {error.message}"
-            raise SpecError(message, key=path_text(("events", event.name, "when"))) from None
+            raise SpecError(f"the time of this event has no derivative: {error.message}", key=key) from None
         around, distance = self._evaluator.around(here, self.spec.time.step or 1e-3)
         rate = rate_of(series_of(event.expression, around, slopes).value, float(value.value[0]), distance)
         with np.errstate(all="ignore"):

@@ -255,8 +255,7 @@ def check_gradient(
         other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
         if np.any(np.abs(along - other) > SUSPECT * scale + other_error):
             wider = direction.difference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
-            scatter = np.nan_to_num(SCATTER * np.abs(wider - other))
-            other_error = other_error + np.minimum(scatter, UNSURE * scale)
+            other_error = other_error + np.minimum(np.nan_to_num(SCATTER * np.abs(wider - other)), UNSURE * scale)
         unexplained = np.maximum(np.abs(along - other) - other_error, 0.0)
     entry_error = np.abs(jacobian - witness) + unexplained[:, None] / np.abs(direction.change)
     scaled = np.abs(direction.change) * np.stack([entry_error, np.abs(jacobian)])
@@ -293,9 +292,11 @@ def check_doubts(check: GradientCheck) -> list[str]:
             )
         elif not is_alike[m]:
             own, other = told_apart(check.derivative[m], check.extrapolated[m])
+            scale = check.terms[m]
+            share = f"{100.0 * of_steps[m] / scale:.2g} %" if scale > 0.0 else "more than 100 %"
             doubts.append(
                 f"the derivative of '{name}' fails its check: in a random direction, it is {own}, but {other} by "
-                f"differences of runs, {_percent(of_steps[m], check.terms[m])} of its scale away"
+                f"differences of runs, {share} of its scale away"
             )
         elif not check.is_accurate[m].all():
             doubts.append(inaccurate_entries(check, m))
@@ -316,7 +317,3 @@ def inaccurate_entries(check: GradientCheck, m: int) -> str:
         f"the derivative of '{check.names[m]}' is inaccurate with respect to {'; '.join(named)}{others}: use smaller "
         f"steps or a smaller tolerance"
     )
-
-
-def _percent(deviation: float, scale: float) -> str:
-    return f"{100.0 * deviation / scale:.2g} %" if scale > 0.0 else "more than 100 %"

@@ -234,8 +234,7 @@ def gradient(
     for name, expression in problem.expressions.items():
         if expression.text not in known:  # otherwise, the warnings contain the notes on it
             notes += zero_reactions_in(spec, f"'{name}'", expression)
-    remarks = tuple(dict.fromkeys((*notes, *found.remarks)))
-    return replace(found, doubts=(*of_run, *found.doubts), remarks=remarks)
+    return replace(found, doubts=(*of_run, *found.doubts), remarks=tuple(dict.fromkeys((*notes, *found.remarks))))
 
 
 def asked_gradients(spec: RunSpec) -> tuple[list[str], GradientMode]:
@@ -449,8 +448,7 @@ class _RunProblem(GradientProblem[RunSpec]):
     def differentiated(
         self, parameters: Sequence[Parameter], prepared: PreparedDerivatives
     ) -> tuple[Any, Mapping[str, DerivedMeasure]]:
-        is_chosen = self.mode == "adjoint" or (self.mode == "auto" and len(parameters) >= FEW and is_ready())
-        if not is_chosen:
+        if self.mode == "forward" or (self.mode == "auto" and not (len(parameters) >= FEW and is_ready())):
             return super().differentiated(parameters, prepared)
         refuse(self.spec, make_method(self.spec))
         try:
@@ -460,9 +458,8 @@ class _RunProblem(GradientProblem[RunSpec]):
             derived = run.measures(self.expressions)
         except NotByAdjointError as error:
             if self.mode == "adjoint":
-                raise SpecError(
-                    f"the adjoint does not give this gradient: {error}; use mode: forward", key="gradients"
-                ) from None
+                message = f"the adjoint does not give this gradient: {error}; use mode: forward"
+                raise SpecError(message, key="gradients") from None
             return super().differentiated(parameters, prepared)
         run.doubts = (*start_doubts(self.spec, parameters, prepared), *run.doubts)
         return run, derived

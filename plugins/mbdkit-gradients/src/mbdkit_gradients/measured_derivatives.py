@@ -189,10 +189,8 @@ class MeasureEvaluation(DoubtedMeasure):
             return self._at(functional, index, operands[1], rows)
         if name == "final":
             return self._at_end(rows[-1:])
-        if functional is not None and functional.is_of_stages and self.run.nodes is None:
+        if functional is not None and (self.run.nodes is None if functional.is_of_stages else not self.run.motions):
             functional = None  # inverse dynamics has rows only
-        if functional is not None and not functional.is_of_stages and not self.run.motions:
-            functional = None
         if name in ("max", "min"):
             if functional is None:
                 return self._extremum(name, rows)
@@ -265,8 +263,7 @@ class MeasureEvaluation(DoubtedMeasure):
         total: DerivedValue | None = None
         for number, part in enumerate(self.run.motions[0].parts):
             weight, _, values = self._at_nodes(functional, index, number, square=square)
-            weights = np.column_stack([weight, np.zeros((len(weight), self.count))])
-            piece = _weighted(values, weights)
+            piece = _weighted(values, np.column_stack([weight, np.zeros((len(weight), self.count))]))
             # the integrand may be discontinuous where the part begins, at a time that depends on the parameters
             if part.corner is not None:
                 moved = self._moved_corner(number)
@@ -328,16 +325,14 @@ class MeasureEvaluation(DoubtedMeasure):
         is_at_end = near[0][1].time == self.run.rows.time[-1]
         if is_at_end:
             self._note_end(functional.reduction, rows)
-        moves = is_at_end and self.run.end.any()
-        first = self._at_end(rows[-1:]) if moves else self._at_peak(*near[0], index)
+        first = self._at_end(rows[-1:]) if is_at_end and self.run.end.any() else self._at_peak(*near[0], index)
         slopes = {near[0][1].time: first.slope}
         step = float(np.max(self.run.motions[0].parts[near[0][0]].plain.size))
         for number, one in near[1:]:
             if min(abs(one.time - time) for time in slopes) > 1e-6 * step:
                 slopes[one.time] = self._at_peak(number, one, index).slope
         rounding = 1e-9 * self._largest_term
-        same = all(np.allclose(slope, first.slope, rtol=1e-6, atol=rounding) for slope in slopes.values())
-        if not same:
+        if not all(np.allclose(slope, first.slope, rtol=1e-6, atol=rounding) for slope in slopes.values()):
             self._note_several(functional.reduction, list(slopes))
         return first
 
@@ -379,8 +374,7 @@ class MeasureEvaluation(DoubtedMeasure):
         width = min(BESIDE * float(np.max(near)), part.span[1] - part.span[0])
         places = 0.5 - 0.5 * elementary.cos(np.pi * (np.arange(LIMIT_POINTS) + 0.5) / LIMIT_POINTS)
         time = np.clip(peak.time + side * width * places, *part.span)
-        powers = np.vander(side * places, increasing=True)
-        to_limit = np.linalg.inv(powers)[:2]
+        to_limit = np.linalg.inv(np.vander(side * places, increasing=True))[:2]
         switches: list[DerivedValue] = []
         values = self._of_operand(index, self.states.at(number, time), switches=switches)
 
@@ -418,9 +412,8 @@ class MeasureEvaluation(DoubtedMeasure):
             self._compare_sides(before, after, at, index, moved)
         if at in rows and not is_after:  # as in runs
             k = int(np.searchsorted(rows, at))
-            row = operand[k : k + 1]
             moved = moved - self.run.end if at == rows[-1] else moved
-            found = self._moved(row, number, at, index, moved)
+            found = self._moved(operand[k : k + 1], number, at, index, moved)
         self._functionals[functional.text] = found
         return found
 
@@ -449,8 +442,7 @@ class MeasureEvaluation(DoubtedMeasure):
         if not moved.any():
             return here
         begin, end = self.run.motions[0].parts[number].span
-        side = 1.0 if at - begin < end - at else -1.0
-        _, rate, _ = self._limit(number, Peak(np.nan, at), index, side)
+        _, rate, _ = self._limit(number, Peak(np.nan, at), index, 1.0 if at - begin < end - at else -1.0)
         return DerivedValue(here.value, here.slope + np.multiply.outer(moved, rate[..., None]))
 
     def _between_rows(self, at: float, moved: np.ndarray, operand: DerivedValue) -> DerivedValue:

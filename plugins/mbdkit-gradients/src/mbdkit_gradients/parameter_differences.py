@@ -194,8 +194,7 @@ class Preparation(ABC):
         """
         top = self.mechanism.topology
         for (_, law), begin in zip(self.mechanism.laws, top.laws[:, LAW_ROW.parameters].tolist(), strict=True):
-            count = int(top.law_parameters[begin])
-            if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + count]):
+            if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + int(top.law_parameters[begin])]):
                 first = begin + 4 + int(top.law_parameters[begin + 2])
                 lengths = top.law_parameters[begin + 3 : first].copy()
                 return TableValues(first, lengths, np.array([*places]), np.array([*places.values()]))
@@ -348,8 +347,7 @@ class Preparation(ABC):
         size = max(float(np.max(np.abs(fine))), float(np.max(np.abs(base))) / scale)
         if name in self.ROUNDED:
             size = max(size, self.mechanism.length / scale)
-        error = float(np.max(np.abs(fine - coarse))) / size if size > 0.0 else 0.0
-        return fine, error
+        return fine, (float(np.max(np.abs(fine - coarse))) / size if size > 0.0 else 0.0)
 
 
 @dataclass(frozen=True)

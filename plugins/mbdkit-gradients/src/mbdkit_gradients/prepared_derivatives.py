@@ -323,8 +323,7 @@ class RunPreparation(Preparation):
         parameters in functions of time, and initial values.
         """
         own, equations = self._own, self._equations
-        written = self.spec.written.items()
-        texts = (text for path, text in written if path[0] != "model" or text.kind not in RECORDED)
+        texts = (text for path, text in self.spec.written.items() if path[0] != "model" or text.kind not in RECORDED)
         definitions = self.spec.parameters
         used, fresh = set[str](), set[str]().union(*map(names_in, texts))
         while fresh:

@@ -142,8 +142,7 @@ def derivatives_of(formulas: Formulas, values: Sequence[float]) -> np.ndarray:
     UntraceableError
         If the derivative of a recorded operation is not known.
     """
-    unit = np.eye(len(values))
-    inputs = map(_Number, map(float, values), unit)
+    inputs = map(_Number, map(float, values), np.eye(len(values)))
     try:
         with np.errstate(invalid="ignore"):
             results = formulas.compiled(_functions())(*inputs)
@@ -169,8 +168,7 @@ def inside(formulas: Formulas, values: np.ndarray, changes: np.ndarray) -> np.nd
 
     if hold(values + changes) and hold(values - changes):
         return np.ones(len(values), dtype=bool)
-    single = np.diag(changes)
-    return np.array([hold(values + change) and hold(values - change) for change in single])
+    return np.array([hold(values + change) and hold(values - change) for change in np.diag(changes)])
 
 
 #: Largest residual of a consistent start, relative to its largest term, that counts as round-off.

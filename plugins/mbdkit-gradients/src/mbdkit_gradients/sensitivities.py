@@ -142,8 +142,7 @@ def sensitivities(
         raise SpecError("give at least one parameter", key="parameters")
     spec = load_spec(given, (), **sections)
     with one_thread_of_linear_algebra():
-        prepared = PreparedSensitivities(spec, quantities, times, names, initial=initial)
-        return prepared.at({}, initial)
+        return PreparedSensitivities(spec, quantities, times, names, initial=initial).at({}, initial)
 
 
 class PreparedSensitivities:
@@ -307,11 +306,9 @@ class PreparedSensitivities:
         """Return values (Q, T), derivatives (Q, T, K) and their errors (K,) at the sorted times."""
         preparation = self._preparation(plain, start)
         prepared = self._derivatives(preparation, start)
-        count = len(self.parameters)
         values, slopes = np.empty((len(self.quantities), len(self.sorted))), []
-        for first in range(0, count, DIRECTIONS):
-            seeds = prepared.seeds.only(slice(first, first + DIRECTIONS))
-            values, slope = self._states(preparation, seeds)
+        for first in range(0, len(self.parameters), DIRECTIONS):
+            values, slope = self._states(preparation, prepared.seeds.only(slice(first, first + DIRECTIONS)))
             slopes.append(slope)
         return values, np.concatenate(slopes, axis=-1), prepared.error
 
@@ -338,8 +335,7 @@ class PreparedSensitivities:
 
     def _states(self, preparation: RunPreparation, seeds: Seeds) -> tuple[np.ndarray, np.ndarray]:
         """Return values (Q, T) and derivatives (Q, T, K) at the sorted times."""
-        spec = preparation.spec
-        setup = preparation.setup
+        spec, setup = preparation.spec, preparation.setup
         expressions = self._parsed(spec) if self._uses_parameters else self._expressions
         count = seeds.count
         uses_accelerations, way = not setup.method.traits.suits_stiff, self._way
@@ -351,7 +347,8 @@ class PreparedSensitivities:
         else:
             plain = setup.stepper(replace(setup.timetable(), **changes))
             run = RunAtTimes(plain, setup.workspace, way, uses_accelerations=uses_accelerations)
-        states = run.states(self.sorted, is_kinematic=all(map(_is_kinematic, expressions)))
+        paths = {quantity.recorded.array.path for one in expressions for quantity in one.quantities}
+        states = run.states(self.sorted, is_kinematic=paths <= KINEMATIC)
         values = np.empty((len(expressions), len(self.sorted)))
         slopes = np.empty((*values.shape, seeds.count))
         for index, one in enumerate(expressions):
@@ -425,10 +422,6 @@ def _initial(name: str, start: Mapping[str, float]) -> Parameter:
         hint = did_you_mean(quantity, list(start)) or f"; `initial` has {listed([*start]) or 'none'}"
         raise SpecError(f"there is no initial value of '{quantity}'{hint}", key="parameters")
     return Parameter(name, (INITIAL, quantity), float(start[quantity]))
-
-
-def _is_kinematic(expression: RunExpression) -> bool:
-    return all(quantity.recorded.array.path in KINEMATIC for quantity in expression.quantities)
 
 
 def _unit(text: str, spec: RunSpec) -> str:

@@ -281,10 +281,8 @@ class SidedStepper(DifferentiatedStepper):
         self.method.forget()
         after = self._here()
         run, some = self.steps.run, slice(1, 1 + len(moved))
-        jump = before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0]
-        run.v[:, some] += np.outer(jump, moved)
-        rates = before.observed.state_rates[0, :, 0] - after.observed.state_rates[0, :, 0]
-        run.z[:, some] += np.outer(rates, moved)
+        run.v[:, some] += np.outer(before.observed.acc[0, :, 0] - after.observed.acc[0, :, 0], moved)
+        run.z[:, some] += np.outer(before.observed.state_rates[0, :, 0] - after.observed.state_rates[0, :, 0], moved)
         run.energy[:, some] += np.outer(before.power[0, :, 0] - after.power[0, :, 0], moved)
         self.corners.append(LawCorner(before, after, moved, self.sides, number, float(rate[number])))
         self._note()

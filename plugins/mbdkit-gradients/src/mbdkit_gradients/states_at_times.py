@@ -87,8 +87,7 @@ class RunAtTimes:
         rows = np.concatenate([[self.workspace.t0], *(one.time for one in stretches)])
         q, v, z = (np.concatenate([a[None], b]) for a, b in zip(self._first, self._recorded(stretches), strict=True))
         if self.way == "ends":
-            known = self._states(rows, q, v, z, None, is_kinematic=False) if self._uses_accelerations else None
-            a = None if known is None else known.observed.acc
+            a = self._states(rows, q, v, z, None, is_kinematic=False).observed.acc if self._uses_accelerations else None
             # the run interpolates its values over several steps; that takes too long for all derivatives
             values = StepEnds(rows, q[..., 0], v[..., 0], None if a is None else a[..., 0]).at(times)
             if self._width == 1:
@@ -208,8 +207,7 @@ class DifferentiatedRunAtTimes(RunAtTimes):
             own_q, own_v = (constants(x[..., 0], x[..., 1:]) for x in (q, v))
             return self._evaluator.states(time, own_q, own_v, states).observed
 
-        some = slice(self._width)
-        given = (np.asarray(x)[..., some] for x in (q, v, z))
+        given = (np.asarray(x)[..., : self._width] for x in (q, v, z))
         return DifferentiatedStates(self.workspace.mechanism, time, next(given), next(given), observe, z=next(given))
 
 

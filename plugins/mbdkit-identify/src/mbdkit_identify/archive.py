@@ -107,8 +107,8 @@ def _fill(file: h5py.File, result: Identification) -> None:
             **{name: columns[name] for name in ("estimate", "unit")},
             "half_width": TableColumn(widths, ("candidate", "estimate"), "mixed", "half width of the interval", "unit"),
         }
-        group = _write(file, "next_experiment", table)
-        FILE.set_texts(group, {"narrows": following.narrows, "best": following.best})
+        texts = {"narrows": following.narrows, "best": following.best}
+        FILE.set_texts(_write(file, "next_experiment", table), texts)
 
 
 def _estimates(result: Identification, axis: str, names: Iterable[str]) -> dict[str, TableColumn]:
@@ -117,9 +117,8 @@ def _estimates(result: Identification, axis: str, names: Iterable[str]) -> dict[
     estimates, columns = [result.estimates.get(name, replace(other, name=name)) for name in names], {}
     for one in fields(Estimate):
         values = np.array([getattr(estimate, one.name) for estimate in estimates], _KINDS[one.type])
-        units = (
-            ("mixed", _LONG_NAMES[one.name], "unit") if one.type == "float" else ("1", _LONG_NAMES.get(one.name, ""))
-        )
+        long_name = _LONG_NAMES.get(one.name, "")
+        units = ("mixed", long_name, "unit") if one.type == "float" else ("1", long_name)
         columns[axis if one.name == "name" else one.name] = TableColumn(values, (axis,), *units)
     return columns
 

@@ -123,8 +123,7 @@ def combinations(
     is_free = points[0].involved
     groups: tuple[Combination, ...] = ()
     if nullity:
-        steps = [*(_steps(3, size) * is_free), *_steps(2, size)]
-        moved = [_moved(local, points[0], step) for step in steps]
+        moved = [_moved(local, points[0], step) for step in (*(_steps(3, size) * is_free), *_steps(2, size))]
         near, distant = ([p for p in part if p and p.nullity == nullity] for part in (moved[:3], moved[3:]))
         known = {symbol(name): x for name, x in spec.numbers.items() if name not in names} if spec else {}
         every, tolerance = [*points, *near, *distant], max(one.tolerance for one in (*points, *near, *distant))

@@ -36,10 +36,7 @@ MATTERS = 0.1  #: A bias is told if it exceeds this share of the standard deviat
 
 
 def identify(
-    source: object,
-    assignments: Iterable[str] = (),
-    notify: Callable[[str], None] = lambda _: None,
-    **sections: object,
+    source: object, assignments: Iterable[str] = (), notify: Callable[[str], None] = lambda _: None, **sections: object
 ) -> Identification:
     """Estimate parameters of a model from measured motion, with intervals.
 
@@ -82,8 +79,8 @@ class _Identification:
         data = [read_experiment(spec, name) for name in spec.experiments]
         self.data = [one for one in data if one.experiment.role == "fit"]
         self.held_out = [one for one in data if one.experiment.role == "hold-out"]
-        unknowns, segments, names = segments_of(spec, self.data)
-        self.problem = Problem(unknowns, names, segments)
+        self.problem = Problem(*segments_of(spec, self.data))
+        unknowns = self.problem.unknowns
         self.names = [one.name for one in unknowns if not one.is_initial]
         priors = sum(one.prior is not None for one in unknowns)
         if (count := len(self.problem.measured)) + priors <= len(unknowns):
@@ -141,18 +138,16 @@ class _Identification:
     # ---- what the data determine -----------------------------------------------------------------------------------
 
     def _identifiability(self) -> Identifiability:
-        problem = self.problem
+        problem, x, base = self.problem, self.fit.x, None
+        with suppress(SpecError):
+            base = spec_of_base(self.base_data(x), None)
 
         def sensitivity(x: np.ndarray) -> np.ndarray:
             return problem.jacobian(np.clip(x, *problem.bounds))
 
-        units = {one.name: one.unit for one in problem.unknowns if one.unit}
-        names = [one.name for one in problem.unknowns]
+        units = {one.name: one.unit for one in problem.unknowns}
         error = DIFFERENCES if problem.differences else EXACT
-        at = self.fit.x
-        return combinations(
-            names, at, sensitivity, spec=self._base_at(at), error=error, sizes=problem.sizes, units=units
-        )
+        return combinations([*units], x, sensitivity, spec=base, error=error, sizes=problem.sizes, units=units)
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
@@ -200,8 +195,7 @@ class _Identification:
                 for one, own in zip(self.data, noise, strict=True):
                     moved = {name: (one.inputs[name][0], one.inputs[name][1] + side * x) for name, x in own.items()}
                     data.append(replace(one, inputs=one.inputs | moved))
-                unknowns, segments, names = segments_of(self.spec, data)
-                other = Problem(unknowns, names, segments)
+                other = Problem(*segments_of(self.spec, data))
                 other.noises = problem.noises
                 free, step = self.fit.free, np.zeros(len(x))
                 step[free] = np.linalg.lstsq(other.jacobian(x)[:, free], -other.residuals(x), rcond=1e-12)[0]
@@ -284,9 +278,8 @@ class _Identification:
             bias, half = abs(float(slope @ self.bias)), self.level * one.deviation
             deviation = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
             more = bias + self.level * deviation - half
-            at = ""
-            if place is not None:
-                at = "lower" if self.fit.at_low[place] else "upper" if self.fit.at_high[place] else ""
+            is_low, is_high = (place is not None and side[place] for side in (self.fit.at_low, self.fit.at_high))
+            at = "lower" if is_low else "upper" if is_high else ""
             low, high = one.lower - more, one.upper + more
             lower = goal.low if at == "lower" else max(low, goal.low) if np.isfinite(low) else low
             upper = goal.high if at == "upper" else min(high, goal.high) if np.isfinite(high) else high
@@ -344,19 +337,15 @@ class _Identification:
         Their initial states, and parameters that only their sensors have, are estimated from their own data.
         """
         found: list[Residuals] = []
+        noises = list(zip(self.problem.noises, self.problem.signals, strict=True))
         for one in self.held_out:
-            unknowns, segments, names = segments_of(self.spec, [one])
-            problem = Problem(unknowns, names, segments)
-            x, own = problem.first.copy(), np.ones(len(unknowns), dtype=bool)
+            problem = Problem(*segments_of(self.spec, [one]))
+            x, own, names = problem.first.copy(), np.ones(len(problem.unknowns), dtype=bool), problem.names
             for name, place in names.items():
                 if name in self.names:
                     x[place], own[place] = self.fit.x[self.names.index(name)], False
             for number, (key, known) in enumerate(zip(problem.signals, problem.known, strict=True)):
-                same = [
-                    noise
-                    for noise, other in zip(self.problem.noises, self.problem.signals, strict=True)
-                    if other.quantity == key.quantity
-                ]
+                same = [noise for noise, other in noises if other.quantity == key.quantity]
                 if known is None and same:
                     problem.noises[number] = _pooled(same)
             try:
@@ -434,11 +423,6 @@ class _Identification:
             if name in base.parameters or path[0] != "parameters":
                 put(data, path, float(x[place]))
         return data
-
-    def _base_at(self, x: np.ndarray) -> RunSpec | None:
-        with suppress(SpecError):
-            return spec_of_base(self.base_data(x), None)
-        return None
 
 
 def _parameter(unknown: Unknown, place: int, count: int) -> Goal:

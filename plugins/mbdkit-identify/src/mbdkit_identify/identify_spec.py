@@ -287,13 +287,12 @@ class IdentifySpec(StrictSpec):
     @model_validator(mode="after")
     def _consistent(self) -> IdentifySpec:
         if self.kinematic:
-            unused: list[tuple[str, ...]] = [
-                (key,) for key in ("shooting", "candidates", "narrow") if getattr(self, key)
-            ]
+            unused = [key for key in ("shooting", "candidates", "narrow") if getattr(self, key)]
             for name, record in self.experiments.items():
-                unused += [("experiments", name, key) for key in ("inputs", "initial") if getattr(record, key)]
+                own = [key for key in ("inputs", "initial") if getattr(record, key)]
+                unused += [path_text(("experiments", name, key)) for key in own]
             if unused:
-                raise SpecError("has no effect with `kinematic: true`; leave it out", key=path_text(unused[0]))
+                raise SpecError("has no effect with `kinematic: true`; leave it out", key=unused[0])
         if self.narrow is not None and not self.candidates:
             raise SpecError("needs `candidates`, of which the best is chosen", key="narrow")
         for name, one in self.candidates.items():

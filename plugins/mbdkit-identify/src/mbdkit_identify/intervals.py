@@ -300,7 +300,6 @@ def _step(jacobian: np.ndarray, white: np.ndarray, slope: np.ndarray) -> np.ndar
     size = np.linalg.norm(s)
     if size == 0.0 or len(s) == 1:
         return np.zeros(len(s)) if size else np.asarray(-np.linalg.lstsq(j, white, rcond=1e-12)[0] / scale)
-    normal = s / size
-    basis = np.linalg.qr(np.column_stack([normal, np.eye(len(s))]))[0][:, 1:]
+    basis = np.linalg.qr(np.column_stack([s / size, np.eye(len(s))]))[0][:, 1:]
     inner = np.linalg.lstsq(j @ basis, -white, rcond=1e-12)[0]
     return np.asarray(basis @ inner / scale)

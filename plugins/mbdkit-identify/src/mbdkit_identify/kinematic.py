@@ -111,8 +111,7 @@ class Positions:
             change = CHANGE * max(abs(plain[name]), CHANGE)
             more, less = (self._mechanism({**plain, name: plain[name] + side * change}) for side in (1.0, -1.0))
             moved.append(_Moved(more, less, change))
-        coordinates = np.reshape([*start.values()], (len(self._near), len(self.independent)))
-        for row, own in enumerate(coordinates):
+        for row, own in enumerate(np.reshape([*start.values()], (len(self._near), len(self.independent)))):
             try:
                 yield self._sample(given, moved, row, own)
             except SpecError:

@@ -174,20 +174,18 @@ def _check_names(spec: IdentifySpec) -> None:
         hint = did_you_mean(name, [*spec.parameters])
         raise SpecError(f"a sensor has the parameter '{name}', which is not among `parameters`{hint}", key="sensors")
     for name, one in spec.parameters.items():
+        where = path_text(("parameters", name))
         known = name in base.parameters or variable_path(name)[0] != "parameters"
         if not known and name not in of_sensors:
             hint = did_you_mean(name, [*base.parameters])
-            message = f"neither the base nor a sensor has the parameter '{name}'{hint}"
-            raise SpecError(message, key=path_text(("parameters", name)))
+            raise SpecError(f"neither the base nor a sensor has the parameter '{name}'{hint}", key=where)
         if known and name in base.parameters and isinstance(base.parameters[name], str):
             message = f"is the expression '{base.parameters[name]}' in the base; estimate the parameters in it"
-            raise SpecError(message, key=path_text(("parameters", name)))
+            raise SpecError(message, key=where)
         if known and name not in base.parameters and one.start is None:
             number_of(base, name)
         if not known and one.start is None and one.bounds is None:
-            raise SpecError(
-                "needs `start` or `bounds`, because the base has no value", key=path_text(("parameters", name))
-            )
+            raise SpecError("needs `start` or `bounds`, because the base has no value", key=where)
     own = {name: 1.0 for name in spec.parameters if name.isidentifier()}
     for name, text in spec.intervals.of.items():
         with SpecError.rekey(path_text(("intervals", "of", name))):

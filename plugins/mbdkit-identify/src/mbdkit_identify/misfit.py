@@ -312,7 +312,8 @@ def doubts_of(
         signal = _name(fitted[effect.signal])
         text = f"{'after that, ' * bool(number)}the residuals of {signal} are explained by {probe.kind}"
         text += ", which the model lacks" if probe.is_lacking else ""
-        text += f" ({_amount(probe, effect.value)}statistic {effect.statistic:.4g}, limit {limit:.3g})"
+        amount = f"{effect.value:.2g} {probe.unit}" if probe.unit else f"{100 * effect.value:+.2g} %"
+        text += f" (about {amount}, statistic {effect.statistic:.4g}, limit {limit:.3g})"
         text += f", or almost as well by the {listed([*others][:MOST_ALIKE], 'or')}" if others else ""
         text += ": add it and estimate again" if probe.is_lacking else ": estimate it too, or correct its value"
         doubts.append(Doubt(probe.place, text, (effect.statistic, limit)))
@@ -323,10 +324,6 @@ def doubts_of(
 
 def _name(signal: Residuals) -> str:
     return f"{signal.quantity} in '{signal.experiment}'"
-
-
-def _amount(probe: Probe, value: float) -> str:
-    return f"about {value:.2g} {probe.unit}, " if probe.unit else f"about {100 * value:+.2g} %, "
 
 
 def _unexplained(fitted: Sequence[Residuals], tested: int) -> Iterator[Doubt]:

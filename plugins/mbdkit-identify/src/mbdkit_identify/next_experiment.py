@@ -99,7 +99,7 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
     spec, problem = done.spec, done.problem
     candidate = spec.candidates[name]
     where = path_text(("candidates", name))
-    like = candidate.like or next(iter(one.name for one in done.data))
+    like = candidate.like or done.data[0].name
     data = next((one for one in done.data if one.name == like), None)
     if data is None:
         raise SpecError(f"'{like}' is held out; name an experiment with the role fit", key=f"{where}.like")
@@ -117,8 +117,8 @@ def _with_candidate(done: Done, name: str) -> tuple[np.ndarray, np.ndarray]:
         for quantity in candidate.observed or [signal.quantity for signal in data.signals]
     )
     added = replace(data, name=name, time=time, signals=signals)
-    unknowns, segments, names = segments_of(own, [added])
-    extra = Problem(unknowns, names, segments)
+    extra = Problem(*segments_of(own, [added]))
+    names = extra.names
     extra.noises = [noise_of[key.quantity] for key in extra.signals]
     x, columns = extra.first.copy(), [done.names.index(parameter) for parameter in names]
     x[: len(names)] = done.fit.x[columns]  # parameters are the first unknowns

@@ -70,8 +70,7 @@ class Pieces:
 
     def white(self, values: np.ndarray, noise: Noise) -> np.ndarray:
         """Return whitened residuals (N,), or derivatives (N, K), from those of all signals."""
-        own = values[self.places]
-        return self.white_part(own, noise)
+        return self.white_part(values[self.places], noise)
 
     def white_part(self, own: np.ndarray, noise: Noise) -> np.ndarray:
         """Return whitened residuals (N,), or derivatives (N, K), from those of this signal."""

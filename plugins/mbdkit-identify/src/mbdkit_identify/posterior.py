@@ -41,8 +41,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
     step = -(whole @ (fit.jacobian.T @ fit.white))[places]  # to the best fit without bounds, which may be far away
     beyond = np.maximum(low - fit.x[places] - step, fit.x[places] + step - high) / (sizes * narrower)
     center = fit.x[places] + step * min(1.0, FARTHEST / max(beyond.max(), 1e-9))
-    others = fit.jacobian[:, count:]
-    basis, values, directions = np.linalg.svd(others, full_matrices=False)
+    basis, values, directions = np.linalg.svd(fit.jacobian[:, count:], full_matrices=False)
     some = values > 1e-9 * values.max(initial=0.0)
     follow = -(directions[some].T / values[some]) @ basis[:, some].T @ fit.jacobian[:, places]
 

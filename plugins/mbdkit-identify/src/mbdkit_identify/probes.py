@@ -111,8 +111,7 @@ def probe_spec(spec: RunSpec, probes: Sequence[Probe], quantities: Sequence[str]
     given = data.get("parameters") or {}
     used = parameters_in_use(given, [model, data | {"parameters": None, "model": None}, *quantities])
     kept = {name: value for name, value in given.items() if name in used}
-    zeros = {probe.name: 0.0 for probe in probes}
-    return type(spec)(**data | {"model": model, "parameters": kept | zeros})
+    return type(spec)(**data | {"model": model, "parameters": kept | {probe.name: 0.0 for probe in probes}})
 
 
 def probe_sensitivities(
@@ -317,21 +316,18 @@ class _Probes:
 
     def _of_joint(self, name: str, joint: Joint) -> None:
         """Add the length, the ratio and the points of a joint; the first joint of each body is its reference."""
-        for key, what in (("length", "length"), ("radii", "ratio")):
-            if (value := self.model["joints"][name].get(key)) is not None:
-                path: Path = ("joints", name, key, *([0] if what == "ratio" else []))
-                self._wrong(
-                    f"{what} of the joint '{name}'", "", [(path, repr(value[0] if what == "ratio" else value))], SHARE
-                )
+        data = self.model["joints"][name]
+        if (length := data.get("length")) is not None:
+            self._wrong(f"length of the joint '{name}'", "", [(("joints", name, "length"), repr(length))], SHARE)
+        if (radii := data.get("radii")) is not None:
+            self._wrong(f"ratio of the joint '{name}'", "", [(("joints", name, "radii", 0), repr(radii[0]))], SHARE)
         for key, body, _ in joint.attachments():
             first = next(
                 n for n, one in self.mechanism.joints.items() if body in {on for _, on, _ in one.attachments()}
             )
             if first != name and body in (GROUND, *self.own) and self._turns(body):
+                place = f"position of the joint '{name}' on {'the ground' if body == GROUND else f'the body {body!r}'}"
                 for axis in (0, 1):
-                    place = (
-                        f"position of the joint '{name}' on {'the ground' if body == GROUND else f'the body {body!r}'}"
-                    )
                     self._wrong(place, "m", [(("joints", name, *parse_key(key), axis), "1")])
 
     # ---- bodies ----------------------------------------------------------------------------------------------------

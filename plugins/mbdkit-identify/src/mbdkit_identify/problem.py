@@ -147,8 +147,7 @@ class Problem:
             for segment, some in zip(self.segments, self.valid, strict=True):
                 self.runs += 1
                 try:
-                    values = segment.prepared.values(*segment.given(x))
-                    shown, _ = segment.shown(values, None, x, self.names)
+                    shown, _ = segment.shown(segment.prepared.values(*segment.given(x)), None, x, self.names)
                     parts.append(shown[some])
                 except MbdkitError:
                     parts.append(np.full(int(np.sum(some)), np.nan))
@@ -216,6 +215,4 @@ class Problem:
 
 def _roughness(values: np.ndarray) -> float:
     """Return a first guess of the deviation of noise, from second differences."""
-    if len(values) < 4:
-        return 0.0
-    return float(np.std(np.diff(values, 2)) / np.sqrt(6.0))
+    return float(np.std(np.diff(values, 2)) / np.sqrt(6.0)) if len(values) >= 4 else 0.0

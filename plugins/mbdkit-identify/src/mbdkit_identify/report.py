@@ -107,8 +107,7 @@ def _verdict(result: Identification) -> Verdict:
     reasons = counted(len(result.doubts), "finding")
     sentence = f"The result is {result.verdict}{f', because of {reasons}' if result.doubts else ''}."
     doubts = tuple((doubt.text, doubt.place, *doubt.strength) for doubt in result.doubts)
-    columns = columns_of("finding; place; statistic; limit")
-    tables = (Table("doubts", "Reasons", columns, doubts),) if doubts else ()
+    tables = (Table("doubts", "Reasons", columns_of("finding; place; statistic; limit"), doubts),) if doubts else ()
     figures = (*_charts(result), *_profiles(result))
     tables = (*tables, _estimates(result), _signals(result))
     return Verdict("identification", "Identification", sentence, (), tables, figures, result.notes)

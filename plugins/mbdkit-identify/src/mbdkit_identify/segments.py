@@ -176,15 +176,14 @@ class KinematicSegment(Segment):
 
 def sensor_numbers(sensor: Sensor, numbers: Mapping[str, float]) -> tuple[float, float, float]:
     """Return gain, offset and delay of a sensor with values of parameters by name."""
-    gain, offset, delay = (
-        numbers[one] if isinstance(one, str) else one for one in (sensor.gain, sensor.offset, sensor.delay)
-    )
+    given = (sensor.gain, sensor.offset, sensor.delay)
+    gain, offset, delay = (numbers[one] if isinstance(one, str) else one for one in given)
     return gain, offset, delay
 
 
 def segments_of(
     spec: IdentifySpec, data: Sequence[ExperimentData]
-) -> tuple[list[Unknown], list[Segment], dict[str, int]]:
+) -> tuple[list[Unknown], dict[str, int], list[Segment]]:
     """Return the unknowns of some experiments, their windows, and the places of the parameters.
 
     Parameters that only sensors of other experiments have are left out.
@@ -209,7 +208,7 @@ def segments_of(
             continue
         for number, some in enumerate(_windows(one, spec.shooting.window if spec.shooting else None)):
             segments.append(_segment(spec, base, one, some, number, unknowns, places, shared))
-    return unknowns, segments, names
+    return unknowns, names, segments
 
 
 def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[float | str, str]) -> Unknown:
@@ -217,17 +216,14 @@ def _parameter(spec: IdentifySpec, name: str, of_sensors: Mapping[float | str, s
 
     given, base = spec.parameters[name], spec.run_spec
     low, high = given.bounds or (-np.inf, np.inf)
-    start = given.start
-    if start is None and name in base.numbers:
-        start = base.numbers[name]
+    start = base.numbers.get(name) if given.start is None else given.start
     if start is None and name.startswith("model."):
         start = number_of(base, name)
     if start is None:
         start = 0.5 * (low + high)
     prior = None if given.prior is None else (given.prior.mean, given.prior.deviation)
-    size = max(abs(start), 1e-3 * (high - low) if np.isfinite(high - low) else 0.0, 1e-12) if start else 1.0
-    if start == 0.0 and np.isfinite(high - low):
-        size = 0.1 * (high - low)
+    width = high - low if np.isfinite(high - low) else 0.0
+    size = max(abs(start), 1e-3 * width, 1e-12) if start else 0.1 * width or 1.0
     is_of_sensor = name in sensor_names(spec) and name not in base.numbers
     path = ("parameters", name) if name in base.parameters else variable_path(name)
     unit = of_sensors.get(name, "") if is_of_sensor else key_unit(path, [base])

@@ -100,8 +100,7 @@ def problem_of(name: str, folder: Path) -> Problem:
         },
         "parameters": {name: {"start": 1.1 * value} for name, value in base["parameters"].items()},
     })  # fmt: skip
-    unknowns, segments, names = segments_of(spec, [read_experiment(spec, "run")])
-    return Problem(unknowns, names, segments)
+    return Problem(*segments_of(spec, [read_experiment(spec, "run")]))
 
 
 def our_limits(problem: Problem, fit: Fit, place: int) -> np.ndarray:

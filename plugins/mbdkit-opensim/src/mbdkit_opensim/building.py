@@ -49,7 +49,8 @@ class _Pose:
         """Return position and velocity of a point with the coordinates `local` (2,) in the frame, which moves with
         `velocity` (2,) relative to the frame.
         """
-        turned = _rotation(self.angle)
+        c, s = math.cos(self.angle), math.sin(self.angle)
+        turned = np.array([[c, -s], [s, c]])
         arm = turned @ local
         return self.place + arm, self.velocity + self.spin * np.array([-arm[1], arm[0]]) + turned @ velocity
 
@@ -135,10 +136,8 @@ class _ModelBuilder:
         if loose := [name for name in self.bodies if name not in self.poses]:
             raise refused(f"body '{loose[0]}' has no joint, so it could move out of the plane")
         for constraint in self.constraints():
-            if constraint.tag == "PointOnLineConstraint":
-                self.add_point_on_line(constraint)
-            else:
-                self.add_coupler(constraint)
+            add = self.add_point_on_line if constraint.tag == "PointOnLineConstraint" else self.add_coupler
+            add(constraint)
         self.add_markers()
         of_muscles = self.add_muscles(joints) if self.with_muscles else []
         both, runs, idle = self.left_out()
@@ -157,13 +156,7 @@ class _ModelBuilder:
         """Add the muscles, and return sentences about those that cannot be read, or not exactly."""
         values = {one.name: one.value for joint in joints for one in coordinates_of(joint, self.initial, self.speeds)}
         reader = MuscleReader(
-            self.model,
-            self.frames,
-            self.centres,
-            self.heights,
-            self.result.coordinates,
-            values,
-            lambda body, point: self.poses[body].point(point, np.zeros(2))[0],
+            self.model, self.frames, self.centres, self.heights, self.result.coordinates, values, self.position
         )
         told, replaced = [], []
         for element in self.muscles():
@@ -179,6 +172,10 @@ class _ModelBuilder:
         if replaced:
             told.append(f"the curves of Thelen2003Muscle are replaced by those of Millard: {listed(replaced, 'and')}")
         return told
+
+    def position(self, body: str, point: np.ndarray) -> np.ndarray:
+        """Return the initial position (2,) of a point with the coordinates `point` (2,) in the frame of a body."""
+        return self.poses[body].point(point, np.zeros(2))[0]
 
     def muscles(self) -> list[Element]:
         """Return the muscles that exert forces and whose classes can be read."""
@@ -431,11 +428,6 @@ def _is_linear(term: Term) -> bool:
 def _line(term: Term) -> tuple[float, float]:
     offset, slope, *_ = term.function.polynomial
     return slope, offset
-
-
-def _rotation(angle: float) -> np.ndarray:
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def _angle(axes: np.ndarray) -> float:

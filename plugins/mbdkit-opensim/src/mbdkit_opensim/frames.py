@@ -81,8 +81,13 @@ class OsimFrames:
 
     def of_joint(self, joint: Element, socket: str) -> OffsetFrame:
         """Return the parent or child frame of a joint; raises SpecError if it does not lie in the plane."""
-        frame = self._resolved(text_of(joint, socket), _path_of_joint(joint), joint)
-        return self._planar(frame, joint, socket)
+        body, place, axes = self._resolved(text_of(joint, socket), _path_of_joint(joint), joint)
+        if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
+            raise refused(
+                f"{label_of(joint)} is not planar: the z axis of its {socket.split('_')[1]} frame does not point along "
+                f"the z axis of {body}"
+            )
+        return OffsetFrame(body, place[:2], axes[:2, :2], float(place[2]))
 
     def of_marker(self, marker: Element) -> tuple[str, np.ndarray]:
         """Return the body to which a marker is fixed, and its position in the frame of that body, (2,) [m]."""
@@ -136,15 +141,6 @@ class OsimFrames:
             state = "does not exist" if not matching else f"may be {listed(matching, 'or')}"
             raise refused(f"{label_of(element)} refers to the frame '{path}', which {state}")
         return matching[0]
-
-    def _planar(self, found: tuple[str, np.ndarray, np.ndarray], joint: Element, socket: str) -> OffsetFrame:
-        body, place, axes = found
-        if math.hypot(axes[0, 2], axes[1, 2]) > FLAT:
-            raise refused(
-                f"{label_of(joint)} is not planar: the z axis of its {socket.split('_')[1]} frame does not point along "
-                f"the z axis of {body}"
-            )
-        return OffsetFrame(body, place[:2], axes[:2, :2], float(place[2]))
 
 
 def _path_of_joint(joint: Element) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polyder, polyval
 from scipy.interpolate import PPoly
 
 from mbdkit_opensim.osim_document import label_of, number_of, numbers_of, refused
@@ -36,23 +37,16 @@ class Function:
 
     def __call__(self, at: float) -> float:
         """Return the value of the function at a value of the coordinate."""
-        if self.spline is not None:
-            return float(self.spline(at))
-        return float(np.polynomial.polynomial.polyval(at, self.polynomial))
+        return float(polyval(at, self.polynomial) if self.spline is None else self.spline(at))
 
     def slope(self, at: float) -> float:
         """Return the derivative of the function at a value of the coordinate."""
-        if self.spline is not None:
-            return float(self.spline(at, 1))
-        return float(np.polynomial.polynomial.polyval(at, np.polynomial.polynomial.polyder(self.polynomial)))
+        return float(polyval(at, polyder(self.polynomial)) if self.spline is None else self.spline(at, 1))
 
     @property
     def degree(self) -> int:
         """Degree of the polynomial; 3 for a spline."""
-        if self.spline is not None:
-            return 3
-        powers = np.flatnonzero(self.polynomial)
-        return int(powers[-1]) if len(powers) else 0
+        return 3 if self.spline is not None else int(max(np.flatnonzero(self.polynomial), default=0))
 
     def times(self, factor: float) -> Function:
         """Return the function times a number."""
@@ -159,7 +153,7 @@ def center_of(parts: list[tuple[float, Function]], slope: float, offset: float, 
     if not splines:
         total: np.ndarray = np.zeros(1)
         for factor, function in parts:
-            total = np.polynomial.polynomial.polyadd(total, factor * np.array(function.polynomial))
+            total = polyadd(total, factor * np.array(function.polynomial))
         if not np.any(total[1:]):
             return float(total[0])
         text = repr(float(total[-1]))

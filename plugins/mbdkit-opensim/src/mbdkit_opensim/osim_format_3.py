@@ -11,13 +11,8 @@ from xml.etree.ElementTree import Element, SubElement
 from mbdkit import SpecError
 
 INERTIAS = ("xx", "yy", "zz", "xy", "xz", "yz")
-#: Properties of points of muscles that name coordinates.
-SOCKETS = {
-    "coordinate": "socket_coordinate",
-    "x_coordinate": "socket_x_coordinate",
-    "y_coordinate": "socket_y_coordinate",
-    "z_coordinate": "socket_z_coordinate",
-}
+#: Properties of points of muscles that name coordinates; in the format of OpenSim 4, they begin with ``socket_``.
+COORDINATES = ("coordinate", "x_coordinate", "y_coordinate", "z_coordinate")
 GROUND = "ground"
 #: Properties of a joint that describe its frames on the parent body and on the child body.
 SIDES = (("parent_body", "location_in_parent", "orientation_in_parent"), ("", "location", "orientation"))
@@ -36,9 +31,8 @@ def as_format_4(model: Element) -> None:
     bodies = model.find("BodySet/objects")
     for body in list(bodies if bodies is not None else ()):
         held = body.find("Joint")
-        for joint in held if held is not None else ():
-            joints.append(_joint(joint, body.get("name", "")))
         if held is not None:
+            joints.extend([_joint(joint, body.get("name", "")) for joint in held])
             body.remove(held)
         if body.get("name") == GROUND and bodies is not None:
             bodies.remove(body)
@@ -47,9 +41,9 @@ def as_format_4(model: Element) -> None:
     for point in model.iter():
         if (body_name := point.findtext("body")) is not None and point.find("location") is not None:
             _add(point, "socket_parent_frame", _path(body_name.strip()))
-        for old, new in SOCKETS.items() if "PathPoint" in point.tag else ():
-            if (name := point.findtext(old)) is not None:
-                _add(point, new, name.strip())
+        for tag in COORDINATES if "PathPoint" in point.tag else ():
+            if (name := point.findtext(tag)) is not None:
+                _add(point, f"socket_{tag}", name.strip())
 
 
 def rename_switches(model: Element) -> None:

@@ -45,9 +45,7 @@ class Term:
     @property
     def rate(self) -> float:
         """Rate of the function at the start."""
-        if self.coordinate is None:
-            return 0.0
-        return self.function.slope(self.coordinate.value) * self.coordinate.speed
+        return 0.0 if self.coordinate is None else self.function.slope(self.coordinate.value) * self.coordinate.speed
 
     @property
     def varies(self) -> bool:
@@ -135,9 +133,7 @@ def _custom(joint: Element, coordinates: Mapping[str, OsimCoordinate]) -> Planar
     label = label_of(joint)
     axes = {name_of(one): one for one in joint.iterfind("SpatialTransform/TransformAxis")}
     angle, turned = Term(constant(0.0)), np.eye(3)
-    for name in ("rotation1", "rotation2", "rotation3"):
-        if name not in axes:
-            continue
+    for name in sorted(axes.keys() & {"rotation1", "rotation2", "rotation3"}):
         axis, term = _axis_and_term(axes[name], coordinates, f"{name} of {label}")
         if not term.varies:
             turned = turned @ about(axis, term.value)
@@ -158,9 +154,7 @@ def _custom(joint: Element, coordinates: Mapping[str, OsimCoordinate]) -> Planar
     intercept, *slope = angle.function.polynomial or (0.0,)
     angle = Term(Function((intercept + fixed, *slope)), angle.coordinate)
     directions, height = [], 0.0
-    for name in ("translation1", "translation2", "translation3"):
-        if name not in axes:
-            continue
+    for name in sorted(axes.keys() & {"translation1", "translation2", "translation3"}):
         axis, term = _axis_and_term(axes[name], coordinates, f"{name} of {label}")
         if term.varies and abs(axis[2]) > FLAT:
             raise refused(

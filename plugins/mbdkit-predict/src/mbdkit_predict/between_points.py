@@ -93,8 +93,7 @@ def residual_between_points(
     acting[: len(forces)] *= 2.0  # those of inertia, and those that they balance
     impulse = abs(np.concatenate([forces, defects]) @ weight) * lengths
     states = abs(values["z"]).max(axis=1, initial=0.0)
-    is_angle = method.system.is_angle
-    return Residual(change, _largest_share(impulse, acting @ b @ lengths, states, is_angle))
+    return Residual(change, _largest_share(impulse, acting @ b @ lengths, states, method.system.is_angle))
 
 
 def _evaluated(

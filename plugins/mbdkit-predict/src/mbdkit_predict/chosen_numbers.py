@@ -145,8 +145,7 @@ class ChosenNumbers:
         changed, original = Mechanism.from_spec(spec), self._original
         changed.name, changed.treatments = original.name, original.treatments
         for kind in ("bodies", *original.elements):
-            elements = getattr(changed, kind)
-            setattr(changed, kind, {name: elements[name] for name in getattr(original, kind)})
+            setattr(changed, kind, {name: getattr(changed, kind)[name] for name in getattr(original, kind)})
         return self._of_run(changed)
 
     @staticmethod
@@ -213,8 +212,7 @@ class ChosenNumbers:
 
     def _compiled(self, changes: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return the arrays of the mechanism, and the initial values of states, with changed parameters."""
-        changed = self.with_parameters((np.array(self.parameter_start) + changes).tolist())
-        compiled = compile_mechanism(changed)
+        compiled = compile_mechanism(self.with_parameters((np.array(self.parameter_start) + changes).tolist()))
         return dict(_numbers(compiled.topology)), compiled.initial_states
 
 

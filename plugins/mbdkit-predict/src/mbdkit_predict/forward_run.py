@@ -56,8 +56,7 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
     starts = predicted[:-1].copy()
     if method.sides.size:
         later = np.vstack([method.values_at(mesh, name, np.array([BESIDE]))[..., 0] for name in "qvz"])
-        of_bodies = method.states_of_bodies(mesh, later, times[:-1])
-        starts[:, np.delete(np.arange(size), 2 * n + rows)] = of_bodies.T
+        starts[:, np.delete(np.arange(size), 2 * n + rows)] = method.states_of_bodies(mesh, later, times[:-1]).T
     scale = _scale(predicted, n)
     checked = np.delete(np.arange(size), np.concatenate([np.arange(n, 2 * n), 2 * n + rows]))
     ends, alone = list[np.ndarray](), list[np.ndarray]()

@@ -104,8 +104,7 @@ def solved_motion(
 
 def _chosen(wanted: Sequence[str], names: list[str], histories: np.ndarray) -> np.ndarray:
     """Return rows (W ..., T) of histories (T, N, ...) with the wanted names; nan for those without one."""
-    unknown = np.full((len(histories), 1, *histories.shape[2:]), np.nan)
-    padded = np.concatenate([histories, unknown], axis=1)
+    padded = np.concatenate([histories, np.full((len(histories), 1, *histories.shape[2:]), np.nan)], axis=1)
     places = [names.index(name) if name in names else len(names) for name in wanted]
     return padded[:, places].reshape(len(padded), -1).T
 

@@ -196,8 +196,7 @@ class NonlinearProgram:
         if status not in SUCCESSES and watcher.best is not None:
             return replace(self._iterate(*watcher.best), status=status, iterations=count)
         x, g, lam_x, lam = (np.array(result[name]).ravel() for name in ("x", "g", "lam_x", "lam_g"))
-        slopes = self._apart(-lam_x / self._sizes)
-        slopes |= {name: -lam[row] for name, row in self._rows()}
+        slopes = self._apart(-lam_x / self._sizes) | {name: -lam[row] for name, row in self._rows()}
         of_points = [row for places in self._apart(np.arange(len(x))).values() if places.ndim > 1 for row in places]
         is_smooth = not any(
             _is_partly_active(value[row], low[row], high[row])
@@ -221,13 +220,11 @@ class NonlinearProgram:
         return Solution(self._apart(self._sizes * x), objective, violations)
 
     def _rows(self) -> list[tuple[str, np.ndarray]]:
-        ends = np.cumsum([size for _, size in self._conditions])[:-1]
-        rows = np.split(np.arange(len(self._low)), ends)
+        rows = np.split(np.arange(len(self._low)), np.cumsum([size for _, size in self._conditions])[:-1])
         return [(name, row) for (name, _), row in zip(self._conditions, rows, strict=True)]
 
     def _apart(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        sizes = [int(np.prod(self._shapes[name])) for name in self._names]
-        parts = np.split(x, np.cumsum(sizes)[:-1])
+        parts = np.split(x, np.cumsum([int(np.prod(self._shapes[name])) for name in self._names])[:-1])
         return {
             name: part.reshape(self._shapes[name], order="F") for name, part in zip(self._names, parts, strict=True)
         }

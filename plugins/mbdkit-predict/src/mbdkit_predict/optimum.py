@@ -281,8 +281,7 @@ class _MeshSearch:
             is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
             is_accurate, chosen = is_known and error <= limit, None
             if is_accurate or is_last or not is_resolved:
-                nodes = NODES if is_accurate or is_last else FEW
-                residual = residual_between_points(self.transcription, mesh, nodes)
+                residual = residual_between_points(self.transcription, mesh, NODES if is_accurate or is_last else FEW)
                 large = residual.is_large(limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance))
                 is_resolved = not large.any()
                 if is_accurate or is_last:

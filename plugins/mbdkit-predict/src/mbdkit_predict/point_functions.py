@@ -102,8 +102,7 @@ def _projection_function(system: CasadiSystem) -> tuple[ca.Function, np.ndarray]
     shift, jumps = ca.SX.sym("shift", len(weight)), ca.SX.sym("jumps", 2 * m)
     pushes = ca.mtimes(jacobian.T, ca.reshape(jumps, m, 2)) if m else ca.SX.zeros(n, 2)
     moved = ca.DM(weight) * shift - ca.vertcat(ca.vec(pushes), ca.SX.zeros(system.z.numel()))
-    projection = at_node(system, moved, ca.vertcat(position, velocity), further=(shift, jumps))
-    return projection, weight[:, None]
+    return at_node(system, moved, ca.vertcat(position, velocity), further=(shift, jumps)), weight[:, None]
 
 
 def _curvature_function(system: CasadiSystem, results: Sequence[ca.SX], variables: ca.SX, sides: ca.SX) -> ca.Function:
@@ -130,8 +129,7 @@ class Operations(NamedTuple):
 def operations_of(function: ca.Function, given: Sequence[ca.SX], replaced: Mapping[int, ca.SX]) -> Operations:
     """Return the operations of a function of scalars, some of which are replaced."""
     work, nodes, parents = dict[int, int](), list[ca.SX](), list[list[int]]()
-    sparsities = [function.sparsity_out(k) for k in range(function.n_out())]
-    results = [ca.SX(sparsity, 0.0) for sparsity in sparsities]
+    results = [ca.SX(function.sparsity_out(k), 0.0) for k in range(function.n_out())]
     for k in range(function.n_instructions()):
         operation, takes, gives = (getattr(function, f"instruction_{x}")(k) for x in ("id", "input", "output"))
         own = list[int]()

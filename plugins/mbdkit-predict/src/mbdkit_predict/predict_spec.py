@@ -392,10 +392,9 @@ class PredictSpec(ModelSpec):
     def _built(self) -> Mechanism:
         mechanism = self._with_functions(super()._built())
         unknowns = [key for (kind, name), own in equilibria(mechanism).items() for key in unknown_keys(kind, name, own)]
-        fixed = [key for key in self.sensitivities if key not in self.optimized]
         functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
-        parameters = [*self.optimized, *fixed]
+        parameters = [*self.optimized, *(key for key in self.sensitivities if key not in self.optimized)]
         self._chosen = chosen = ChosenNumbers(mechanism, controls, parameters, self.numbers, self._with_named)
         for i, (name, variable) in enumerate(self.optimized.items()):
             for bound in filter(math.isfinite, variable.limits):

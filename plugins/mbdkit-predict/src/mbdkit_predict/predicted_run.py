@@ -142,8 +142,7 @@ def _run_of(
         equations.powers(at, x, rate, equations.derivatives(at, x, rate, state)[1])
         for at, x, rate, state in zip(time, q, v, z, strict=True)
     ]
-    points = slice(1, 1 + result.mesh.values["u"].shape[1])
-    work, lost = method.integrated(np.array(powers)[points].T, result.mesh)
+    work, lost = method.integrated(np.array(powers)[1 : 1 + result.mesh.values["u"].shape[1]].T, result.mesh)
     start = float(observed.kinetic[0] + observed.potential[0])
     states = States(
         mechanism, time, *whole, lambda: observed, work=work, dissipated=lost, start_energy=start,

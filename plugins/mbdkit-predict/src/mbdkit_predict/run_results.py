@@ -181,8 +181,7 @@ def section(run: Run, mechanism: Mechanism | None) -> Iterator[Section]:
         Table("optimum", "Optimum", columns_of("item; value"), tuple(lines(run)), headline=True),
         Table("meshes", "Meshes", columns_of("intervals x points; objective; iterations; why"), tuple(_rows(run))),
     ]
-    slopes = tuple(sensitivities(run).items())
-    if slopes:
+    if slopes := tuple(sensitivities(run).items()):
         note = "Change of the objective for a small change of the value, with the motion optimized again."
         tables.append(Table("sensitivities", "Sensitivities", columns_of("value; derivative"), slopes, note=note))
     yield Section("prediction", "Prediction", (text,), tables=tuple(tables))

@@ -71,12 +71,11 @@ def switching_of(method: Transcription, mesh: Mesh, jumps: Sequence[Jump], *, is
     if np.any(varied > FLAT * np.array([*operations.values()])):
         return VARIES
     durations = times - begins
-    motion = {**mesh.values, "duration": durations}
     return Switching(
         tuple(t for t in times.tolist() if places[t] is not None), np.searchsorted(ends, times), durations,
         {k: places[t] for k, t in enumerate(times.tolist()) if places[t] is not None},
         sides, Held(unheld, tuple(operations)),
-        solved_motion(mesh.times, motion, method.system, method.system),
+        solved_motion(mesh.times, {**mesh.values, "duration": durations}, method.system, method.system),
     )  # fmt: skip
 
 
@@ -123,8 +122,7 @@ def _surface(
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
             (value,) = path.evaluate([nodes[k]], np.array([middle]), np.array([jump.time]))[0]
-            is_before = abs(value - sides[0]) < abs(value - sides[1])
-            low, high = (middle, high) if is_before else (low, middle)
+            low, high = (middle, high) if abs(value - sides[0]) < abs(value - sides[1]) else (low, middle)
         for node in causes:
             (level,) = path.evaluate([nodes[node]], np.array([high]), np.array([jump.time]))[0]
             is_zero = abs(level) <= ZERO * sizes[node, 1]

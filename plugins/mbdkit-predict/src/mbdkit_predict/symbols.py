@@ -45,9 +45,7 @@ class Symbol(NDArrayOperatorsMixin):
         return apply(function, *operands)
 
     def __array_function__(self, function: object, types: object, operands: Any, options: object) -> object:
-        if function is np.where:
-            return where(*operands)
-        return NotImplemented
+        return where(*operands) if function is np.where else NotImplemented
 
     def __bool__(self) -> bool:
         return bool(float(self.sx)) if self.sx.is_constant() else _decided(self)

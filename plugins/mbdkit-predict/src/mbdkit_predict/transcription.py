@@ -34,13 +34,7 @@ from mbdkit.methods import gauss, radau_iia
 from mbdkit_predict.casadi_system import CasadiSystem, StatesInEquilibrium
 from mbdkit_predict.grid import IntervalGrid, breaks_of, weights
 from mbdkit_predict.guessed_motion import GuessedMotion, archived_motion, solved_motion
-from mbdkit_predict.nonlinear_program import (
-    MOST_ITERATIONS,
-    NonlinearProgram,
-    ProgramCondition,
-    Solution,
-    solve_pose,
-)
+from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, NonlinearProgram, ProgramCondition, Solution, solve_pose
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, Held, PointFunctions, at_node
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
@@ -245,15 +239,11 @@ class Transcription:
         parts = rates.reshape(len(rates), -1, len(self.c))
         h = mesh.values["duration"] @ mesh.grid.lengths
         whole = np.cumsum(h * (parts @ self.b), axis=1)
-        begins = whole - h * (parts @ self.b)
-        within = begins[:, :, None] + h[:, None] * (parts @ self.a.T)
+        within = (whole - h * (parts @ self.b))[:, :, None] + h[:, None] * (parts @ self.a.T)
         return np.column_stack([np.zeros(len(rates)), within.reshape(len(rates), -1), *[whole[:, -1]] * self.has_nodes])
 
     def guess(
-        self,
-        random: np.random.Generator | None = None,
-        stop: Stop | None = None,
-        grid: IntervalGrid | None = None,
+        self, random: np.random.Generator | None = None, stop: Stop | None = None, grid: IntervalGrid | None = None
     ) -> Mesh:
         """Return a first guess, by default on the first mesh: the motion in an archive, that of the simpler problem, or
         else positions on straight lines between poses that satisfy the conditions at the start and at the ends of
@@ -262,8 +252,7 @@ class Transcription:
         system, spec = self.system, self.spec
         grid, (low, high, durations) = grid or self._first_grid(), self.limits["duration"]
         if self.simpler is not None and self._simple is None:
-            given = self.simpler.guess()
-            self._simple = solved_meshes([(self.simpler, given, MOST_ITERATIONS)], stop or Stop())[0]
+            self._simple = solved_meshes([(self.simpler, self.simpler.guess(), MOST_ITERATIONS)], stop or Stop())[0]
             self._known_motion = solved_motion(self._simple.times, self._simple.values, self.simpler.system, system)
         known_motion = self._known_motion if random is None else None
         if known_motion is not None:
@@ -351,8 +340,7 @@ class Transcription:
         conditions become active and the order of the method is lost, are divided into more parts. If some intervals are
         `chosen` (N,), only these are divided, into as many parts.
         """
-        divided = self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1)
-        finer = self.moved(mesh, self, divided)
+        finer = self.moved(mesh, self, self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1))
         return replace(finer, slopes=self._refined_slopes(mesh, finer.grid))
 
     def moved(self, mesh: Mesh, other: Transcription, divided: np.ndarray) -> Mesh:
@@ -509,8 +497,7 @@ class Transcription:
         ends = x["nodes"] if self.has_nodes else states[:, s - 1 :: s]
         begins = ca.horzcat(x["start"], ends[:, :-1])
         each = ca.DM.eye(count)
-        spread = ca.kron(each, ca.DM.ones(1, s))
-        lengths = ca.mtimes(h, spread)
+        lengths = ca.mtimes(h, ca.kron(each, ca.DM.ones(1, s)))
         inverse = np.linalg.inv(self.a)  # derivatives: nonlinear terms of a point stand in its rows only
         changes = ca.mtimes(states, ca.kron(each, ca.DM(inverse.T)))
         changes -= ca.mtimes(begins, ca.kron(each, ca.DM(inverse.sum(axis=1)).T))
@@ -673,8 +660,7 @@ class Transcription:
         """Return states (6 B + Z, T) of B bodies, given those of the coordinates (2 n + Z, T)."""
         q, v, z = (states[rows] for rows in self._rows.values())
         p, still = np.tile(mesh.values["p"][:, None], len(times)), 0.0 * v
-        placed = self.system.placed.map(len(times))(q, v, still, p, times[None])
-        return np.vstack([*map(np.array, placed[:2]), z])
+        return np.vstack([*map(np.array, self.system.placed.map(len(times))(q, v, still, p, times[None])[:2]), z])
 
     def nodes(self, mesh: Mesh) -> np.ndarray:
         """Return the states (2 n + Z, N + 1) at the start and at the ends of intervals."""
@@ -749,8 +735,7 @@ class Transcription:
 
     def _with_nodes(self, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         if self.has_nodes:
-            states = np.vstack([values[name] for name in "qvz"])
-            values["nodes"] = states[:, len(self.c) - 1 :: len(self.c)].copy()
+            values["nodes"] = np.vstack([values[name] for name in "qvz"])[:, len(self.c) - 1 :: len(self.c)].copy()
             values["jumps"] = np.zeros((2 * len(values["lam"]), values["nodes"].shape[1]))
         return values
 

@@ -145,8 +145,7 @@ def _columns(run: Run, array: Array) -> Iterator[TableColumn]:
     dims = array.dims[1:]
     names = [[str(name) for name in run.array(f"{array.group}/{dim}")] for dim in dims]
     units = [str(unit) for unit in run.array(f"{array.group}/{array.row_units}")] if array.row_units else []
-    kind = run.kinds[array.group]
-    row_dim = kind.by_path[f"{array.group}/{array.row_units}"].dims[0] if units else ""
+    row_dim = run.kinds[array.group].by_path[f"{array.group}/{array.row_units}"].dims[0] if units else ""
     for at in product(*(range(len(each)) for each in names)):
         element = [each[k] for dim, each, k in zip(dims, names, at, strict=True) if dim not in _COMPONENT_DIMS]
         last = [(each[k], k) for dim, each, k in zip(dims, names, at, strict=True) if dim in _COMPONENT_DIMS]

@@ -21,6 +21,14 @@ _PLOTS = {
     "forces": "forces of springs, dampers, laws, loads and actuators",
     "beams": "bending moment, shear and axial force of beams, along them and over time",
 }
+_TABLES = {
+    "csv": "Comma-separated values.",
+    "parquet": "Parquet.",
+    "mat": "MATLAB.",
+    "sto": "Storage files of OpenSim.",
+    "json": "JSON.",
+}
+_WRITE = "mbdkit_report.table_formats:write_"
 
 
 @hookimpl
@@ -29,6 +37,10 @@ def mbdkit_items() -> Iterable[Item]:
     plots = [
         PlotKind(name=name, summary=summary, order=10 * number, module=f"mbdkit_report.plot.{name}_plot")
         for number, (name, summary) in enumerate(_PLOTS.items())
+    ]
+    tables = [
+        TableFormat(name=name, summary=summary, order=10 * number, suffix=f".{name}", write=Target(f"{_WRITE}{name}"))
+        for number, (name, summary) in enumerate(_TABLES.items())
     ]
     return [
         Command(
@@ -65,20 +77,7 @@ def mbdkit_items() -> Iterable[Item]:
             target=Target("mbdkit_report.commands:report"),
             order=120,
         ),
-        TableFormat(
-            name="csv",
-            summary="Comma-separated values.",
-            order=0,
-            suffix=".csv",
-            write=Target("mbdkit_report.table_formats:write_csv"),
-        ),
-        TableFormat(
-            name="parquet",
-            summary="Parquet.",
-            order=10,
-            suffix=".parquet",
-            write=Target("mbdkit_report.table_formats:write_parquet"),
-        ),
+        *tables,
         TableFormat(
             name="xlsx",
             summary="Excel workbook with a sheet for each group.",
@@ -86,27 +85,6 @@ def mbdkit_items() -> Iterable[Item]:
             suffix=".xlsx",
             write_all=Target("mbdkit_report.workbook:write_xlsx"),
             needs="xlsxwriter",
-        ),
-        TableFormat(
-            name="mat",
-            summary="MATLAB.",
-            order=20,
-            suffix=".mat",
-            write=Target("mbdkit_report.table_formats:write_mat"),
-        ),
-        TableFormat(
-            name="sto",
-            summary="Storage files of OpenSim.",
-            order=30,
-            suffix=".sto",
-            write=Target("mbdkit_report.table_formats:write_sto"),
-        ),
-        TableFormat(
-            name="json",
-            summary="JSON.",
-            order=40,
-            suffix=".json",
-            write=Target("mbdkit_report.table_formats:write_json"),
         ),
         *plots,
         Accessor(

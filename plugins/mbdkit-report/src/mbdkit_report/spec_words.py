@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
 from pydantic import BaseModel
@@ -64,12 +65,9 @@ def key_unit(key: str | Path, specs: Iterable[BaseModel]) -> str:
         Specs that have this key. The first of them that contains the option determines the unit.
     """
     for spec in specs:
-        try:
-            text = _unit(spec, _parts(key))
         # the option is computed, or its plugin is not installed
-        except (MbdkitError, LookupError, TypeError, AttributeError):
-            continue
-        return text
+        with suppress(MbdkitError, LookupError, TypeError, AttributeError):
+            return _unit(spec, _parts(key))
     return ""
 
 
@@ -108,10 +106,8 @@ def _unit(holder: Any, path: Path) -> str:
             along = holder.unit_along(dict(holder)) if isinstance(holder, Element) else along
             name, described = _field(holder, str(part))
             holder = getattr(holder, name)
-        elif isinstance(holder, Mapping):
-            holder = holder[part]
         else:
-            holder = holder[int(part)]
+            holder = holder[part if isinstance(holder, Mapping) else int(part)]
     return described_unit(described, along)
 
 
@@ -129,8 +125,7 @@ def _parameter_unit(spec: ModelSpec, name: str) -> str:
 
 
 def _field(holder: BaseModel, key: str) -> tuple[str, str]:
-    fields = type(holder).model_fields
-    name = {field.alias: name for name, field in fields.items()}.get(key, key)
+    name = {field.alias: name for name, field in type(holder).model_fields.items()}.get(key, key)
     return name, description(type(holder), name)
 
 

@@ -185,13 +185,9 @@ def rows_of(table: ExportedTable) -> Iterator[list[object]]:
 
 
 def _matlab_names(names: Iterable[str]) -> list[str]:
-    results = []
-    for name in names:
-        word = re.sub(r"[^A-Za-z0-9_]", "_", name)
-        if not word[:1].isalpha():
-            word = f"x{word}"
-        results.append(word)
-    return distinct(results, MATLAB_LENGTH, taken=("units", "names"))
+    words = (re.sub(r"[^A-Za-z0-9_]", "_", name) for name in names)
+    letters_first = (word if word[:1].isalpha() else f"x{word}" for word in words)
+    return distinct(letters_first, MATLAB_LENGTH, taken=("units", "names"))
 
 
 def distinct(

@@ -46,8 +46,7 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
         raise refused(f"joints other than pins are not read: {listed(wrong)}")
     m = Mechanism(name=str(data.get("name") or "linkage"))
     for what, items in (("mechanism", [data]), ("joint", joints.values()), ("link", [link for *_, link in links])):
-        unknown = dict.fromkeys(f"'{key}'" for item in items for key in item if key not in UNDERSTOOD[what])
-        if unknown:
+        if unknown := dict.fromkeys(f"'{key}'" for item in items for key in item if key not in UNDERSTOOD[what]):
             m.left_out += (f"keys of the {what} left out, which may change the motion: {listed(unknown)}",)
     at: dict[str, list[str]] = {name: [GROUND] for name, joint in joints.items() if joint.get("type") == "ground"}
     for name, kind, ids, one in links:
@@ -57,8 +56,7 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
             raise refused(f"link '{name}' has the type '{kind}', which is not read")
         if unknown := [str(joint) for joint in ids if joint not in places]:
             raise refused(f"link '{name}' has joints that do not exist: {listed(unknown)}")
-        points = [places[joint] for joint in ids]
-        _add_rod(m, name, points, mass_per_length)
+        _add_rod(m, name, [places[joint] for joint in ids], mass_per_length)
         for joint in ids:
             at.setdefault(joint, []).append(name)
         if kind == "driver":

@@ -255,16 +255,13 @@ class _MjcfReader:
             limits = low, high
         if np.any(numbers(joint, "springdamper", "0")):
             raise refused(f"joint '{name}' has a springdamper, which is not read; give stiffness and damping")
-        values = {"armature": number(joint, "armature", 0.0)}
+        values = {"armature": number(joint, "armature", 0.0), "friction": number(joint, "frictionloss", 0.0)}
         for key in ("stiffness", "damping"):
             values[key], *powers = numbers(joint, key, "0").tolist() or [0.0]
             if any(powers):
                 self.model.leave_out(f"the nonlinear part of the {key} of joints", name, acts=True)
-        friction = number(joint, "frictionloss", 0.0)
-        return Link(
-            name, "turn" if kind == "hinge" else "slide", parent, child, point, axis, **values,
-            rest=rest, friction=friction, limits=limits,
-        )  # fmt: skip
+        kind = "turn" if kind == "hinge" else "slide"
+        return Link(name, kind, parent, child, point, axis, **values, rest=rest, limits=limits)
 
     def _part(self, name: str, body: Element) -> Part:
         turned, here = self.places[name]
@@ -303,8 +300,7 @@ class _MjcfReader:
             ends = numbers(geom, "fromto", "", 6)
             along = ends[3:] - ends[:3]
             place, own = (ends[:3] + ends[3:]) / 2, _z_along(unit(along, "fromto"))
-            half = float(np.linalg.norm(along)) / 2
-            size = np.array([*size[:1].repeat(SIZES[kind] - 1), half])
+            size = np.array([*size[:1].repeat(SIZES[kind] - 1), float(np.linalg.norm(along)) / 2])
         if len(size) < SIZES[kind] or np.any(size[: SIZES[kind]] <= 0):
             raise refused(f"body '{body}' has a geom of type '{kind}', which needs {SIZES[kind]} positive sizes")
         volume, moments = volume_and_inertia(kind, size)
@@ -322,12 +318,7 @@ class _MjcfReader:
             return
         first, second = _body(equality, "body1"), _body(equality, "body2")
         name = equality.get("name", f"{first} to {second}")
-        if (
-            element.tag not in ("connect", "weld")
-            or not equality.get("body1")
-            or first not in self.places
-            or second not in self.places
-        ):
+        if element.tag not in ("connect", "weld") or not equality.get("body1") or not {first, second} <= {*self.places}:
             raise refused(
                 f"the equality <{element.tag}> '{name}' is not read; connect and weld of two bodies, and joint are"
             )
@@ -344,8 +335,7 @@ class _MjcfReader:
         name = equality.get("name", f"{joint} to {leader}" if leader else f"{joint} held")
         schema.leave_out_attributes(self.model, equality, name, "equality")
         given = numbers(equality, "polycoef", "").tolist()
-        coefficients = (*given, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(given) :])
-        self.model.followers.append(Follower(name, joint, leader, coefficients))
+        self.model.followers.append(Follower(name, joint, leader, (*given, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(given) :])))
 
 
 def _key(element: Element) -> str:

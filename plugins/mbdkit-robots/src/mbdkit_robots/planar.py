@@ -150,10 +150,9 @@ class PlanarMechanism:
         for link in self.model.links:
             self._add(link, data)
         for closure in self.model.closures:
-            first, second = (self.owner[name] for name in closure.parts)
-            kind = {"connect": "revolute", "weld": "weld"}[closure.kind]
-            points = [self._local(first, closure.point), self._local(second, closure.point)]
-            joint = {"type": kind, "bodies": [first, second], "points": points}
+            bodies = [self.owner[name] for name in closure.parts]
+            points = [self._local(body, closure.point) for body in bodies]
+            joint = {"type": "weld" if closure.kind == "weld" else "revolute", "bodies": bodies, "points": points}
             data["joints"][_free_name(closure.name, data["joints"])] = joint
         for follower in self.model.followers:
             data["joints"][_free_name(follower.name, data["joints"])] = self._coupling(follower)
@@ -335,11 +334,8 @@ class PlanarMechanism:
         if any(spring.values()):
             found["spring"] = {"law": "linear", **spring, "free_length": zero + sign * link.rest}
         if link.friction:
-            found["friction"] = {
-                "law": "dry-friction",
-                "loss": link.friction,
-                "transition_speed": self.transition_speed,
-            }
+            speed = self.transition_speed
+            found["friction"] = {"law": "dry-friction", "loss": link.friction, "transition_speed": speed}
         if found and not pathway:
             raise refused(
                 f"the spring, damping or friction of joint '{link.name}' acts along a line that is oblique to the axes"

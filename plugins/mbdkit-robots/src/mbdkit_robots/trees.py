@@ -56,12 +56,9 @@ def leave_out_contacts(
             for other_label, other_kind, other_affinity in shapes[second]
             if kind & other_affinity or other_kind & affinity
         ]
-        if not touching:
-            continue
-        if not is_fixed:
+        if touching and not is_fixed:
             model.leave_out("contacts between moving bodies", f"{first} and {second}", acts=True)
-            continue
-        for label in dict.fromkeys(pair[other_group == GROUND] for pair in touching):
+        for label in dict.fromkeys(pair[other_group == GROUND] for pair in touching if is_fixed):
             if label not in model.lacking.get("contacts with fixed geoms", ()):
                 model.leave_out("contacts with fixed geoms", label, acts=True)
 
@@ -85,7 +82,8 @@ def leaving_bodies(model: SpatialModel, normal: np.ndarray) -> list[str]:
         if part.mass > 0 and trees[part.name] != GROUND:
             parts.setdefault(groups[part.name], []).append(part)
     heights: dict[str, list[float]] = {}
-    leaving = dict.fromkeys(root for root in trees.values() if root != GROUND and _is_oblique(model.gravity, normal))
+    is_oblique = abs(model.gravity @ normal) > PARALLEL * np.linalg.norm(model.gravity)
+    leaving = dict.fromkeys(root for root in trees.values() if root != GROUND and is_oblique)
     size = max((float(np.max(np.abs(part.center))) for part in model.parts), default=0.0)
     for members in parts.values():
         root, whole = trees[members[0].name], Part.joined("", members)
@@ -101,7 +99,3 @@ def leaving_bodies(model: SpatialModel, normal: np.ndarray) -> list[str]:
                 heights.setdefault(trees[name], []).append(float(closure.point @ normal))
     leaving |= {root: None for root, values in heights.items() if np.ptp(values) > PARALLEL * size}
     return list(leaving)
-
-
-def _is_oblique(vector: np.ndarray, normal: np.ndarray) -> bool:
-    return bool(abs(vector @ normal) > PARALLEL * np.linalg.norm(vector))

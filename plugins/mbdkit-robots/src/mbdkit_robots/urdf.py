@@ -39,10 +39,9 @@ def read_urdf(file: str, *, floating: bool) -> SpatialModel:
         if _name(link) in links:
             raise refused(f"there are two links with the name '{_name(link)}'")
         links[_name(link)] = link
-    joints = list(robot.iterfind("joint"))
     below: dict[str, list[Element]] = {name: [] for name in links}
     parents: dict[str, str] = {}
-    for joint in joints:
+    for joint in robot.iterfind("joint"):
         parent, child = (_link(joint, tag, links) for tag in ("parent", "child"))
         if child in parents:
             raise refused(f"link '{child}' is the child of two joints")

@@ -187,8 +187,7 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
     with prepared.as_spec_errors():
         result = rest(prepared)
         p, compiled = prepared.equations, prepared.workspace.mechanism
-        at = at_rest(prepared, result.q, result.lam)
-        stability = stability_of(dynamic, prepared, at, result.z)
+        stability = stability_of(dynamic, prepared, at_rest(prepared, result.q, result.lam), result.z)
         rows = p.recorded_multipliers(p.t0, result.q, result.lam)
         force, torque = joint_reactions(prepared, p.t0, result.q, rows)
         residual = float(np.max(np.abs(p.constraints(p.t0, result.q)), initial=0.0))

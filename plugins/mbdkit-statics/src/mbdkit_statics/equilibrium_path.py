@@ -383,8 +383,7 @@ class _Follower:
                 return [*self._between(here, low[0], middle), *self._between(here, middle, high[0])]
         result = max(low[1], high[1], key=lambda point: point.unstable)
         value = complex(result.growing[-1])
-        shape = shape_of(self.prepared, result.at, value)
-        return [self._described("flutter", result, shape, abs(value.imag))]
+        return [self._described("flutter", result, shape_of(self.prepared, result.at, value), abs(value.imag))]
 
     def _root(self, here: _Point, low: float, high: float, value: Callable[[_Point], float]) -> float:
         """Return the distance from a point at which a function of points of the path is zero.

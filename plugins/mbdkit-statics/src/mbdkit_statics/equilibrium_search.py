@@ -156,8 +156,7 @@ class _RestSearch:
 
     def size(self, s: np.ndarray) -> float:
         """Return the largest change of a coordinate in a step, relative to the size of the mechanism or to 1 rad."""
-        parts = np.abs(s.reshape(-1, 3)) / (self.extent, self.extent, 1.0)
-        return float(np.max(parts))
+        return float(np.max(np.abs(s.reshape(-1, 3)) / (self.extent, self.extent, 1.0)))
 
     def run(self) -> Rest | None:
         # Levenberg-Marquardt: with little damping a step is a Newton step, with much damping a short step along the
@@ -168,8 +167,7 @@ class _RestSearch:
             if self.imbalance <= max(BALANCED * self.force, self.blur) or (idle >= PATIENCE and self.is_balanced):
                 break
             before = self.imbalance
-            taken = self.step(damping)
-            if not taken:
+            if not self.step(damping):
                 damping = max(4 * damping, 1e-12 * self.force / self.extent)
                 idle += 1
                 continue

@@ -150,11 +150,9 @@ class _DrivenMotion:
 
     def go_to(self, t: float) -> None:
         """Advance to time `t` [s] in steps that are halved if necessary, and doubled after each success."""
-        whole = t - self.t
-        step = whole
+        step = whole = t - self.t
         while self.t < t:
-            last = self.t + step >= t or step == whole
-            there = t if last else self.t + step
+            there = t if self.t + step >= t or step == whole else self.t + step
             try:
                 if self.advance(there):
                     step = min(2 * step, whole)

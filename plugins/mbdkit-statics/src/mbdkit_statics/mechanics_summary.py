@@ -115,6 +115,7 @@ def sharing(rest: Equilibrium) -> str:
 
 def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
     """Return an equilibrium as plain data."""
+    reactions = zip(rest.joints, rest.reaction_force.tolist(), rest.reaction_torque.tolist(), strict=True)
     return {
         "time": rest.time,
         "stability": rest.stability,
@@ -126,12 +127,7 @@ def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
         "iterations": rest.iterations,
         "bodies": _by_name(rest.bodies, rest.position),
         "displacements": _by_name(rest.bodies, rest.displacement),
-        "reactions": {
-            name: {"force": force, "torque": torque}
-            for name, force, torque in zip(
-                rest.joints, rest.reaction_force.tolist(), rest.reaction_torque.tolist(), strict=True
-            )
-        },
+        "reactions": {name: {"force": force, "torque": torque} for name, force, torque in reactions},
         "multipliers": dict(zip(rest.constraints, rest.multiplier.tolist(), strict=True)),
         "beams": {
             name: dict(zip(("at", "axial", "shear", "moment"), values.T.tolist(), strict=True))
@@ -178,11 +174,7 @@ def modes_data(modes: Modes) -> dict[str, object]:
     return {
         "time": modes.time,
         "freedoms": modes.freedoms,
-        "state": {
-            "position": _by_name(modes.bodies, modes.position),
-            "velocity": _by_name(modes.bodies, modes.velocity),
-            "acceleration": _by_name(modes.bodies, modes.acceleration),
-        },
+        "state": {key: _by_name(modes.bodies, getattr(modes, key)) for key in ("position", "velocity", "acceleration")},
         "modes": [
             {
                 "eigenvalue": [value.real, value.imag],
@@ -221,14 +213,7 @@ def kinematics_data(motions: Kinematics) -> dict[str, object]:
     """Return a motion as plain data."""
     return {
         "time": motions.time.tolist(),
-        "bodies": {
-            name: {
-                "position": motions[name].position.tolist(),
-                "velocity": motions[name].velocity.tolist(),
-                "acceleration": motions[name].acceleration.tolist(),
-            }
-            for name in motions.bodies
-        },
+        "bodies": {name: {key: x.tolist() for key, x in vars(motions[name]).items()} for name in motions.bodies},
     }
 
 

@@ -368,11 +368,9 @@ def _with_small_ones(
     scale = 1 / np.sqrt(np.diag(matrix))
     inverse = scale[:, None] * np.linalg.inv(scale[:, None] * matrix * scale) * scale
     by_position = (inverse * squares - np.eye(f)) / shift  # -inverse (damping + shift)
-    whole = np.block([[by_position, -inverse], [np.eye(f) + shift * by_position, -shift * inverse]])
-    inverted, others = eig(whole)
+    inverted, others = eig(np.block([[by_position, -inverse], [np.eye(f) + shift * by_position, -shift * inverse]]))
     result = shift + 1 / inverted
-    middle = np.sqrt(np.max(np.abs(values)) * shift)
-    small = int(np.sum(np.abs(values) <= middle))
+    small = int(np.sum(np.abs(values) <= np.sqrt(np.max(np.abs(values)) * shift)))
     large = np.argsort(np.abs(values))[small:]
     few = np.argsort(np.abs(result))[:small]
     return np.concatenate([result[few], values[large]]), np.concatenate([others[:, few], vectors[:, large]], axis=1)

@@ -128,8 +128,7 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
     if z is not None:
         prepared.workspace.take_states(z)
     root = np.sqrt(p.mass[free])
-    scaled = p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root
-    q, r = np.linalg.qr(scaled.T, mode="complete")
+    q, r = np.linalg.qr((p.constraint_jacobian(at.t, at.q).toarray()[:, free] / root).T, mode="complete")
     basis = q[:, p.m :] / root[:, None]
     _refuse_side_forces_that_work(prepared, at.q, free, basis)
     tangents = p.tangents(*at)
@@ -327,8 +326,7 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
         K, C and M are the matrices of stiffness, damping and mass; `x` contains f and g.
         """
         f, g = x[:n], x[n:]
-        right = -p.mass * (g + shift * f) - tangents.damping @ f
-        dq, _ = matrix.solve(right, no_rows)
+        dq, _ = matrix.solve(-p.mass * (g + shift * f) - tangents.damping @ f, no_rows)
         return np.concatenate([dq, f + shift * dq])
 
     first = np.concatenate([_pilot(prepared, at)[1]] * 2)

@@ -218,8 +218,7 @@ def _free_motions(statics: PreparedMechanism, at: State) -> tuple[int, bool]:
     """
     small = reduce(statics, at)
     values, left, right = eig(small.stiffness, left=True, right=True)
-    p = statics.equations
-    full = abs(p.tangents(*at).stiffness)
+    full = abs(statics.equations.tangents(*at).stiffness)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
     terms = np.sum(np.abs(small.basis @ left) * (full @ np.abs(small.basis @ right)), axis=0)
     zeros = int(np.sum(np.abs(values) * overlap <= NEUTRAL * terms))

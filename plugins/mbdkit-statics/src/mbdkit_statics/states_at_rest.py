@@ -72,10 +72,6 @@ class StatesAtRest:
         self.names = tuple(state.name for state in mechanism.named_states)
         self.z = mechanism.initial_states.copy()
 
-    def rates(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the states with respect to time (Z,)."""
-        return self._p.rates(t, q, v, z)
-
     def forces(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Return the generalized applied forces (n,)."""
         self.use(z)
@@ -95,7 +91,7 @@ class StatesAtRest:
         """
         rest, z, before, free = np.zeros_like(q), self.z.copy(), np.inf, slice(len(self.names))
         for _ in range(MOST_ITERATIONS):
-            rate, slope = self.rates(t, q, rest, z)[free], self.by_states(t, q, rest, z)[1]
+            rate, slope = self._p.rates(t, q, rest, z)[free], self.by_states(t, q, rest, z)[1]
             try:
                 change = -np.linalg.solve(slope, rate)
             except np.linalg.LinAlgError:
@@ -130,7 +126,7 @@ class StatesAtRest:
     ) -> tuple[np.ndarray, np.ndarray]:
         n, size, count = len(q), np.maximum(np.abs(z), 1.0), len(self.names)
         both = self._differences(
-            lambda x: np.concatenate([self.forces(t, q, v, x), self.rates(t, q, v, x)]), z, DISTANCE * size
+            lambda x: np.concatenate([self.forces(t, q, v, x), self._p.rates(t, q, v, x)]), z, DISTANCE * size
         )[:, list(columns)]
         return both[:n], both[n : n + count]
 
@@ -140,8 +136,8 @@ class StatesAtRest:
         """
         length = self._workspace.mechanism.length
         size = DISTANCE * np.tile([length, length, 1.0], len(q) // 3)
-        by_position = self._differences(lambda x: self.rates(t, x, v, z), q, size)
-        by_velocity = self._differences(lambda x: self.rates(t, q, x, z), v, size)
+        by_position = self._differences(lambda x: self._p.rates(t, x, v, z), q, size)
+        by_velocity = self._differences(lambda x: self._p.rates(t, q, x, z), v, size)
         return by_position[: len(self.names)], by_velocity[: len(self.names)]
 
     @staticmethod

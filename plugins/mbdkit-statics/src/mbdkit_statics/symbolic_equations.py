@@ -176,9 +176,8 @@ class _SystemBuilder:
             for constraint in self.mechanism.constraints_of(name):
                 terms = _constraint_terms(constraint.kind)
                 jet = None if constraint.motion is None else _jet(constraint.motion)
-                here = self.values(
-                    a, b, self.constraint_parameters(name, joint.bodies, constraint), jet, constraint.center
-                )
+                parameters = self.constraint_parameters(name, joint.bodies, constraint)
+                here = self.values(a, b, parameters, jet, constraint.center)
                 if constraint.function is not None:
                     here |= self.function_values(name, constraint.function, here)
                 for index in range(constraint.rows):
@@ -189,8 +188,7 @@ class _SystemBuilder:
                     jacobian.append(whole)
                     label = joint.rows[constraint.first_row + index]
                     shown = label if len(label) == 1 else _text(label)
-                    tex = rf"\lambda_{{{_text(name)},{shown}}}"
-                    multipliers.append(self.symbol(f"lambda_{name}_{label}", tex))
+                    multipliers.append(self.symbol(f"lambda_{name}_{label}", rf"\lambda_{{{_text(name)},{shown}}}"))
         return constraints, jacobian, gamma, multipliers
 
     def constraint_parameters(self, joint: str, bodies: tuple[str, str], one: Constraint) -> list[sp.Expr]:
@@ -396,8 +394,10 @@ class _SystemBuilder:
         values |= zip(d.PARAMETERS, parameters, strict=False)
         if motion is not None:
             values |= zip(d.MOTION, motion, strict=True)
-        if center is not None:
-            values |= _center_values(center, q[5] - q[2])
+        if center is not None:  # whose displacement, and derivatives of it, are functions of the relative angle
+            for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
+                jet = _jet(function, expression_of)
+                values |= {symbol: x.xreplace({TIME: q[5] - q[2]}) for symbol, x in zip(symbols, jet, strict=False)}
         for symbol, expr in d.INTERMEDIATES.items():
             values[symbol] = expr.xreplace(values)
         return values
@@ -460,22 +460,16 @@ def _number(value: float) -> sp.Expr:
     return sp.Integer(int(value)) if value.is_integer() else sp.Float(repr(value), 17)
 
 
-def _center_values(center: Center, angle: sp.Expr) -> dict[sp.Symbol, sp.Expr]:
-    """Return the displacement of a moving center at a relative angle, and its first two derivatives by the angle."""
-    values: dict[sp.Symbol, sp.Expr] = {}
-    for symbols, (_, function) in zip(d.CENTER, center.functions, strict=True):
-        jet = _jet(function, expression_of)
-        values |= {symbol: x.xreplace({TIME: angle}) for symbol, x in zip(symbols, jet, strict=False)}
-    return values
-
-
 def _jet(motion: Any, parse: Callable[[str], Expression] = Expression.parse) -> Jet:
     """Return value and first two time derivatives of a motion, which is a number, an expression in t, or a table."""
     if isinstance(motion, Table):
         value = _spline(motion)
-        within = _within_the_period(motion)
         jet = value, value.diff(TIME), value.diff(TIME, 2)
-        return jet if within is None else tuple(one.xreplace({TIME: within}) for one in jet)
+        if not motion.period:
+            return jet
+        first = _number(motion.table[0][0])
+        within = first + sp.Mod(TIME - first, _number(motion.period))  # the time, shifted into the first period
+        return tuple(one.xreplace({TIME: within}) for one in jet)
     if not isinstance(motion, str):
         return _number(motion), sp.Integer(0), sp.Integer(0)
     value = parse(motion).to_sympy()
@@ -494,14 +488,6 @@ def _spline(table: Table) -> sp.Expr:
         piece = sum(_number(c) * (TIME - _number(begin)) ** (degree - i) for i, c in enumerate(coefficients))
         pieces.append((piece, sp.true if end == times[-1] else sp.Lt(TIME, _number(end))))
     return sp.Piecewise(*pieces)
-
-
-def _within_the_period(table: Table) -> sp.Expr | None:
-    """Return the time, shifted into the first period, at which a periodic table is evaluated; None without a period."""
-    if not table.period:
-        return None
-    first = _number(table.table[0][0])
-    return first + sp.Mod(TIME - first, _number(table.period))
 
 
 def _angle(value: float) -> sp.Expr:

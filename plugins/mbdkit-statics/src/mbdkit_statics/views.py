@@ -11,7 +11,6 @@ from mbdkit_report import (
     Axis,
     Caption,
     Cell,
-    Illustration,
     Line,
     NamedPose,
     Picture,
@@ -58,15 +57,11 @@ def equilibrium_view(rest: Equilibrium) -> View:
     )  # fmt: skip
     (_, stability), *facts = mechanics_summary.equilibrium_facts(rest)
     tone = {"stable": "good", "unstable": "alarm"}.get(rest.stability, "")
-    picture = _posed(rest.mechanism, rest.position, rest.time)
+    picture = None
+    if (mechanism := rest.mechanism) is not None:
+        picture = drawing(NamedPose.of(mechanism, list(mechanism.bodies), rest.position, np.array([rest.time])))
     filled = tuple(table for table in tables if table.rows)
     return View("Equilibrium", (stability[:1].upper() + stability[1:],), tone, tuple(facts), picture, tables=filled)
-
-
-def _posed(mechanism: Mechanism | None, position: np.ndarray, time: float) -> Illustration | None:
-    if mechanism is None:
-        return None
-    return drawing(NamedPose.of(mechanism, list(mechanism.bodies), position, np.array([time])))
 
 
 @object_view
@@ -144,12 +139,10 @@ def modes_figure(modes: Modes, mechanism: Mechanism, title: str) -> Figure:
     (x0, x1), (y0, y1), _ = view_box(np.array(sides).reshape(2 * count, -1, 2), rest)
     columns = min(3, count)
     lines = -(-count // columns)
-    width = 2.6 * columns + 0.6
     height = lines * (float(np.clip(2.4 * (y1 - y0) / (x1 - x0), 1.2, 4.0)) + 0.6) + 0.6
-    left = len(modes.eigenvalues) - count
-    more = f" · {left} more not shown" if left else ""
+    more = f" · {len(modes.eigenvalues) - count} more not shown" if len(modes.eigenvalues) > count else ""
     note = f"linearised at t = {modes.time:g} s · grey: that state · amplitudes are arbitrary, axes in m{more}"
-    figure = new_figure(Caption(title, note), max(width, 6.0), height)
+    figure = new_figure(Caption(title, note), max(2.6 * columns + 0.6, 6.0), height)
     for k in range(count):
         axes = dress(figure.add_subplot(lines, columns, k + 1))
         axes.set_aspect("equal", adjustable="box")

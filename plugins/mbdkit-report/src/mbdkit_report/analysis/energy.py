@@ -73,8 +73,7 @@ def trends(time: np.ndarray, values: np.ndarray) -> list[Trend]:
     centred = t - t.mean()
     power = np.sum(centred * centred)
     slope = np.sum(x * centred, axis=-1) / power
-    start = x.mean(axis=-1) - slope * t.mean()
-    line = np.stack([start, slope])[..., None]
+    line = np.stack([x.mean(axis=-1) - slope * t.mean(), slope])[..., None]
     residual = x - (line[0] + line[1] * t)
     many = np.maximum(independent(residual), 2.5)
     variance = np.mean(residual * residual, axis=-1) * many / (many - 2)

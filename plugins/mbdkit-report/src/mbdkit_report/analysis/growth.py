@@ -110,7 +110,8 @@ def growth_law(time: np.ndarray, value: np.ndarray) -> Growth:
         )
     if not np.all(np.isfinite(value)) or np.any(value < 0):
         raise ValueError("a growth law is fitted to finite values that are not negative")
-    at, largest = block_maxima(time, value)
+    rows = np.array([a + int(np.argmax(value[a:b])) for a, b in itertools.pairwise(edges(time))])
+    at, largest = time[rows], value[rows]
     keep = largest > 0
     if not np.any(keep):
         return Growth("none", ("none",), math.nan)
@@ -189,13 +190,6 @@ def edges(time: np.ndarray) -> np.ndarray:
     count = max(1, min(BLOCKS, len(time) // 4))
     borders = np.searchsorted(time, np.linspace(time[0], time[-1], count + 1)[1:-1], side="left")
     return np.unique(np.concatenate([[0], borders, [len(time)]]))
-
-
-def block_maxima(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (K,) and the values (K,) of the maximum of each block."""
-    borders = edges(time)
-    at = np.array([a + int(np.argmax(value[a:b])) for a, b in itertools.pairwise(borders)])
-    return time[at], value[at]
 
 
 def block_means(time: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -529,9 +529,7 @@ def choose_traces(drawing: Drawing) -> tuple[Trace, ...]:
     """Return up to six of the main traces: all of them, or four evenly spread if there are more."""
     traces = drawing.main_traces
     count = len(traces)
-    if count <= 6:
-        return traces
-    return tuple(traces[index] for index in (0, count // 4, count // 2, 3 * count // 4))
+    return traces if count <= 6 else tuple(traces[index] for index in (0, count // 4, count // 2, 3 * count // 4))
 
 
 def trace_points(drawing: Drawing, traces: Sequence[Trace]) -> tuple[Drawing, list[int]]:

@@ -71,8 +71,7 @@ class NamedPose:
         known = mechanism is not None and list(mechanism.bodies) == list(bodies)
         drawing = draw_mechanism(mechanism) if mechanism is not None and known else draw_centres(bodies)
         pose = np.nan_to_num(pose, posinf=0.0, neginf=0.0)
-        points = drawing.world(pose)
-        size = float(np.max(np.ptp(points, axis=0), initial=0.0))
+        size = float(np.max(np.ptp(drawing.world(pose), axis=0), initial=0.0))
         return cls(drawing, mechanism if known else None, pose, times, ROUND_OFF * size)
 
     def place(self, body: str, local: tuple[float, float]) -> Array:
@@ -305,8 +304,7 @@ def name_tags(drawing: Drawing, world: Array, paths: Array, xlim: Limits, ylim: 
     if drawing.is_crowd or not np.all(np.isfinite(world)):
         return []
     scale = _SMALL / (xlim[1] - xlim[0])
-    centre = np.array([sum(xlim) / 2, sum(ylim) / 2])
-    canvas = Canvas(_SMALL, scale * (ylim[1] - ylim[0]), scale, centre)
+    canvas = Canvas(_SMALL, scale * (ylim[1] - ylim[0]), scale, np.array([sum(xlim) / 2, sum(ylim) / 2]))
     at = canvas.px(world)
     draw_sketch(canvas, drawing, at)
     trail = canvas.px(paths.reshape(-1, 2))

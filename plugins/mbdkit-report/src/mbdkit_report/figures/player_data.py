@@ -39,8 +39,7 @@ def _scene_data(shown: Scene) -> dict[str, object]:
     """
     drawing = shown.drawing
     (x0, x1), (y0, y1) = shown.xlim, shown.ylim
-    size = max(x1 - x0, y1 - y0)
-    grain = size * _GRAIN
+    grain = max(x1 - x0, y1 - y0) * _GRAIN
     centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2, 0.0])
     with np.errstate(invalid="ignore", over="ignore"):
         poses = np.clip((shown.poses - centre) / (grain, grain, _ANGLE), -2e9, 2e9).round()

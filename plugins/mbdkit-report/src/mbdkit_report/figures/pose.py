@@ -69,16 +69,18 @@ class PoseArtists:
         self.drawing = drawing
         self.artists: list[Artist] = []
         self._tooth = 0.018 * size
-        self._coils: list[tuple[Line2D, int]] = []
         self._fills: list[tuple[PolyCollection, tuple[int, ...]]] = []
         self._lines: list[tuple[Line2D, NDArray[np.intp]]] = []
         crowd = drawing.is_crowd
         weight = 1.2 if crowd else 3.0
 
-        def line(points: Sequence[int], **look: Any) -> None:
+        def curve(**look: Any) -> Line2D:
             (artist,) = axes.plot([], [], alpha=alpha, **look)
             self.artists.append(artist)
-            self._lines.append((artist, np.asarray(points, dtype=np.intp)))
+            return artist
+
+        def line(points: Sequence[int], **look: Any) -> None:
+            self._lines.append((curve(**look), np.asarray(points, dtype=np.intp)))
 
         def mark(points: Sequence[int], kind: str) -> None:
             if points:
@@ -110,14 +112,8 @@ class PoseArtists:
         for paths, color in ((drawing.shapes, INK), (drawing.muscles, MUSCLE)):
             if paths:
                 line([index for points in paths for index in (*points, gap)], color=color, linewidth=1.3, zorder=4.5)
-        (self._springs,) = axes.plot(
-            [], [], color=SPRING, linewidth=1.3, alpha=alpha, zorder=5, solid_joinstyle="round"
-        )
-        self.artists.append(self._springs)
-        for index in drawing.coils:
-            (coil,) = axes.plot([], [], color=SPRING, linewidth=1.2, alpha=alpha, zorder=7.5)
-            self.artists.append(coil)
-            self._coils.append((coil, index))
+        self._springs = curve(color=SPRING, linewidth=1.3, zorder=5, solid_joinstyle="round")
+        self._coils = [(curve(color=SPRING, linewidth=1.2, zorder=7.5), index) for index in drawing.coils]
         rim = [patheffects.withStroke(linewidth=2.5, foreground=PAPER)]
         self._tags = [
             (tag, axes.annotate(tag.text, (0.0, 0.0), (0.72 * tag.beside[0], -0.72 * tag.beside[1]), size=8.0,

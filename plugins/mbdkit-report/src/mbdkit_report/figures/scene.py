@@ -104,9 +104,7 @@ def round_speed(duration: float, shortest: float, longest: float) -> float:
     """Return the round speed factor that brings a duration between `shortest` and `longest` [s]."""
     if duration > longest:
         return min(speed for speed in _SPEEDS if duration / speed <= longest)
-    if 0.0 < duration < shortest:
-        return max(speed for speed in _SPEEDS if duration / speed >= shortest)
-    return 1.0
+    return max(speed for speed in _SPEEDS if duration / speed >= shortest) if 0.0 < duration < shortest else 1.0
 
 
 def nearest_rows(time: Array, wanted: Array | Sequence[float]) -> NDArray[np.intp]:

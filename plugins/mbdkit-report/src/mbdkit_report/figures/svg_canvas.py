@@ -64,8 +64,7 @@ class Canvas:
         path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points) + ("Z" if closed else "")
         style = Markup(' style="--own:{}"').format(color if "(" in color else f"var(--{color})") if color else ""
         self.parts.append(Markup('<path class="{}"{} d="{}"/>').format(look, style, path))
-        corners = np.vstack([points, points[:1]]) if closed else points
-        for start, end in pairwise(corners):
+        for start, end in pairwise(np.vstack([points, points[:1]]) if closed else points):
             count = 2 + int(min(math.dist(start, end) / _INK_STEP, _MOST_INK))
             self.drawn.append(start + np.linspace(0.0, 1.0, count)[:, None] * (end - start))
 

@@ -75,8 +75,9 @@ def gradient_section(run: Run) -> Section | None:
     doubts = dict.fromkeys(doubt for gradient in run.gradients.values() for doubt in gradient.get("doubts", ()))
     sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
     note = "In the unit of the measure for each SI unit of the parameter."
-    columns = columns_of("measure; unit; with respect to; derivative")
-    table = Table("gradients", "Derivatives", columns, tuple(rows), note)
+    table = Table(
+        "gradients", "Derivatives", columns_of("measure; unit; with respect to; derivative"), tuple(rows), note
+    )
     return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 
@@ -112,8 +113,7 @@ def _columns(run: Run, quantity: ElementQuantity) -> list[tuple[list[Column], li
         headings = [] if run.accuracy is None else bar_columns(f"the {what}", unit, [one.bar for one in found.values()])
         none: list[Cell] = [None] * (1 + len(headings))
         shown = {joint: bar_cells(own.value, own.bar, own.id, len(headings)) for joint, own in found.items()}
-        cells = [shown.get(joint, none) for joint in names]
-        groups.append(([Column(f"largest {what}", unit), *headings], cells))
+        groups.append(([Column(f"largest {what}", unit), *headings], [shown.get(joint, none) for joint in names]))
     groups.insert(1, ([Column(f"time of the {word}", "s")], [[time] for time in quantity.data.peak_times.tolist()]))
     return groups
 
@@ -144,8 +144,7 @@ def _table(
         if power is not None:
             cells += [float(power.peaks[column]), float(power.peak_times[column])]
         rows.append(tuple(cells))
-    left = len(columns) - len(chosen)
-    note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if left else ""
+    note = f"The {ROWS} of {len(columns)} joints with the largest forces or torques." if len(columns) > ROWS else ""
     if run.accuracy is not None and used:
         source = "by comparison runs" if run.spec_kind.is_integrated else "from the noise of the data and the cutoff"
         note = f"{note} Errors are estimated {source}{'; powers have none' if power is not None else ''}.".strip()
@@ -172,8 +171,7 @@ def _of_forces(run: Run) -> Table:
             has_unit = force.units == unit
             cells += [float(value.peaks[column]), float(value.peak_times[column])] if has_unit else [None, None]
         rows.append((*cells, float(power.peaks[column]), float(power.peak_times[column])))
-    left = len(own) - len(rows)
-    note = f"The {ROWS} of {len(own)} force elements with the largest values. " if left else ""
+    note = f"The {ROWS} of {len(own)} force elements with the largest values. " if len(own) > ROWS else ""
     note += OF_ROWS
     return Table("forces", "Force elements", tuple(columns), tuple(rows), note)
 
@@ -208,9 +206,8 @@ def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | Non
     moments = bending_moments(run, named.drawing.beams)
     if moments is None:
         return None
-    shown = replace(named, moments=moments[row])
     caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
-    return illustration(shown, "Drawing of the mechanism with its bent beams", caption)
+    return illustration(replace(named, moments=moments[row]), "Drawing of the mechanism with its bent beams", caption)
 
 
 def _beam_table(run: Run) -> Table:

@@ -10,7 +10,7 @@ from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
-from mbdkit.registry.catalogue import Kind, Registered
+from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.items import Claims, IntegratorPlugin
 from mbdkit.registry.manager import registry
 from mbdkit.spec.spec_kinds import kind_of
@@ -58,8 +58,9 @@ def methods(specs: Iterable[Mapping[str, object]], sources: Iterable[str] = ()) 
     references = [_own_reference(), *sources]
     for kind in ("model", "integrator", "step-control"):
         for name, options in _used(specs, kind).items():
-            item = _find(kind, name)
-            if item is None:
+            try:
+                item = registry().get(kind, name)
+            except SpecError:
                 paragraphs.append(f"The {kind} {name} is not installed here, so its references are missing.")
                 continue
             paragraphs.append(_paragraph(item, options))
@@ -89,21 +90,13 @@ def _used(specs: Iterable[Mapping[str, Any]], kind: str) -> dict[str, list[dict[
     return {name: list(options.values()) for name, options in results.items()}
 
 
-def _find(kind: Kind, name: str) -> Registered | None:
-    try:
-        return registry().get(kind, name)
-    except SpecError:
-        return None
-
-
 def _paragraph(item: Registered, used: list[dict[str, object]]) -> str:
     values: dict[str, dict[str, None]] = {}
     for options in used:
         for key, value in options.items():
             if value is not None:
-                values.setdefault(key.replace("_", " "), {})[
-                    f"{value:g}" if isinstance(value, float) else str(value)
-                ] = None
+                text = f"{value:g}" if isinstance(value, float) else str(value)
+                values.setdefault(key.replace("_", " "), {})[text] = None
     settings = "; ".join(f"{key} {listed(value, 'and')}" for key, value in values.items())
     origin = f"{item.origin.distribution} {item.origin.version}"
     parts = [

@@ -95,7 +95,8 @@ def element_tables(shown: NamedPose) -> list[Table]:
     """
     tables = [_bodies(shown)]
     if shown.mechanism is not None:
-        tables += [_beams(shown.mechanism), _joints(shown), _forces(shown), _markers(shown)]
+        mechanism = shown.mechanism
+        tables += [_beams(mechanism), _joints(shown, mechanism), _forces(shown, mechanism), _markers(shown, mechanism)]
     return [table for table in tables if table.rows]
 
 
@@ -117,11 +118,10 @@ def composition(mechanism: Mechanism) -> str:
 
 def drawing(shown: NamedPose) -> Illustration:
     """Return the drawing of a mechanism. The names of its elements are shown unless there are too many."""
-    names = [name.text for name in shown.drawing.names]
     description = "Drawing of the mechanism"
     caption = f"The mechanism at t = {shown.times[0]:.6g} s."
     if names_shown(shown):
-        description += f" with the names {listed(names, 'and')}"
+        description += f" with the names {listed([name.text for name in shown.drawing.names], 'and')}"
         caption += " Bodies have the same colours in animations."
     else:
         caption += " It has too many elements to name them all here; the tables list them."
@@ -161,24 +161,22 @@ def _beams(mechanism: Mechanism) -> Table:
     return _limited("model-beams", "Beams", f"{columns}; damping [s]", rows)
 
 
-def _joints(shown: NamedPose) -> Table:
-    assert shown.mechanism is not None
+def _joints(shown: NamedPose, mechanism: Mechanism) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for name, joint in shown.mechanism.joints.items():
+    for name, joint in mechanism.joints.items():
         held = joint.attachments()
         place: list[Cell] = [*shown.place(*held[-1][1:]).tolist()] if held else [None, None]
         rows.append((name, joint.type, " - ".join(joint.bodies), *place, _joint_details(joint)))
     return _limited("model-joints", "Joints and drivers", "joint; type; between; x [m]; y [m]; data", rows)
 
 
-def _forces(shown: NamedPose) -> Table:
+def _forces(shown: NamedPose, mechanism: Mechanism) -> Table:
     rows: list[tuple[Cell, ...]] = []
     force: Any
-    assert shown.mechanism is not None
-    for name, force in own_forces(shown.mechanism).items():
+    for name, force in own_forces(mechanism).items():
         load = getattr(force, "load", None)
         if load is None:
-            between = path_ends(force.pathway.segments(shown.mechanism.joints))
+            between = path_ends(force.pathway.segments(mechanism.joints))
         else:
             between = (load.reaction_body, load.body)
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
@@ -186,10 +184,9 @@ def _forces(shown: NamedPose) -> Table:
     return _limited("model-forces", "Springs, dampers and loads", "force element; type; between; data", rows)
 
 
-def _markers(shown: NamedPose) -> Table:
-    assert shown.mechanism is not None
+def _markers(shown: NamedPose, mechanism: Mechanism) -> Table:
     rows: list[tuple[Cell, ...]] = []
-    for name, marker in shown.mechanism.markers.items():
+    for name, marker in mechanism.markers.items():
         x, y = shown.place(marker.body, marker.held).tolist()
         rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
     columns = "marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]"

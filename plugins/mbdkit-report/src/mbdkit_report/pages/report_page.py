@@ -112,8 +112,7 @@ class ReportPage:
 
     def html(self) -> str:
         """Return the HTML."""
-        values = {"page": self, "version": own_version()}
-        return render("report.html", values, FILTERS | {"headings": _headings})
+        return render("report.html", {"page": self, "version": own_version()}, FILTERS | {"headings": _headings})
 
 
 def cell_text(value: Cell) -> str:

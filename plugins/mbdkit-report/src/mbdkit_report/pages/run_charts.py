@@ -40,8 +40,7 @@ def run_charts(run: Run) -> tuple[Figure, ...]:
     every = [array for kind in run.kinds.values() for array in kind.arrays if isinstance(array, Recorded)]
     recorded = [chart for array in every for chart in recorded_charts(run, array)]
     moving = [chart for chart in recorded if chart.y.unit in _OF_MOTION]
-    still = [chart for chart in recorded if chart.y.unit not in _OF_MOTION]
-    charts += [*added_charts(run), *still]
+    charts += [*added_charts(run), *(chart for chart in recorded if chart.y.unit not in _OF_MOTION)]
     charts += [*of_kinds.pop("trajectory"), *moving, *(chart for of_kind in of_kinds.values() for chart in of_kind)]
     charts.sort(key=lambda chart: chart.name in DRIFT)
     marks = _marks(run)
@@ -100,8 +99,7 @@ def recorded_charts(run: Run, array: Recorded) -> list[Figure]:
     for chart in array.charts:
         of_units = [chart.unit] if chart.unit else [*dict.fromkeys(units)]
         for number, unit in enumerate(of_units, 1):
-            lines = _lines(run, array.path, names, [column for column, own in enumerate(units) if own == unit])
-            if lines:
+            if lines := _lines(run, array.path, names, [column for column, own in enumerate(units) if own == unit]):
                 name = chart.name if len(of_units) == 1 else f"{chart.name}-{number}"
                 axis = Axis(chart.axis, "" if unit == "1" else unit)
                 found.append(Figure(name, chart.title, chart.caption, TIME, axis, lines))

@@ -80,12 +80,8 @@ def environment(provenance: Mapping[str, object], first: Mapping[str, str]) -> T
 
 def yaml_text(spec: Mapping[str, object]) -> str:
     """Return a run spec as YAML with its keys in the usual order."""
-    return write_yaml({key: spec[key] for key in sorted(spec, key=_place)})
+    return write_yaml({key: spec[key] for key in dict.fromkeys((*_ORDER, *spec)) if key in spec})
 
 
 _ORDER = ["mbdkit", "title", "parameters", "model", "formulation", "stabilization", "integrator", "time", "output"]
 _ORDER += ["events", "limits"]
-
-
-def _place(key: str) -> int:
-    return _ORDER.index(key) if key in _ORDER else len(_ORDER)

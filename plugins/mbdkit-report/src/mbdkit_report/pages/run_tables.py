@@ -67,8 +67,7 @@ def _joints(run: Run) -> Table:
         (joint.name, " - ".join(joint.bodies), joint.misalignment_max, *(cells[column] for cells in found))
         for column, joint in sorted(order)
     ]
-    left = len(run.joint_names) - len(rows)
-    note = f"The {JOINTS} of {len(run.joint_names)} joints with the largest misalignment." if left else ""
+    note = f"The {JOINTS} of {len(joints)} joints with the largest misalignment." if len(joints) > JOINTS else ""
     return Table("misalignment", "Misalignment of the joints", tuple(columns), tuple(rows), note)
 
 
@@ -114,8 +113,7 @@ def _impulses(run: Run) -> Table:
         largest = float(size[first, i]), float(impacts.time[first]), float(np.max(torque[:, i]))
         rows.append((str(impacts.joint[i]), " - ".join(bodies[i]), *largest))
     columns = columns_of("joint; between; largest impulse [N s]; at [s]; largest impulse of the torque [N m s]")
-    left = len(bodies) - len(rows)
-    note = f"The {JOINTS} of {len(bodies)} joints with the largest impulses." if left else ""
+    note = f"The {JOINTS} of {len(bodies)} joints with the largest impulses." if len(bodies) > JOINTS else ""
     return Table("impulses", "Impulses of the joints at impacts", columns, tuple(rows), note)
 
 

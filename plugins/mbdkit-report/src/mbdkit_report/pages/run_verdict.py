@@ -10,7 +10,7 @@ from mbdkit.archive.layout import EVIDENCE
 from mbdkit.archive.run import Run
 from mbdkit.trust.criteria import ENERGY, MISALIGNMENT, ROUND_OFF, Level, rounding
 from mbdkit.trust.energy_record import gravity_level
-from mbdkit_report.analysis.growth import Growth, growth_law
+from mbdkit_report.analysis.growth import growth_law
 from mbdkit_report.analysis.verdict import Answer, Claim, Verdict
 from mbdkit_report.figures.curves import bands, take
 from mbdkit_report.figures.drawing_geometry import draw_run, mechanism_of
@@ -154,9 +154,8 @@ def _joints(run: Run) -> Claim:
 
 
 def _growth_words(quantity: ElementQuantity, column: int) -> list[str]:
-    values = quantity.data.high[:, column]
     try:
-        growth: Growth = growth_law(quantity.data.time, values)
+        growth = growth_law(quantity.data.time, quantity.data.high[:, column])
     except ValueError:  # too few rows, or not finite
         return []
     laws = [_LAWS[law] for law in growth.candidates if law in _LAWS]
@@ -177,8 +176,7 @@ def _angles(run: Run) -> list[Claim]:
 
 
 def _energy(run: Run) -> Claim:
-    balance = bands(run.time, run.dataset("energy/balance")[:][:, None])
-    kinetic = bands(run.time, run.dataset("energy/kinetic")[:][:, None])
+    balance, kinetic = (bands(run.time, run.dataset(f"energy/{name}")[:][:, None]) for name in ("balance", "kinetic"))
     off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
     share = off / most if most > 0 else math.nan
     if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):

@@ -74,8 +74,7 @@ def chart(
         record the internal forces of beams.
     """
     if components not in _TITLES:
-        known = listed(_TITLES, "or")
-        raise SpecError(f"the components of a plot of beams should be {known}, not {components!r}")
+        raise SpecError(f"the components of a plot of beams should be {listed(_TITLES, 'or')}, not {components!r}")
     if not run.beams:
         raise SpecError("this run has no beams")
     names = _picked(run, beams, components, most)

@@ -143,21 +143,16 @@ def draw_on(axes: Axes | None, chart: Figure, legend_title: str = "", *, vary_da
         Whether lines of different colours have different dashes, too, so that coinciding lines remain visible.
     """
     if axes is None:
-        axes = draw_on(_new_axes(), chart, legend_title, vary_dashes=vary_dashes)
+        from matplotlib import pyplot
+
+        layout = None if mpl.rcParams["figure.autolayout"] else "constrained"
+        axes = draw_on(pyplot.subplots(layout=layout)[1], chart, legend_title, vary_dashes=vary_dashes)
         settle_layout(axes)
         return axes
     _draw(axes, chart, _user_looks(chart, vary_dashes), {}, {"size": "small", "color": "0.4"})
     if axes.get_legend_handles_labels()[0]:
         for label in axes.legend(title=legend_title or None).get_texts():
             label.set_parse_math(False)
-    return axes
-
-
-def _new_axes() -> Axes:
-    from matplotlib import pyplot
-
-    layout = None if mpl.rcParams["figure.autolayout"] else "constrained"
-    axes: Axes = pyplot.subplots(layout=layout)[1]
     return axes
 
 

@@ -147,8 +147,7 @@ def _reaction(run: Run, word: str, unit: str, error: str, values: Callable[[Arra
     texts = _largest_texts(run, f"joints.{word}", run.joint_names)
     name = "reaction force" if run.errors.force_in == "force in" else run.errors.force_in.removesuffix(" in")
     name = name if word == "force" else f"reaction {word}"
-    quantity = ElementQuantity(name, unit, run.joint_names, curves, largest_texts=texts)
-    return with_errors(run, quantity, error)
+    return with_errors(run, ElementQuantity(name, unit, run.joint_names, curves, largest_texts=texts), error)
 
 
 #: Name and unit of each kind of misalignment.

@@ -62,8 +62,9 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     names = [terms] if isinstance(terms, str) else list(terms or ())
     for name in names:
         if name not in COLORS:
-            hint = did_you_mean(name, COLORS)
-            raise SpecError(f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{hint}")
+            raise SpecError(
+                f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{did_you_mean(name, COLORS)}"
+            )
     values = _read(run)
     relative, base = _relative(values)
     if terms is None:

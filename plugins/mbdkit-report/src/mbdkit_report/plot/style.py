@@ -57,12 +57,11 @@ def heading(figure: Figure, caption: Caption) -> float:
     """Write the heading into the top left corner of a figure and return its height in inches."""
     width, height = figure.get_size_inches()
     room = int(width / 0.069)  # characters of 8.5 points
+    alarm = wrap(caption.alarm, int(0.88 * room), max_lines=3, placeholder=" ...")
     lines = [
         (_cut(caption.title, int(width / 0.099)), 11.0, "bold", INK),
         *((line, 8.5, "normal", FAINT) for line in wrap(caption.settings, room, max_lines=4, placeholder=" ...")),
-    ]
-    lines += [
-        (line, 8.5, "bold", ALARM) for line in wrap(caption.alarm, int(0.88 * room), max_lines=3, placeholder=" ...")
+        *((line, 8.5, "bold", ALARM) for line in alarm),
     ]
     for row, (text, size, weight, color) in enumerate(lines):
         label = figure.text(

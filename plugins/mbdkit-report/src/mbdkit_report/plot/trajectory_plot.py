@@ -17,7 +17,7 @@ from mbdkit_report.figures.mechanism_drawing import name_tags
 from mbdkit_report.figures.page_model import Axis, Figure, Line
 from mbdkit_report.figures.palette import FAINT, INK, KIND_COLORS, MUSCLE, body_colors, trace_colors
 from mbdkit_report.figures.plane_geometry import view_box
-from mbdkit_report.figures.pose import PoseArtists
+from mbdkit_report.figures.pose import PoseArtists, draw_pose
 from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress, legend
 
@@ -49,8 +49,7 @@ def panels(run: Run) -> list[Panel]:
         axes.set_aspect("equal", adjustable="box")
         axes.set(xlim=(x0, x1), ylim=(y0, y1))
         size = max(x1 - x0, y1 - y0)
-        grey = [FAINT] * len(drawing.bodies)
-        PoseArtists(axes, drawing, grey, size, alpha=0.35).move(ends[0])
+        draw_pose(axes, drawing, ends[0], size, alpha=0.35, is_faint=True)
         colors, most = body_colors(drawing), largest_moment(last)
         at_end = PoseArtists(axes, drawing, colors, size, alpha=0.55, largest_moment=most, tags=tags)
         at_end.move(ends[-1], last)
@@ -110,15 +109,8 @@ def chart(run: Run, *, points: Names = None, most: int = 6) -> Figure:
     if run.accuracy is not None:
         caption += " Bands show estimated errors; a line hides bands that are narrower than itself."
     lines = [line for k, name in enumerate(names) for line in _lines(name, paths[:, k], result[k][1])]
-    return Figure(
-        "trajectory",
-        "Trajectory",
-        f"{caption} Some points lie outside the picture." if cut else caption,
-        Axis("x", "m"),
-        Axis("y", "m"),
-        tuple(lines),
-        equal=True,
-    )
+    caption += " Some points lie outside the picture." if cut else ""
+    return Figure("trajectory", "Trajectory", caption, Axis("x", "m"), Axis("y", "m"), tuple(lines), equal=True)
 
 
 def _points(
@@ -183,8 +175,7 @@ def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) ->
     accuracy = run.accuracy
     if accuracy is None:
         return None
-    time = np.asarray(run.time)[evenly(len(run.time), rows)]
-    error = errors_at(accuracy, accuracy.position_error, time)
+    error = errors_at(accuracy, accuracy.position_error, np.asarray(run.time)[evenly(len(run.time), rows)])
     points = [trace.point for trace in traces]
     of_points, arm = error[:, drawing.owner[points]], np.linalg.norm(drawing.local[points], axis=-1)
     return np.asarray(np.linalg.norm(of_points[..., :2], axis=-1) + arm * of_points[..., 2])
