@@ -237,8 +237,7 @@ class Accuracy(HtmlView):
             create(file, array, values[array.path])
         for name, column in axes_first(self.further):
             column.write(file, f"accuracy/{name}")
-        for name in _NUMBERS:
-            group.attrs[name] = np.float64(getattr(self, name))
+        group.attrs.update({name: np.float64(getattr(self, name)) for name in _NUMBERS})
         for name in _TEXTS:
             set_text(group, name, getattr(self, name))
         for name in _MEASURES:

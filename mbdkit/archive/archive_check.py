@@ -168,10 +168,9 @@ class _Checker:
             self.say(f"created_utc is {values['created_utc']!r}, not a time such as 2025-01-31T12:00:00.000Z")
         if spec_sha256(values["spec"]) != values["spec_sha256"]:
             self.say("the spec has changed since it was written: spec_sha256 does not match")
-        try:
+        spec = None
+        with contextlib.suppress(ValueError):
             spec = json.loads(values["spec"])
-        except ValueError:
-            spec = None
         if isinstance(spec, dict):
             self.spec = spec
         else:
@@ -180,11 +179,9 @@ class _Checker:
     def verdict(self) -> None:
         """Check the verdict, which archives of crashed runs lack."""
         attributes = self.file.attrs
-        present = [name for name in layout.VERDICT_ATTRIBUTES if name in attributes]
-        if not present:
+        if not (present := [name for name in layout.VERDICT_ATTRIBUTES if name in attributes]):
             return
-        missing = [name for name in layout.VERDICT_ATTRIBUTES if name not in present]
-        if missing:
+        if missing := [name for name in layout.VERDICT_ATTRIBUTES if name not in present]:
             self.say(f"the verdict is incomplete: there is no attribute {listed(missing, 'or')}")
         if "verdict" in present and attributes["verdict"] not in LEVELS:
             self.say(f"verdict is {attributes['verdict']!r}, not one of {', '.join(LEVELS)}")
@@ -235,10 +232,9 @@ class _Checker:
         else:
             self.scales(array, dataset)
         unknown_is_nan = self.kinds[array.group].may_be_unknown
-        if self.status != "running" and dtype == FLOAT and not unknown_is_nan:
-            bad = sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))
-            if bad:
-                self.say(f"{path} has {bad} values that are not finite")
+        is_finite = self.status != "running" and dtype == FLOAT and not unknown_is_nan
+        if is_finite and (bad := sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))):
+            self.say(f"{path} has {bad} values that are not finite")
 
     def scales(self, array: Array, dataset: h5py.Dataset) -> None:
         for axis, dim in enumerate(array.dims):
@@ -338,8 +334,7 @@ class _Checker:
         if largest is None or largest.shape != (count,):
             self.say(f"the attribute misalignment_max of joints does not hold a number for each of {count} joints")
             return
-        recorded = self.file.get("joints/misalignment")
-        if recorded is None:
+        if (recorded := self.file.get("joints/misalignment")) is None:
             return
         if not np.array_equal(recorded.attrs.get("misalignment_max"), largest, equal_nan=True):
             self.say("misalignment_max of joints and of joints/misalignment differ")

@@ -276,10 +276,8 @@ def layout_lines(arrays: Iterable[Array]) -> Mapping[str, str]:
     """Return the hash lines of the attributes with which arrays of the layout are created, by ``PATH@NAME``; also those
     of the other arrays in their groups.
     """
-    lines: dict[str, str] = {}
-    for group in dict.fromkeys(array.group for array in arrays):
-        lines |= _lines_of_group(group)
-    return lines
+    groups = dict.fromkeys(array.group for array in arrays)
+    return {path: line for group in groups for path, line in _lines_of_group(group).items()}
 
 
 @cache

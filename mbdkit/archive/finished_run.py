@@ -48,11 +48,8 @@ class FinishedRun(Ending):
     def write(self, writer: ArchiveWriter) -> None:
         """Append the rows of all arrays to an archive that was begun for them; the caller finishes the archive."""
         for dim in GROWING:
-            growing = {
-                array.key: self.arrays[array.key] for array in self.layout if array.grows and array.dims[0] == dim
-            }
-            if growing:
-                writer.take(dim, growing)
+            if keys := [array.key for array in self.layout if array.grows and array.dims[0] == dim]:
+                writer.take(dim, {key: self.arrays[key] for key in keys})
 
 
 class ArrayWriter(RunWriter):
@@ -74,11 +71,9 @@ class ArrayWriter(RunWriter):
             dim: tuple(dict.fromkeys(array.key for array in self.arrays if array.grows and array.dims[0] == dim))
             for dim in GROWING
         }
-        types = {
-            array.key: np.dtype(object if array.dtype == TEXT else array.dtype) for array in self.arrays if array.grows
-        }
-        sizes = sizes_of(names)
-        shapes = {array.key: tuple(sizes[dim] for dim in array.dims[1:]) for array in self.arrays if array.grows}
+        growing, sizes = [array for array in self.arrays if array.grows], sizes_of(names)
+        types = {array.key: np.dtype(object if array.dtype == TEXT else array.dtype) for array in growing}
+        shapes = {array.key: tuple(sizes[dim] for dim in array.dims[1:]) for array in growing}
         self._buffers = {key: np.empty((0, *shape), types[key]) for key, shape in shapes.items()}
         self._rows = dict.fromkeys(GROWING, 0)
         self._capacity = dict.fromkeys(GROWING, 0)
@@ -160,10 +155,6 @@ class ArrayHash:
                 self._arrays.append((self._rest, array.path, array.key, array.dtype))
                 self._rest = ""
 
-    def digest(self, array: np.ndarray) -> str:
-        """Return the digest of the numbers in a contiguous array."""
-        return sha256(array.data).hexdigest()
-
     def shared_digests(self, arrays: Mapping[str, np.ndarray]) -> dict[str, str]:
         """Return the digests of arrays that are equal in all of several runs, such as the times; they are computed only
         once.
@@ -177,7 +168,7 @@ class ArrayHash:
             if key in self._shared and (bits == self._shared[key][0]).all():
                 continue
             if (first or len(bits) > 1) and (bits == bits[:1]).all():
-                self._shared[key] = bits[0].copy(), self.digest(arrays[key][0])
+                self._shared[key] = bits[0].copy(), sha256(arrays[key][0].data).hexdigest()
             else:
                 self._shared.pop(key, None)
         return {key: digest for key, (_, digest) in self._shared.items()}
@@ -189,8 +180,7 @@ class ArrayHash:
         """
         digests, parts = dict(known), list[str]()
         for before, key, is_text in self._lines(tuple([arrays[key].shape for _, _, key, _ in self._arrays])):
-            digest = digests.get(key)
-            if digest is None:
+            if (digest := digests.get(key)) is None:
                 values = arrays[key]
                 digests[key] = digest = sha256(text_bytes(values) if is_text else values.data).hexdigest()
             parts += before, digest

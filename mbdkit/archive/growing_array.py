@@ -108,8 +108,7 @@ class Table:
 
     def append(self, rows: Mapping[str, np.ndarray]) -> None:
         """Copy rows into the buffers. `rows`: one array for each key in `keys`, all with the same number of rows."""
-        missing = self.keys - rows.keys()
-        if missing:
+        if missing := self.keys - rows.keys():
             raise ValueError(f"rows lack {', '.join(sorted(missing))}")
         values = {key: np.asarray(rows[key]) for key in self.keys}
         count = len(next(iter(values.values())))

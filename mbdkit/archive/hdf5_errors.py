@@ -18,8 +18,7 @@ DAMAGE = (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeEr
 
 def error_number(error: BaseException) -> int | None:
     """Return the system's error number, which HDF5 often reports only in the message; None if there is none."""
-    number = getattr(error, "errno", None)
-    if number is None and "errno = " in str(error):
+    if (number := getattr(error, "errno", None)) is None and "errno = " in str(error):
         number = int(str(error).partition("errno = ")[2].partition(",")[0])
     return number
 

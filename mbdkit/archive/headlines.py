@@ -180,20 +180,14 @@ def measured(run: Run) -> list[Headline]:
 
 
 def _derivatives(run: Run) -> list[Headline]:
-    return [
-        Headline(
-            parameter,
-            value,
-            "",
-            Bar.even(math.nan if error is None else error),
-            f"d({measure})/d({parameter})",
-            is_checked=True,
-        )
-        for measure, gradient in run.gradients.items()
-        for parameter, value in gradient.get("derivatives", {}).items()
-        for error in [gradient.get("errors", {}).get(parameter)]
-        if value is not None
-    ]
+    made = []
+    for measure, gradient in run.gradients.items():
+        known = {name: error for name, error in gradient.get("errors", {}).items() if error is not None}
+        for parameter, value in gradient.get("derivatives", {}).items():
+            if value is not None:
+                bar = Bar.even(known.get(parameter, math.nan))
+                made.append(Headline(parameter, value, "", bar, f"d({measure})/d({parameter})", is_checked=True))
+    return made
 
 
 def not_unique(run: Run) -> frozenset[str]:
@@ -284,8 +278,7 @@ def _sizes(run: Run, kind: str) -> np.ndarray | None:
         return None
     values = run.array(path)
     # unlike a norm, `hypot` does not overflow after a motion that flew apart
-    size: np.ndarray = np.abs(values) if kind == "torque" else np.hypot(values[..., 0], values[..., 1])
-    return size
+    return np.asarray(np.abs(values) if kind == "torque" else np.hypot(values[..., 0], values[..., 1]))
 
 
 def largest_of(

@@ -13,7 +13,7 @@ from mbdkit.archive.archive_check import blaming_damage
 from mbdkit.archive.fingerprint import datasets, is_text
 from mbdkit.archive.hdf5 import dims
 from mbdkit.archive.hdf5_errors import reading
-from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, SOME_TIMINGS, TIMINGS
+from mbdkit.archive.layout import STATS
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import corrections
@@ -63,11 +63,7 @@ def describe(path: str | Path) -> dict[str, Any]:
             "beams": {name: beams.count(name) for name in dict.fromkeys(beams)},
             "redundancy": run.redundancy,
             "events": [f"{event.name} at {event.time:.10g} s" for event in run.events],
-            "stats": {
-                name: run.stats[name]
-                for name in (*COUNTERS, *SOME_COUNTERS, *TIMINGS, *SOME_TIMINGS)
-                if name in run.stats
-            },
+            "stats": {name: run.stats[name] for name in STATS if name in run.stats},
             "provenance": dict(run.provenance),
             "spec_sha256": run.spec_sha256,
             "data_sha256": run.data_sha256,

@@ -73,6 +73,7 @@ SOME_COUNTERS = ("host_evaluations",)
 TIMINGS = ("setup_s", "wall_s", "finish_s", "cpu_s")
 #: Times that only some runs have: those with integrals over the continuous motion, and those that are checked.
 SOME_TIMINGS = ("integrals_s", "check_s")
+STATS = (*COUNTERS, *SOME_COUNTERS, *TIMINGS, *SOME_TIMINGS)
 
 #: Groups that can be selected by `output.quantities`.
 QUANTITIES = frozenset(kind.group for kind in KINDS if kind.is_chosen)

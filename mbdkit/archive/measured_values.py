@@ -115,14 +115,12 @@ class MeasuredValues(ReadOnlyDict[str, float]):
         values: dict[str, dict[str, float | str | None]] = {}
         for name, value in self.items():
             values[name] = {"value": _finite(value), "unit": self.units[name]}
-            if not math.isnan(self.errors[name]):
-                values[name]["error"] = _finite(self.errors[name])
-            if not math.isnan(self.parameter_errors[name]):
-                values[name]["error_by_parameters"] = _finite(self.parameter_errors[name])
-            if name in self.reasons:
-                values[name]["reason"] = self.reasons[name]
-            if name in self.remarks:
-                values[name]["remark"] = self.remarks[name]
+            for key, errors in (("error", self.errors), ("error_by_parameters", self.parameter_errors)):
+                if not math.isnan(errors[name]):
+                    values[name][key] = _finite(errors[name])
+            for key, texts in (("reason", self.reasons), ("remark", self.remarks)):
+                if name in texts:
+                    values[name][key] = texts[name]
         return values
 
     def to_json(self) -> str:

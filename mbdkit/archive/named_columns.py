@@ -39,28 +39,22 @@ class Source(Protocol):
 
     def array(self, path: str) -> np.ndarray:
         """Return the whole array at `path`."""
-        ...
 
     def records(self, path: str) -> bool:
         """Return whether the run recorded the array at `path`."""
-        ...
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
         """Return the array at `path`, restricted to an `index` of its second axis and a `part` of its third."""
-        ...
 
     def text(self, path: str, index: int | slice | None) -> str:
         """Return one of the texts at `path`; empty if the archive lacks them."""
-        ...
 
     def objects(self, kind: Kind) -> Sequence[str]:
         """Return the name of the object of each element along the axis of a kind."""
-        ...
 
     @property
     def joint_misalignments(self) -> np.ndarray:
         """Largest misalignment of each joint over all steps."""
-        ...
 
 
 class Column:
@@ -154,10 +148,8 @@ VIEWS: dict[str, type[View]] = {}
 @lru_cache(maxsize=32)
 def view_of(kind: Kind) -> type[View]:
     """Return the class of the histories of a kind."""
-    item = added_kinds().get(kind.group)
-    if item is not None and kind is kind_of_group(kind.group):
-        history = cast(QuantityKind, item.plugin).history
-        if history is not None:
+    if (item := added_kinds().get(kind.group)) is not None and kind is kind_of_group(kind.group):
+        if (history := cast(QuantityKind, item.plugin).history) is not None:
             return cast("type[View]", use(item, history, type))
     elif item is None and kind.group in VIEWS:
         return VIEWS[kind.group]

@@ -139,14 +139,9 @@ class RecordedData(FurtherKinds, Extensible):
 
     def column(self, path: str, index: int | slice | None, part: slice | int | None) -> np.ndarray:
         """Return the array at `path` at an `index` of its second axis and a `part` of its third; read-only."""
-        at: tuple[int | slice, ...] = (slice(None),)
-        if index is not None:
-            at += (index,)
-        if part is not None:
-            at += (part,)
+        at = (slice(None), *(axis for axis in (index, part) if axis is not None))
         if path in self._arrays or self.dataset(path).nbytes <= KEEP_BYTES:
-            column: np.ndarray = self.array(path)[at]
-            return column
+            return np.asarray(self.array(path)[at])
         return self._read(path, at)
 
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:

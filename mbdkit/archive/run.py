@@ -309,8 +309,7 @@ class Run(RecordedData, HtmlView):
         SpecError
             If the run has no rows.
         """
-        animation: Animation = computed(self, "animate", "mbdkit-report")
-        return animation
+        return cast(Animation, computed(self, "animate", "mbdkit-report"))
 
     def summary(self) -> str:
         """Return a summary of the run as a few lines of plain text.
@@ -340,8 +339,7 @@ class Run(RecordedData, HtmlView):
         """
         rows = self._contents.whole_rows if self.status == "running" else {}
         with reading("its contents", self.path):
-            tree: xarray.DataTree = higher_layers.run_datatree(self.file, rows)
-        return tree
+            return cast("xarray.DataTree", higher_layers.run_datatree(self.file, rows))
 
     def to_frame(self, group: str) -> pandas.DataFrame:
         """Return a group of the archive as a table with one row for each time in the group.
@@ -362,8 +360,7 @@ class Run(RecordedData, HtmlView):
         MbdkitError
             If pandas is not installed, the run did not record the group, or its mechanism has no such elements.
         """
-        frame: pandas.DataFrame = higher_layers.run_frame(self, group)
-        return frame
+        return cast("pandas.DataFrame", higher_layers.run_frame(self, group))
 
     def save(self, path: str | Path, *, overwrite: bool = False) -> None:
         """Write a copy of the archive to a file, byte for byte.

@@ -229,8 +229,7 @@ class ArchiveContents(RunContents):
     @cached_property
     def whole_rows(self) -> Mapping[str, int]:  # type: ignore[override]
         """See `RunContents`."""
-        noted = self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)
-        if noted is not None:
+        if (noted := self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)) is not None:
             return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
         lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of a run that was killed while it ended
         for array in (array for kind in self.kinds.values() for array in kind.arrays):
@@ -259,8 +258,7 @@ class ArchiveContents(RunContents):
             dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
             if len(dataset) == rows:
                 return dataset
-            values: np.ndarray = (dataset.asstr() if is_text(dataset) else dataset)[:rows]
-            return values
+            return np.asarray((dataset.asstr() if is_text(dataset) else dataset)[:rows])
         group = self.file.get(array.group)
         if is_flushed or array.optional or group is None:
             raise NotRecordedError(array.path)

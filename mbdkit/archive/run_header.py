@@ -119,8 +119,7 @@ def check_shapes(file: h5py.File, kinds: Iterable[Kind]) -> None:
 def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
     """Return the attributes of a group as strings and numbers; raise ValueError if one is neither."""
     values = {name: value.item() if isinstance(value, np.generic) else value for name, value in group.attrs.items()}
-    strange = [name for name, value in values.items() if not isinstance(value, str | int | float)]
-    if strange:
+    if strange := [name for name, value in values.items() if not isinstance(value, str | int | float)]:
         raise ValueError(f"{strange[0]} of {group.name.lstrip('/')} is neither a string nor a number")
     return ReadOnlyDict(values)
 
@@ -128,7 +127,7 @@ def plain_attributes(group: h5py.Group) -> Mapping[str, Any]:
 def numbers(group: h5py.Group) -> Mapping[str, Any]:
     """Return the attributes of the group ``/stats``; raise ValueError if a counter or a time is not a number."""
     values = plain_attributes(group)
-    for name in (*layout.COUNTERS, *layout.SOME_COUNTERS, *layout.TIMINGS, *layout.SOME_TIMINGS):
+    for name in layout.STATS:
         if isinstance(values.get(name, 0), str):
             raise ValueError(f"{name} of {group.name.lstrip('/')} is not a number")
     return values

@@ -128,8 +128,7 @@ def _named(spec: Mapping[str, Any], kind: str) -> str:
 
 
 def _gravity(spec: Mapping[str, Any]) -> str:
-    gravity = spec.get("model", {}).get("gravity")
-    if gravity is None:
+    if (gravity := spec.get("model", {}).get("gravity")) is None:
         return ""
     is_number = all(isinstance(part, int | float) for part in gravity)
     return gravity_text(gravity) if is_number else f"({', '.join(map(str, gravity))}), as in the spec"

@@ -217,8 +217,7 @@ class RunWriter(ABC):
         self._append(dim, {f"{group}/{name}": values for name, values in {**rows, dim: numbers}.items()})
 
     def _append(self, dim: str, rows: Mapping[str, np.ndarray]) -> None:
-        unknown = sorted(key for key in rows.keys() - _KEYS if array_at(key) is None)
-        if unknown:
+        if unknown := sorted(key for key in rows.keys() - _KEYS if array_at(key) is None):
             raise ValueError(f"the layout has no {', '.join(unknown)}")
         self.take(dim, rows)
 

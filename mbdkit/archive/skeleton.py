@@ -83,7 +83,7 @@ def begin_file(file: h5py.File, names: ArchiveNames, arrays: tuple[Array, ...]) 
         create(file, array, np.array(tuple(texts[array.path]), dtype=object))
 
 
-Attribute = str | tuple[str, ...] | int | float | np.ndarray
+Attribute = str | tuple[str, ...] | int | float | np.generic | np.ndarray
 
 
 def add_attributes(file: h5py.File, path: str, values: Mapping[str, Attribute]) -> dict[str, str]:
@@ -92,18 +92,15 @@ def add_attributes(file: h5py.File, path: str, values: Mapping[str, Attribute]) 
     """
     target, lines = file[path] if path else file, {}
     for name, value in values.items():
-        known: str | tuple[str, ...] | np.generic | np.ndarray
         if isinstance(value, str):
-            known = value
-            set_text(target, name, known)
+            set_text(target, name, value)
         elif isinstance(value, tuple):
-            known = value
-            set_texts(target, name, known)
+            set_texts(target, name, value)
         else:
-            is_whole = isinstance(value, int | np.integer)
-            known = value if isinstance(value, np.ndarray) else np.int64(value) if is_whole else np.float64(value)
-            set_numbers(target, name, known)
-        lines[f"{path}@{name}"] = attribute_line(f"{path}@{name}", known)
+            if not isinstance(value, np.ndarray):
+                value = np.int64(value) if isinstance(value, int | np.integer) else np.float64(value)
+            set_numbers(target, name, value)
+        lines[f"{path}@{name}"] = attribute_line(f"{path}@{name}", value)
     return lines
 
 

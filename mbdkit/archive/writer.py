@@ -134,11 +134,6 @@ class ArchiveWriter(RunWriter):
                 self._write_more()
 
     @property
-    def keeps_checkpoints(self) -> bool:
-        """Whether checkpoints are written, which requires that the archive is a file."""
-        return self._target is not None
-
-    @property
     def lines(self) -> tuple[str, ...]:
         """Sorted lines that describe the arrays with the rows written so far.
 
@@ -157,7 +152,7 @@ class ArchiveWriter(RunWriter):
             self._write_more()
             self._target.sync()  # before the checkpoint is written, which counts these rows
             origin = self.origin
-            series = [array for table in self._tables.values() for array in table.series]
+            series = [one for table in self._tables.values() for one in table.series]
             checkpoint = Checkpoint(
                 head={
                     "spec": origin.spec_json,
@@ -169,9 +164,7 @@ class ArchiveWriter(RunWriter):
                 file=os.stat(self._target.part).st_ino,
                 rows={dim: table.written for dim, table in self._tables.items()},
                 lines=self.lines,
-                arrays={
-                    array.array.path: StoredRows.of(array.dataset) for array in series if array.dataset is not None
-                },
+                arrays={one.array.path: StoredRows.of(one.dataset) for one in series if one.dataset is not None},
                 state=state,
             )
             checkpoint.write(self._target.part)
@@ -180,16 +173,11 @@ class ArchiveWriter(RunWriter):
         """Append the rows of a checkpoint from its ``.part``, and adopt the creation time of that file."""
         self.origin = replace(self.origin, created_utc=checkpoint.head["created_utc"])
         for dim, table in self._tables.items():
-            rows = checkpoint.rows[dim]
+            rows, arrays = checkpoint.rows[dim], [series.array for series in table.series]
             for start in range(0, rows, _ROWS_COPIED):
                 some = slice(start, min(rows, start + _ROWS_COPIED))
-                self.take(
-                    dim,
-                    {
-                        series.array.key: checkpoint.arrays[series.array.path].read(part, series.array, some)
-                        for series in table.series
-                    },
-                )
+                stored = checkpoint.arrays
+                self.take(dim, {array.key: stored[array.path].read(part, array, some) for array in arrays})
         with self._storing():
             self._write_more()
 
@@ -280,14 +268,10 @@ class ArchiveWriter(RunWriter):
         if self._ended:
             return
         self._ended = True
-        if self._file is not None and not self._is_on_disk:
+        if self._file is not None and (self._target is None or self._target.file is None):
             self._file.close()
         if self._target is not None:
             self._target.drop()
-
-    @property
-    def _is_on_disk(self) -> bool:
-        return self._target is not None and self._target.file is not None
 
     def _begin(self) -> h5py.File:
         if self._file is None:

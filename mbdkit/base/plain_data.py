@@ -236,11 +236,8 @@ def value_text(value: object) -> str:
         case str():
             return f"the text '{shown(value if len(value) <= 60 else value[:57] + '...')}'"
         case Mapping():
-            return (
-                f"a mapping with the keys {listed(shown(key) for key in list(value)[:5])}"
-                if value
-                else "an empty mapping"
-            )
+            keys = listed(shown(key) for key in list(value)[:5])
+            return f"a mapping with the keys {keys}" if value else "an empty mapping"
         case list() | tuple():
             return f"a list of {len(value)}" if value else "an empty list"
     if hasattr(value, "tolist") and not isinstance(value, type):  # a NumPy array or number

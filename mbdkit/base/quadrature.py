@@ -44,8 +44,7 @@ def lagrange(times: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return the (G, K) weights of values at `times` (K,) in their polynomial at the times `at` (G,)."""
     own = np.eye(len(times), dtype=bool)
     factors = (at[:, None, None] - times) / np.where(own, 1.0, times[:, None] - times)
-    weights: np.ndarray = np.prod(np.where(own, 1.0, factors), axis=2)
-    return weights
+    return np.asarray(np.prod(np.where(own, 1.0, factors), axis=2))
 
 
 def _legendre(degree: int, x: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:

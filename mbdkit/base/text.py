@@ -129,8 +129,7 @@ def one_line(error: BaseException) -> str:
 
     Control characters are escaped, see `shown`.
     """
-    text = _text_of(error)
-    if text is None:
+    if (text := _text_of(error)) is None:
         return f"{type(error).__name__}, whose message cannot be shown"
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 

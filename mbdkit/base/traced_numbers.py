@@ -193,8 +193,7 @@ class Trace:
 
     def result(self, text: str, value: Any) -> TracedNumber:
         """Return the value of an operation, given by its Python text."""
-        known = self._known.get(text)
-        if known is None:
+        if (known := self._known.get(text)) is None:
             name = f"v{len(self._known)}"
             self._lines.append(f" {name} = {text}")
             self._known[text] = known = TracedNumber(self, name, float(value))
@@ -202,8 +201,7 @@ class Trace:
 
     def parts(self, text: str, values: Sequence[float]) -> list[TracedNumber]:
         """Return the values of an operation whose result is an array, given by its Python text."""
-        known = self._known.get(text)
-        if known is None:
+        if (known := self._known.get(text)) is None:
             self._known[text] = known = TracedNumber(self, f"v{len(self._known)}", math.nan)
             self._lines.append(f" {known.name} = {text}")
         return [self.result(f"{known.name}[{index}]", value) for index, value in enumerate(values)]
@@ -415,11 +413,9 @@ def is_recording() -> bool:
 
 def is_traced(value: object) -> bool:
     """Return whether plain data, or a number, contains traced numbers."""
-    if isinstance(value, Mapping):
-        return any(map(is_traced, value.values()))
-    return (
-        any(map(is_traced, value)) if isinstance(value, list | tuple) else isinstance(value, TracedNumber | TracedText)
-    )
+    if isinstance(value, list | tuple | Mapping):
+        return any(map(is_traced, value.values() if isinstance(value, Mapping) else value))
+    return isinstance(value, TracedNumber | TracedText)
 
 
 def as_float(value: Any) -> Any:
@@ -469,8 +465,7 @@ def recordable(function: Callable[..., Any]) -> Callable[..., Any]:
 def _recordable(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
     @functools.wraps(function)
     def call(*operands: Any, **options: Any) -> Any:
-        trace = _current.get()
-        if trace is None or not is_traced(operands):
+        if (trace := _current.get()) is None or not is_traced(operands):
             return function(*operands, **options)
         text, value = f"{name}({', '.join(map(_text, operands))})", function(*plain(operands))
         return trace.parts(text, value) if isinstance(value, list) else trace.result(text, value)

@@ -51,11 +51,9 @@ class Unit:
         rad may be left out, as in N m for N m/rad, but 10 Hz and 10 1/min are not angular velocities, and 2 deg is not
         a length.
         """
-        if self.is_frequency and wanted.counts[0]:
-            return False
-        return self.is_like(wanted) and all(
-            count in (0, other) for count, other in zip(self.counts, wanted.counts, strict=True)
-        )
+        counts = zip(self.counts, wanted.counts, strict=True)
+        is_cycles_for_angle = self.is_frequency and wanted.counts[0] != 0
+        return self.is_like(wanted) and not is_cycles_for_angle and all(one in (0, other) for one, other in counts)
 
     @property
     def is_frequency(self) -> bool:
@@ -112,8 +110,7 @@ _PART = re.compile(r"(%|1|[A-Za-z]+)(?:(?:\^|\*\*)(-?\d{1,2}(?:\.5)?))?")
 
 def si_unit(exponents: Exponents) -> Unit:
     """Return the SI unit with these exponents."""
-    text = _NAMED.get(exponents)
-    if text is None:
+    if (text := _NAMED.get(exponents)) is None:
         length, mass, time = exponents
         parts = list(zip(_BASE, exponents, strict=True))
         if mass > 0 and time == -2 * mass:  # a power of forces, such as N^2 m^2
@@ -140,8 +137,7 @@ def read_unit(text: str) -> Unit:
     if not written:
         raise SpecError("should be a unit such as N, N m, mm or deg, not an empty text")
     while position < len(written):
-        match = _PART.match(written, position)
-        if match is None:
+        if (match := _PART.match(written, position)) is None:
             raise SpecError(f"'{_short(text)}' is not a unit; units are written such as N m, m/s^2, mm or deg")
         symbol, power = match[1], sign * Fraction(match[2] or 1)
         if symbol not in _SYMBOLS:
@@ -165,13 +161,8 @@ def read_unit(text: str) -> Unit:
         position = between.end()
         if position == match.end():
             break
-    return Unit(
-        " ".join(text.split()),
-        (exponents[0], exponents[1], exponents[2]),
-        factor,
-        (counts[0], counts[1], counts[2]),
-        " ".join(si.split()),
-    )
+    of_base, counted = ((x[0], x[1], x[2]) for x in (exponents, counts))
+    return Unit(" ".join(text.split()), of_base, factor, counted, " ".join(si.split()))
 
 
 def _in_revolutions(match: re.Match[str]) -> str:
@@ -207,8 +198,7 @@ def number_in(value: float | str, unit: str) -> float:
     """Return a number, or the SI value of a number with a unit; raise SpecError if its unit does not fit `unit`, or for
     any other text.
     """
-    quantity = read_quantity(value)
-    if quantity is None:
+    if (quantity := read_quantity(value)) is None:
         if isinstance(value, str):
             raise SpecError(f"should be a number, or a number with a unit such as '1 {unit}', not '{_short(value)}'")
         return float(value)

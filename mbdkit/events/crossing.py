@@ -88,10 +88,8 @@ def crossings(
         crossed.append(Crossing(0.0, now))
     for left, right in pairwise(points):
         new = sign(right[1])
-        if new and now and new != now:
-            theta = _located(left, right, new, exact, accuracy)
-            if theta is not None:
-                crossed.append(Crossing(theta, new))
+        if new and now and new != now and (theta := _located(left, right, new, exact, accuracy)) is not None:
+            crossed.append(Crossing(theta, new))
         now = new or now
     return crossed, now
 

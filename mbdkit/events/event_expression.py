@@ -14,7 +14,7 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
@@ -135,6 +135,12 @@ class RunExpression:
         return CompiledExpression(_total(whole), tuple(phases), tuple(breaks), whole in factors)
 
 
+def places_of(expressions: Iterable[RunExpression]) -> dict[Quantity, int]:
+    """Return the index of each quantity of expressions in the argument of their functions; index 0 is the time."""
+    quantities = dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities)
+    return {quantity: index for index, quantity in enumerate(quantities, start=1)}
+
+
 def _applied(function: Callable[..., object], of: Function, other: Function | None = None) -> Function:
     if other is None:
         return lambda values: function(of(values))
@@ -236,9 +242,8 @@ class RunCompiler(Compiler):
             if elements is None and (own.of in element_kinds() or own.of in accessors(type(mechanism))):
                 elements = getattr(mechanism, own.of)
             if own.word and elements is not None:
-                self.known[own.word] = list(
-                    elements if own.names is None or not elements else member_names.of(own.names)(mechanism)
-                )
+                own_names = elements if own.names is None or not elements else member_names.of(own.names)(mechanism)
+                self.known[own.word] = list(own_names)
         self.quantities: list[Quantity] = []
         self.quoted = {name: kind for kind, names in self.known.items() for name in names if not name.isidentifier()}
         if self.quoted:
@@ -302,8 +307,7 @@ class RunCompiler(Compiler):
 
     def kind(self, name: str, attribute: str, node: ast.expr) -> str:
         """Return the kind, ``bodies`` or ``joints``, to which a name refers."""
-        kinds = self.kinds(name)
-        if not kinds:
+        if not (kinds := self.kinds(name)):
             if other := next((kind for kind, names in self.known.items() if name in names), ""):
                 fits = attribute in self.attributes.get(other, ())
                 example = f"{other}.{name}.{attribute if fits else kind_of_word(other).example}"
@@ -383,8 +387,7 @@ class RunCompiler(Compiler):
 
     def checked(self, attribute: str, kinds: Sequence[str], name: str, node: ast.expr) -> str:
         """Return `attribute` if it is a quantity of one of the kinds; raise SpecError otherwise."""
-        known = [word for kind in kinds for word in self.attributes.get(kind, ())]
-        if not known:
+        if not (known := [word for kind in kinds for word in self.attributes.get(kind, ())]):
             self.refuse(f"'{self.segment(node)}' cannot be part of an expression of the state", node)
         if attribute not in known:
             whose = " and ".join(f"{kind_of_word(kind).one} '{name}'" for kind in kinds) if name else "energy"

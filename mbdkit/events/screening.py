@@ -67,8 +67,7 @@ class Screen:
         clear = np.ones((len(known) + 1, len(known[0]) + 1), dtype=bool)
         clear[-1, -1] = False
         for number, (expression, values) in enumerate(zip(self._expressions, known, strict=True)):
-            now = signs[number]
-            if not now:
+            if not (now := signs[number]):
                 nonzero = values[values != 0.0]
                 now = -1 if len(nonzero) and nonzero[0] < 0.0 else 1
             clear[number, :-1] = _is_clear(now * values, largest[number]) & _is_even(expression, columns)

@@ -15,7 +15,7 @@ from mbdkit.engine.counters import Counters
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.engine.workspace import Workspace
 from mbdkit.events.crossing import ACCURACY, Crossing, UndefinedError, crossings, sign
-from mbdkit.events.event_expression import CompiledExpression, RunExpression
+from mbdkit.events.event_expression import CompiledExpression, RunExpression, places_of
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.events.sampling import INSIDE, refined
 from mbdkit.events.screening import Screen
@@ -36,7 +36,6 @@ from mbdkit.integrators.interface import (
 from mbdkit.integrators.loop.steps_ahead import StepsAhead
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.run.splitting import Splitting
-from mbdkit.quantities.quantity import Quantity
 
 DIRECTIONS = {"any": (1, -1), "rising": (1,), "falling": (-1,)}
 
@@ -94,21 +93,15 @@ class Found:
 def values_at_start(expressions: Mapping[str, RunExpression], workspace: Workspace) -> dict[str, float]:
     """Return the values of expressions at the start of a run; nan for undefined ones."""
     evaluator, compiled = _prepared(list(expressions.values()), workspace)
-    values = evaluator.values([workspace.t0], workspace.q0[None], workspace.v0[None], states_at_start(workspace)[None])[
-        0
-    ]
+    q, v, z = (x[None] for x in (workspace.q0, workspace.v0, states_at_start(workspace)))
+    values = evaluator.values([workspace.t0], q, v, z)[0]
     return {name: expression.value(values) for name, expression in zip(expressions, compiled, strict=True)}
-
-
-def _places(expressions: Sequence[RunExpression]) -> dict[Quantity, int]:
-    quantities = dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities)
-    return {quantity: index for index, quantity in enumerate(quantities, start=1)}
 
 
 def _prepared(
     expressions: Sequence[RunExpression], workspace: Workspace
 ) -> tuple[QuantityEvaluator, list[CompiledExpression]]:
-    places = _places(expressions)
+    places = places_of(expressions)
     return QuantityEvaluator(workspace, list(places)), [expression.compiled(places) for expression in expressions]
 
 
@@ -174,7 +167,7 @@ class Watch:
         expressions = [event.when for event in events]
         self._quantities, self._expressions = _prepared(expressions, workspace)
         self._ahead = StepsAhead.of(stepper, INSIDE if events else ())
-        self._screen = Screen(workspace, expressions, _places(expressions)) if events and self._ahead else None
+        self._screen = Screen(workspace, expressions, places_of(expressions)) if events and self._ahead else None
         self._pace = Lookahead()
         self._signs = [0] * len(events)
         self._recorded = workspace.t0
@@ -337,8 +330,7 @@ class Watch:
 
     def _look(self, stretch: Stretch) -> Stretch:
         """Find the events of the last step; return its rows, up to an event that stops the run or sets states."""
-        step = self.stepper.last_step
-        if step is None or not self.events:
+        if (step := self.stepper.last_step) is None or not self.events:
             return stretch
         crossed: list[tuple[Crossing, int]] = []
         samples, before_jump = self._shown(step)

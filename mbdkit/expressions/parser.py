@@ -277,8 +277,7 @@ class Compiler:
             links.append(links[-1].left)
         program = self.compile(links[-1].left, nesting + 1)
         for link in reversed(links):
-            operation = OPERATORS.get(type(link.op))
-            if operation is None:
+            if (operation := OPERATORS.get(type(link.op))) is None:
                 hint = "; a power is written **" if isinstance(link.op, ast.BitXor) else ""
                 self.refuse(f"only the operators + - * / ** can be used{hint}", link)
             program = self.apply(operation, [program, self.compile(link.right, nesting + 1)], link)

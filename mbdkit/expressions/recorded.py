@@ -118,8 +118,7 @@ class Recorder:
                 return self.apply("sqrt", given[:1])
             if exponent.is_integer() and abs(exponent) < _LARGEST_EXPONENT:
                 return self.apply("power_of_integer", given[:1], int(exponent))
-        same = _without_effect(operation, given, numbers, data)
-        if same is not None:
+        if (same := _without_effect(operation, given, numbers, data)) is not None:
             return self.constant(same)
         if operation == "power_of_integer" and numbers[0] is not None:
             return self.constant(elementary.pow(numbers[0], data))

@@ -97,8 +97,7 @@ def value_at(function: AngleFunction, angles: np.ndarray) -> np.ndarray:
     if isinstance(function, str):
         return jet_and_switches(expression_of(function).program, angles)[0].value
     if isinstance(function, AngleTable):
-        values: np.ndarray = curve_of(function)(angles)
-        return values
+        return np.asarray(curve_of(function)(angles))
     return np.full(len(angles), float(function))
 
 

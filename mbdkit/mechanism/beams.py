@@ -309,10 +309,8 @@ class Beam(StrictModel):
     def bodies(self, name: str) -> dict[str, Body]:
         """Return the nodes of the beam `name`."""
         mass, inertia = self.inertia_per_length
-        first, omega = self.places[0], self.angular_velocity
         starts = self.places if self.start is None else [Place(*coordinate) for coordinate in self.start]
-        if self.start is not None:
-            first = starts[0]
+        first, omega = starts[0], self.angular_velocity
         try:
             return {
                 node: Body(

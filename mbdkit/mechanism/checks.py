@@ -115,8 +115,7 @@ def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) ->
     `placed`: function that returns the body with a given name, at its position after assembly.
     """
     for name, force in forces.items():
-        line = line_of_undefined_direction(force)
-        if line is None:
+        if (line := line_of_undefined_direction(force)) is None:
             continue
         a, b = (point if body == GROUND else placed(body).to_global(point) for _, body, point in line.attachments())
         if dist(a, b) <= COINCIDENT * largest(1.0, *map(abs, (*a, *b))):
@@ -131,9 +130,7 @@ def line_of_undefined_direction(force: Element) -> SpringDamper | Law | None:
     """Return the element if it is a force along the line between two points whose direction is undefined where the
     points coincide, otherwise None. The force of a spring-damper whose stiffness or free length is zero vanishes there.
     """
-    if isinstance(force, SpringDamper) and 0.0 in force.linear[::2]:
-        return None
-    return _line(force)
+    return None if isinstance(force, SpringDamper) and 0.0 in force.linear[::2] else _line(force)
 
 
 def check_name(name: object, key: str) -> None:
@@ -155,14 +152,12 @@ def check_known(name: object, bodies: Iterable[str], key: str) -> None:
         raise SpecError(f"should be text, not {value_text(name)}", key=key)
     if name != GROUND and name not in bodies:
         known = [GROUND, *bodies]
-        nodes = [other for other in known if beam_of(other) == name]
-        if nodes:
+        if nodes := [other for other in known if beam_of(other) == name]:
             raise SpecError(
                 f"'{name}' is a beam; name one of its nodes, '{nodes[0]}' to '{nodes[-1]}', or '{name}{LAST}'", key=key
             )
         beam = beam_of(name)
-        nodes = [other for other in known if beam and beam_of(other) == beam]
-        if nodes:
+        if nodes := [other for other in known if beam and beam_of(other) == beam]:
             raise SpecError(f"there is no node '{name}'; the beam '{beam}' has '{nodes[0]}' to '{nodes[-1]}'", key=key)
         hint = did_you_mean(name, known) or f"; there are {listed(known[:6])}{', ...' * (len(known) > 6)}"
         raise SpecError(f"there is no body '{name}'{hint}", key=key)

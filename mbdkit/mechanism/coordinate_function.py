@@ -79,11 +79,8 @@ def names_of(function: CoordinateFunction) -> list[str]:
         return [function.of]
     if not isinstance(function, str):
         return []
-    return list(
-        dict.fromkeys(
-            name.removeprefix(_COORDINATE) for name, _ in program_of(function) if name.startswith(_COORDINATE)
-        )
-    )
+    used = (name for name, _ in program_of(function) if name.startswith(_COORDINATE))
+    return [name.removeprefix(_COORDINATE) for name in dict.fromkeys(used)]
 
 
 def value_and_slopes(
@@ -115,7 +112,6 @@ def value_and_slopes(
         return execute(program, step)
 
     with np.errstate(all="ignore"):  # ignores overflow in second derivatives, which are not used
-        slopes = {name: along(name) for name in names_of(function)}
-        if not slopes:
+        if not (slopes := {name: along(name) for name in names_of(function)}):
             return along("")[0], {}
     return next(iter(slopes.values()))[0], {name: slope for name, (_, slope) in slopes.items()}

@@ -155,8 +155,7 @@ def builder_of(kind: ElementKind) -> Callable[..., object]:
 
     method.__name__, method.__qualname__ = kind.builder, f"Mechanism.{kind.builder}"
     method.__doc__ = f"Add an element of kind {kind.name}."
-    built: Callable[..., Any] = of_models(class_of(kind))(method)
-    return built
+    return cast("Callable[..., object]", of_models(class_of(kind))(method))
 
 
 @OwnSeam
@@ -170,8 +169,7 @@ def forces_of(kind: ElementKind, elements: Mapping[str, object]) -> Mapping[str,
 
     Raises PluginError if they are not objects as `LawForce` describes.
     """
-    own = kind.acts.forces
-    if own is None and kind.acts.lower is not None:
+    if (own := kind.acts.forces) is None and kind.acts.lower is not None:
         return {}
     forces: Mapping[str, object] = elements if own is None else element_forces.of(own)(elements)
     if not isinstance(forces, Mapping):

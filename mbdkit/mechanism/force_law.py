@@ -223,5 +223,4 @@ def _parameters(law: ForceLaw, options: object) -> tuple[tuple[str, ...], list[f
 
 def law_options(options: Any) -> list[str]:
     """Return the names of those options of an element that belong to its law, in the order of their definition."""
-    texts: list[str] = list(type(options).law_options.model_fields)
-    return texts
+    return list(type(options).law_options.model_fields)

@@ -66,12 +66,9 @@ def joint_builder(kind: str) -> Callable[..., None]:
 
     item = joint_kinds()[kind]
     method.__name__ = cast(JointKind, item.plugin).builder
-    method.__qualname__, method.__doc__ = (
-        f"Mechanism.{method.__name__}",
-        f"Connect bodies `a` and `b`: {item.plugin.summary}",
-    )
-    built: Callable[..., None] = of_models(joint_class(item))(method)
-    return built
+    method.__qualname__ = f"Mechanism.{method.__name__}"
+    method.__doc__ = f"Connect bodies `a` and `b`: {item.plugin.summary}"
+    return cast("Callable[..., None]", of_models(joint_class(item))(method))
 
 
 class OfJointKinds:
@@ -109,8 +106,7 @@ class OfJointKinds:
             return data
         item = joint_kinds().get(name) if isinstance(name, str) else None
         if item is None:
-            joint: JointBase = handler(data)
-            return joint
+            return cast(JointBase, handler(data))
         model, text = joint_class(item), to_json(plain({**data, "type": item.name}))
         try:
             if item.origin.distribution == MBDKIT:

@@ -105,8 +105,7 @@ class Revolute(PointJoint, At):
             return separation
         x, y = self.center.at(angles[:, 1] - angles[:, 0]).T
         c, s = elementary.cos(angles[:, 0]), elementary.sin(angles[:, 0])
-        gap: np.ndarray = separation - np.stack([c * x - s * y, s * x + c * y], axis=-1)
-        return gap
+        return np.asarray(separation - np.stack([c * x - s * y, s * x + c * y], axis=-1))
 
 
 def _not_zero(value: object) -> object:
@@ -162,8 +161,9 @@ class Distance(PointJoint, FromTo):
     def gap(self, separation: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Return the misalignment of the joint as a vector, (F, 2) [m]."""
         apart = elementary.hypot(separation[:, 0], separation[:, 1])[:, None]
-        gap: np.ndarray = separation * np.divide(apart - self._length, apart, out=np.zeros_like(apart), where=apart > 0)
-        return gap
+        return np.asarray(
+            separation * np.divide(apart - self._length, apart, out=np.zeros_like(apart), where=apart > 0)
+        )
 
 
 class SlidingJoint(PointJoint, At):
@@ -204,8 +204,7 @@ class SlidingJoint(PointJoint, At):
         angle = angles[:, 0]
         c, s = elementary.cos(angle), elementary.sin(angle)
         normal = np.stack([-s * x - c * y, c * x - s * y], axis=-1)
-        gap: np.ndarray = np.sum(separation * normal, axis=-1, keepdims=True) * normal
-        return gap
+        return np.asarray(np.sum(separation * normal, axis=-1, keepdims=True) * normal)
 
 
 class PointOnLine(SlidingJoint):

@@ -254,13 +254,10 @@ class Mechanism(ElementMethods, HtmlView):
             check_name(name, f"model.coordinates.{quoted(name)}")
         check_coordinates(self.coordinates, self.joints, self.bodies, self.markers)
         check_elements(self.elements, self, "model.")
-        for kind, names in {
-            "states": list(self.states),
-            "inputs": list(self.inputs),
-            "controllers": list(self.controllers),
-            **{f"controllers.{quoted(name)}.states": list(one.states) for name, one in self.controllers.items()},
-            **{f"controllers.{quoted(name)}.outputs": list(one.outputs) for name, one in self.controllers.items()},
-        }.items():
+        values = {kind: list(getattr(self, kind)) for kind in ("states", "inputs", "controllers")}
+        for part in ("states", "outputs"):
+            values |= {f"controllers.{quoted(x)}.{part}": [*getattr(one, part)] for x, one in self.controllers.items()}
+        for kind, names in values.items():
             for name in names:
                 check_name(name, f"model.{kind}.{quoted(name)}")
         for name, controller in self.controllers.items():

@@ -135,8 +135,7 @@ class RelativeAngle(Quantity):
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the angle."""
-        angle: np.ndarray = _angle(q, self.b) - _angle(q, self.a)
-        return angle
+        return np.asarray(_angle(q, self.b) - _angle(q, self.a))
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
         """Add 1 for the second body and -1 for the first."""
@@ -196,8 +195,7 @@ class Travel(Quantity):
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the travel."""
         (ex, ey), (ux, uy) = self._along(q), self._between(q)
-        travel: np.ndarray = ex * ux + ey * uy
-        return travel
+        return np.asarray(ex * ux + ey * uy)
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
         """Add the gradient: the effects of unit forces at the two points, and of the rotation of the direction."""
@@ -214,8 +212,7 @@ class Travel(Quantity):
         (ax, ay), (bx, by) = (_point_velocity(point, q, v) for point in (self.first, self.second))
         (cx, cy), (dx, dy) = self.first.curvature(q, v), self.second.curvature(q, v)
         turning = 2 * spin * (ex * (by - ay) - ey * (bx - ax))
-        rate: np.ndarray = ex * (dx - cx) + ey * (dy - cy) + turning - spin**2 * (ex * ux + ey * uy)
-        return rate
+        return np.asarray(ex * (dx - cx) + ey * (dy - cy) + turning - spin**2 * (ex * ux + ey * uy))
 
 
 @dataclass(frozen=True)
@@ -243,8 +240,7 @@ class Affine(Quantity):
 
     def value(self, q: np.ndarray) -> np.ndarray:
         """Return the value."""
-        value: np.ndarray = self.factor * self.of.value(q) + self.offset
-        return value
+        return np.asarray(self.factor * self.of.value(q) + self.offset)
 
     def add_gradient(self, q: np.ndarray, out: np.ndarray) -> None:
         """Add the gradient."""

@@ -189,8 +189,7 @@ def _knots(table: Table, start: float, end: float) -> list[float]:
     first = np.floor((start - times[0]) / table.period)
     periods = min(np.ceil((end - times[0]) / table.period) - first + 1, np.ceil(MOST_KNOTS / (len(times) - 1)))
     knots = (times[:-1] + table.period * (first + np.arange(periods))[:, None]).ravel()
-    values: list[float] = knots[(start <= knots) & (knots <= end)].tolist()
-    return values
+    return [*knots[(start <= knots) & (knots <= end)].tolist()]
 
 
 def _has_curve(table: Table) -> bool:
@@ -205,8 +204,7 @@ def _described(
     motion: Motion | Program, rows: Iterable[tuple[float, float]], start: float, end: float, *, is_knot: bool
 ) -> tuple[Corner, ...]:
     """Return the corners at the `found` pairs of time and margin, each with the motion on both sides."""
-    places = sorted(rows)
-    if not places:
+    if not (places := sorted(rows)):
         return ()
     times, margins = (np.array(column) for column in zip(*places, strict=True))
     before, after = (jet_of(motion, times + side * margins).derivatives for side in (-1.0, 1.0))

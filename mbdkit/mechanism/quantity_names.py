@@ -64,8 +64,7 @@ class QuantityNames:
 
     def _coordinate(self, joint: JointBase) -> Quantity:
         a, b = (self._of(body) for body in joint.bodies)
-        travel = joint.travel
-        if travel is None:
+        if (travel := joint.travel) is None:
             return RelativeAngle(a, b)
         return Travel(Point(a, *travel[:2]), Point(b, *travel[2:4]), (travel[4], travel[5]))
 
@@ -122,8 +121,7 @@ class QuantityNames:
         for plural, singular in _PREFIXES.items():
             for one in (element, rest) if kind in (plural, singular) else (element,):
                 one = self._last.get(one, one) if plural == "bodies" else one
-                quantity = self._quantity(plural, one, axis)
-                if quantity is not None:
+                if (quantity := self._quantity(plural, one, axis)) is not None:
                     matches[plural, one] = quantity
         return matches
 
@@ -140,9 +138,7 @@ class QuantityNames:
 
     def knows(self, name: str) -> bool:
         """Return whether a name is that of a named coordinate, or denotes exactly one other quantity."""
-        if name in self.mechanism.coordinates:
-            return True
-        return len(self._matches(name)) == 1
+        return name in self.mechanism.coordinates or len(self._matches(name)) == 1
 
     def candidates(self) -> dict[str, Quantity]:
         """Return quantities that may serve as independent coordinates, by name.

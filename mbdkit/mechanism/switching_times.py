@@ -67,8 +67,7 @@ def seeds_of(program: Program, start: float, end: float, looks: int) -> list[flo
             exact = times[signs == 0.0] if np.sum(signs == 0.0) < MANY_ZEROS else times[:0]
             result = np.concatenate([result, exact, _bisected(at, times[crossed], times[crossed + 1])])
     result = np.sort(result[(result > start + close) & (result < end - close)])
-    seeds: list[float] = result[np.diff(result, prepend=-np.inf) > close].tolist()
-    return seeds
+    return [*result[np.diff(result, prepend=-np.inf) > close].tolist()]
 
 
 @lru_cache(maxsize=64)

@@ -140,8 +140,7 @@ def _check_by(one: Any, value: Any) -> None:
     elif isinstance(value, TracedNumber):
         for name in ("gt", "ge", "lt", "le"):
             if isinstance(one, getattr(annotated_types, name.capitalize())):
-                bound = getattr(one, name)
-                {"gt": value.__gt__, "ge": value.__ge__, "lt": value.__lt__, "le": value.__le__}[name](bound)
+                getattr(operator, name)(value, getattr(one, name))
                 return
         if not _is_harmless(one):
             raise UntraceableError(f"the condition {one!r} is not known")

@@ -213,6 +213,5 @@ class Profile:
         varied = execute(tuple((operation, float(place)) for place, (operation, _) in enumerate(program)), step)
         names = {place: f"{prefix}{i}" for i, place in enumerate(sorted(varied))}
         changed = [(_VARIABLE + names[i], 0.0) if i in names else one for i, one in enumerate(program)]
-        return Profile(tuple(changed), self.variables), tuple(
-            (name, program[place][1]) for place, name in names.items()
-        )
+        numbers = tuple((name, program[place][1]) for place, name in names.items())
+        return Profile(tuple(changed), self.variables), numbers

@@ -136,9 +136,7 @@ def kinds(among: Iterable[str] = ()) -> tuple[Kind, ...]:
 def kinds_of(names: ArchiveNames) -> tuple[Kind, ...]:
     """Return the kinds of the core, and those of plugins of which a mechanism has elements."""
     present = {of for of, members in names.members if members}
-    if not present:
-        return KINDS
-    return kinds(group for group in added_kinds() if item_of_group(group).of in present)
+    return kinds(group for group in added_kinds() if item_of_group(group).of in present) if present else KINDS
 
 
 class Peaks(NamedTuple):
@@ -155,16 +153,12 @@ class Peaks(NamedTuple):
 
 def peaks_of(names: ArchiveNames) -> list[Peaks]:
     """Return the quantities of a mechanism whose largest values checked runs determine between their rows."""
-    items = (cast(QuantityKind, item.plugin) for item in added_kinds().values())
-    return [
-        Peaks(
-            item.of,
-            tuple(f"{'-' * peak.startswith('-')}{item.word}.{peak.lstrip('-')}" for peak in item.peaks),
-            members,
-        )
-        for item in items
-        if item.peaks and (members := names.names_of(item.of))
-    ]
+    peaks = []
+    for item in (cast(QuantityKind, item.plugin) for item in added_kinds().values()):
+        if item.peaks and (members := names.names_of(item.of)):
+            quantities = (f"{'-' * peak.startswith('-')}{item.word}.{peak.lstrip('-')}" for peak in item.peaks)
+            peaks.append(Peaks(item.of, tuple(quantities), members))
+    return peaks
 
 
 def mode_arrays() -> list[str]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
 
@@ -110,8 +110,7 @@ class States:
         computed: dict[Callable[[States], Any], Any] = self.__dict__.setdefault("_computed", {})
         if compute not in computed:
             computed[compute] = compute(self)
-        value: V = computed[compute]
-        return value
+        return cast(V, computed[compute])
 
     @cached_property
     def multiplier(self) -> np.ndarray:

@@ -218,16 +218,11 @@ class Registry:
 
     def without(self, wrong: Mapping[tuple[Kind | None, str], str]) -> Registry:
         """Return a registry without some items, which are failures; `wrong` holds the errors by kind and id."""
-        items = [item for item in self.items if (item.kind, item.id) not in wrong]
-        return Registry(
-            items,
-            [
-                replace(report, status="error", error=wrong[report.kind, report.id])
-                if report.status == "ok" and (report.kind, report.id) in wrong
-                else report
-                for report in self._reports
-            ],
-        )
+        reports = list(self._reports)
+        for index, report in enumerate(reports):
+            if report.status == "ok" and (error := wrong.get((report.kind, report.id))) is not None:
+                reports[index] = replace(report, status="error", error=error)
+        return Registry((item for item in self.items if (item.kind, item.id) not in wrong), reports)
 
     def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
         """Return the items that a short name may mean: several if distributions clash."""

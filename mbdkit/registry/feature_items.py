@@ -150,11 +150,9 @@ class SpecKind(Feature):
 
     def recognises(self, data: Mapping[str, object]) -> bool:
         """Return whether plain data are, or are meant to be, a spec of this kind."""
-        if any(key in data for key in self.absent):
-            return False
-        return (
-            not self.marker or self.marker in data or ("model" not in data and any(key in data for key in self.signs))
-        )
+        is_signed = "model" not in data and any(key in data for key in self.signs)
+        is_marked = not self.marker or self.marker in data or is_signed
+        return is_marked and not any(key in data for key in self.absent)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -422,12 +420,9 @@ class CriterionItem(Feature):
 
     def examines(self, elements: Mapping[str, Mapping[str, object]]) -> bool:
         """Return whether there are elements of the kind and the types that the criterion is about."""
-        if not self.elements:
-            return True
         of_kind = elements.get(self.elements, {})
-        return bool(of_kind) and (
-            not self.types or any(getattr(element, "type", "") in self.types for element in of_kind.values())
-        )
+        is_of_type = not self.types or any(getattr(element, "type", "") in self.types for element in of_kind.values())
+        return not self.elements or (bool(of_kind) and is_of_type)
 
     def seam_of(self, field: str) -> str:
         """Return the decorator of the function, which depends on the stage."""

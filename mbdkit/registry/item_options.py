@@ -6,7 +6,7 @@ import functools
 import re
 import sys
 from contextlib import redirect_stdout
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, create_model
 
@@ -103,8 +103,7 @@ def class_name(name: str) -> str:
 
 def item_of(options: BaseModel | type[BaseModel]) -> Registered:
     """Return the registered item whose options these are."""
-    item: Registered = options.__mbdkit_item__  # type: ignore[union-attr]
-    return item
+    return cast(Registered, options.__mbdkit_item__)  # type: ignore[union-attr]
 
 
 def is_of_item(options: type[BaseModel]) -> bool:

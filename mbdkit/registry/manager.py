@@ -34,21 +34,17 @@ class EntryPoint(Protocol):
     @property
     def name(self) -> str:
         """Name of the entry point."""
-        ...
 
     @property
     def value(self) -> str:
         """Name of the module."""
-        ...
 
     @property
     def dist(self) -> object:
         """Distribution, an object with `name` and `version`."""
-        ...
 
     def load(self) -> object:
         """Import the module."""
-        ...
 
 
 @functools.cache
@@ -149,10 +145,9 @@ def load_registry(
     items: list[Registered] = []
     known: set[tuple[Kind, str]] = set()
     reports: list[Report] = []
-    if not policy.strict and (
-        sentence := policy.unknown({(origin.distribution, entry_point.name) for origin, entry_point in origins})
-    ):
-        log.warning("mbdkit: warning: %s", sentence)
+    present = {(origin.distribution, entry_point.name) for origin, entry_point in origins}
+    if not policy.strict and (unknown := policy.unknown(present)):
+        log.warning("mbdkit: warning: %s", unknown)
     for origin, entry_point in origins:
         if reason := policy.reason_against(origin.distribution, entry_point.name):
             reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))

@@ -70,8 +70,7 @@ def _loaded(spec: RunSpec, text: str) -> RunSpec:
 
 
 def _check(spec: RunSpec) -> None:
-    doubts = findings("start", spec, build(spec)[1])
-    if doubts:
+    if doubts := findings("start", spec, build(spec)[1]):
         message = f"the start stays doubtful also from the assembled pose: {doubts[0]}"
         raise SpecError(f"{message}; `accept: [{doubts[0].criterion}]` accepts it")
 

@@ -152,8 +152,7 @@ class MotionPart:
 def observed_at(observer: StateObserver, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Observed:
     """Return the quantities at given states; nan from the first state without unique accelerations on."""
     arrays = observer.arrays(len(time))
-    singular = observer.observe(time, q, v, arrays, z=z)
-    if singular is not None:
+    if (singular := observer.observe(time, q, v, arrays, z=z)) is not None:
         for values in arrays:
             values[singular.row :] = np.nan
     return arrays

@@ -153,17 +153,11 @@ def _samples(spec: RunSpec) -> Iterator[tuple[float, float]]:
     controllers = spec.mechanism().controllers
     for name, controller in controllers.items():
         if (end - start) / controller.period > spec.limits.max_steps:
-            raise spec.placed(
-                SpecError(
-                    f"the controller would be sampled more often than limits.max_steps = {spec.limits.max_steps}",
-                    key=f"model.controllers.{quoted(name)}.period",
-                )
-            )
+            message = f"the controller would be sampled more often than limits.max_steps = {spec.limits.max_steps}"
+            raise spec.placed(SpecError(message, key=f"model.controllers.{quoted(name)}.period"))
     margin = 4.0 * float(np.spacing(max(abs(start), abs(end))))
-    for time in sample_times(
-        [(controller.period, controller.delay) for controller in controllers.values()], start, end
-    ):
-        yield time, margin
+    sampled = [(controller.period, controller.delay) for controller in controllers.values()]
+    yield from ((time, margin) for time in sample_times(sampled, start, end))
 
 
 def check_jumps(spec: RunSpec) -> None:
@@ -188,14 +182,14 @@ def _check_driver(spec: RunSpec, motion: Motion, unit: str) -> None:
             raise SpecError(
                 f"the value of this motion jumps from {corner.before[0]:.6g} to {corner.after[0]:.6g} {unit} "
                 f"at t = {corner.time:.6g} s, which no driver can follow; write it without the jump "
-                "(atan2 jumps by 2 pi where its first argument changes sign and the second is negative)",
+                "(atan2 jumps by 2 pi where its first argument changes sign and the second is negative)"
             )
         elif corner.jumps[1] and spec.impacts == "refuse":
             raise SpecError(
                 f"the rate of this motion jumps from {corner.before[1]:.6g} to {corner.after[1]:.6g} {unit}/s "
                 f"at t = {corner.time:.6g} s, which needs an impulse; smooth the motion there, for example by a "
                 "ramp such as 0.5*(1 - cos(pi*t)) or a table with a few points around the jump, or set "
-                "`impacts: allow` to change the velocities there by an impulse",
+                "`impacts: allow` to change the velocities there by an impulse"
             )
         elif corner.jumps[1]:
             _check_accuracy(motion, corner, unit)

@@ -38,11 +38,7 @@ def criteria(stage: Stage, spec: Any = None, kind: str = "run") -> list[tuple[Re
     if spec is None or not any(criterion.elements for _, criterion in known):
         return list(known)
     elements = spec.mechanism().elements
-    return [
-        (item, criterion)
-        for item, criterion in known
-        if not criterion.elements or (criterion.elements in elements and criterion.examines(elements))
-    ]
+    return [(item, criterion) for item, criterion in known if criterion.examines(elements)]
 
 
 def findings(stage: Stage, *examined: object, kind: str = "run") -> list[Finding]:

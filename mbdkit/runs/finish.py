@@ -83,10 +83,8 @@ def run_in_memory(
         ArrayContents, finished, settings if spec is None else spec, run_id=methodcaller("run_id"),
         created_utc=created_utc, provenance=provenance,
     )  # fmt: skip
-    if not settings.measures:
-        return Run(contents())
     run = Run(contents())
-    return Run(contents(measured=_taken(run.run_spec, run), gradients=gradients))
+    return Run(contents(measured=_taken(run.run_spec, run), gradients=gradients)) if settings.measures else run
 
 
 def _taken(spec: ModelSpec, run: Run) -> MeasuredValues:

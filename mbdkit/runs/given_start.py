@@ -35,6 +35,8 @@ MOST_ITERATIONS = 30
 #: or of 1 if it is smaller, count as zero.
 MET = 1e-12
 
+_Given = dict[str, tuple[Quantity, float]]  #: Quantities with their values, by name.
+
 
 class GivenStart:
     """Finds states of a mechanism in which quantities have given values, near the start of a spec.
@@ -87,12 +89,10 @@ class GivenStart:
         given = [quantity for kind in self._given(values) for quantity, _ in kind.values()]
         return all(isinstance(one, Coordinate | RelativeAngle) for one in given)
 
-    def _given(
-        self, values: Mapping[str, float | str]
-    ) -> tuple[dict[str, tuple[Quantity, float]], dict[str, tuple[Quantity, float]]]:
+    def _given(self, values: Mapping[str, float | str]) -> tuple[_Given, _Given]:
         """Return the positional quantities that have values, and those whose rates have."""
-        held: dict[str, tuple[Quantity, float]] = {}
-        moving: dict[str, tuple[Quantity, float]] = {}
+        held: _Given = {}
+        moving: _Given = {}
         for name, given in values.items():
             element, _, axis = name.rpartition(".")
             kind, of = (moving, f"{element}.{RATES[axis]}") if axis in RATES else (held, name)
@@ -142,9 +142,7 @@ class GivenStart:
         self.names.find(f"{element}.{RATES[axis]}", "initial").add_gradient(q[None], rows)
         return float(product(rows, v)[0])
 
-    def _positions(
-        self, q: np.ndarray, held: Mapping[str, tuple[Quantity, float]], near: np.ndarray | None
-    ) -> np.ndarray:
+    def _positions(self, q: np.ndarray, held: _Given, near: np.ndarray | None) -> np.ndarray:
         quantities = [quantity for quantity, _ in held.values()]
         if near is not None and self._are_determining(near, quantities):
             q = near
@@ -153,8 +151,7 @@ class GivenStart:
         parts = max(1, math.ceil(float(np.max(np.abs(goal - here) / unit)) / LONGEST))
         for part in range(1, parts + 1):
             values = here + (goal - here) * (part / parts) if part < parts else goal
-            closed = self._closed(q, quantities, values)
-            if closed is None:
+            if (closed := self._closed(q, quantities, values)) is None:
                 told = self._told(list(held), goal)
                 raise SpecError(f"the joints cannot be assembled with these initial values: {told}", key="initial")
             q = closed
@@ -179,7 +176,7 @@ class GivenStart:
                 return q
         return None
 
-    def _velocities(self, q: np.ndarray, v: np.ndarray, moving: Mapping[str, tuple[Quantity, float]]) -> np.ndarray:
+    def _velocities(self, q: np.ndarray, v: np.ndarray, moving: _Given) -> np.ndarray:
         rows, _, phi_t = self._rows(q, [one for one, _ in moving.values()])
         values = np.array([value for _, value in moving.values()])
         aim = np.concatenate([-phi_t, values])

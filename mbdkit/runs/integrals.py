@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -105,12 +106,8 @@ def functionals_of(spec: RunSpec, expressions: Iterable[str] = ()) -> tuple[Func
     `expressions`: expressions of further measures, in addition to those of the spec. Raises SpecError if an expression
     is not valid for the spec.
     """
-    functionals = [
-        functional
-        for text in expressions_of(spec, expressions)
-        for functional in MeasureExpression.functionals_of(text, spec)
-    ]
-    return tuple({functional.text: functional for functional in functionals}.values())
+    functionals = (MeasureExpression.functionals_of(text, spec) for text in expressions_of(spec, expressions))
+    return tuple({functional.text: functional for functional in chain.from_iterable(functionals)}.values())
 
 
 class RunIntegrals:

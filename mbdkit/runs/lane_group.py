@@ -446,13 +446,9 @@ class _Extremes:
             mechanism=member.start.mechanism, size=member.size, doubts=doubts, finer=member.settings.finer,
             coarse=lambda: coarse_step(member.settings, lambda: self._group.start_of(member)),
         )  # fmt: skip
-        extremes = Extremes(
-            float(self.results.time[run, -1]),
-            self.misalignment[run],
-            self.angles[run],
-            EnergyRecord.of(self.energies[:, run]),
-            self.results.evidence_of(run),
-        )
+        last, energies = float(self.results.time[run, -1]), EnergyRecord.of(self.energies[:, run])
+        steps = self.results.evidence_of(run)
+        extremes = Extremes(last, self.misalignment[run], self.angles[run], energies, steps)
         return conclude(ended, extremes).judgement
 
 

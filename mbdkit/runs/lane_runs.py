@@ -63,9 +63,7 @@ def why_alone(spec: RunSpec, measures: Sequence[str] = ()) -> str:
     if found := next((clause for holds, clause in reasons if holds), ""):
         return found
     functionals = functionals_of(spec, measures)
-    if not all(
-        (functional.is_extremum or functional.is_value) and not functional.is_nested for functional in functionals
-    ):
+    if any(one.is_nested or not (one.is_extremum or one.is_value) for one in functionals):
         return "their measures contain integrals over time"
     if has_ranges(spec.mechanism()) and not steps_are_rows(spec):
         return "the ranges of their force laws are watched between the recorded states"
@@ -144,8 +142,7 @@ class LaneRuns:
 
         Raises the same errors as a single run.
         """
-        method = self._method(spec)
-        if method is None:
+        if (method := self._method(spec)) is None:
             return None
         check_jumps(spec)
         cautions = findings("spec", spec, self.measures)
@@ -160,9 +157,7 @@ class LaneRuns:
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
             spec.integrator, spec.measures, spec.inputs, spec.impacts,
         )  # fmt: skip
-        if self._settings is None or any(
-            a is not b and a != b for a, b in zip(settings, self._settings[0], strict=True)
-        ):
+        if self._settings is None or settings != self._settings[0]:
             self._settings = settings, None if why_alone(spec, self.measures) else make_method(spec)
         return self._settings[1]
 
@@ -219,15 +214,9 @@ def _by_cost(members: Sequence[LaneMember], places: Sequence[int]) -> list[int]:
     advance, would give 94 %.
     """
     starts = [members[place].start for place in places]
-    mass, gravity, q, v = (
-        np.stack(values)
-        for values in (
-            [start.mechanism.topology.mass.ravel() for start in starts],
-            [start.mechanism.topology.gravity for start in starts],
-            [start.q0 for start in starts],
-            [start.v0 for start in starts],
-        )
-    )
+    tops = [start.mechanism.topology for start in starts]
+    mass, gravity = np.stack([top.mass.ravel() for top in tops]), np.stack([top.gravity for top in tops])
+    q, v = np.stack([start.q0 for start in starts]), np.stack([start.v0 for start in starts])
     with np.errstate(all="ignore"):
         fall = np.einsum("mbi,mi->m", (mass * q).reshape(len(places), -1, 3)[:, :-1, :2], gravity)
         energy = 0.5 * np.sum((mass * v * v)[:, :-3], axis=1) - fall

@@ -141,13 +141,8 @@ class LawRanges:
         observed = self._observer.arrays(len(nodes.time))
         # The initial first-order states are sufficient, because lengths and rates do not depend on these states.
         z = np.tile(self._observer.workspace.mechanism.initial_states, (len(nodes.time), 1))
-        singular = self._observer.observe(
-            np.ascontiguousarray(nodes.time),
-            np.ascontiguousarray(nodes.q),
-            np.ascontiguousarray(nodes.v),
-            observed,
-            z=z,
-        )
+        time, q, v = map(np.ascontiguousarray, (nodes.time, nodes.q, nodes.v))
+        singular = self._observer.observe(time, q, v, observed, z=z)
         known = slice(None if singular is None else singular.row)
         self._between.append(self._arguments(nodes.time[known], observed.forces[known]))
 
@@ -186,11 +181,9 @@ class LawRanges:
             for k, argument in zip(*np.nonzero(outside.any(axis=0)), strict=True):
                 index, rows = (k, argument, side), np.flatnonzero(outside[:, k, argument])
                 worst = rows[np.argmax(sign * values[rows, k, argument])]
-                if sign * values[worst, k, argument] > self._worst[index]:
-                    self._worst[index], self._worst_time[index] = (
-                        sign * values[worst, k, argument],
-                        times[worst, k, argument],
-                    )
+                reached = sign * values[worst, k, argument]
+                if reached > self._worst[index]:
+                    self._worst[index], self._worst_time[index] = reached, times[worst, k, argument]
                 if np.isinf(self._first[index]):
                     seen = float(times[rows, k, argument].min())
                     bound = self.laws[k].bounds[argument][side]

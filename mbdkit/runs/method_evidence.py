@@ -130,9 +130,8 @@ def read_records(path: Path) -> Sequence[Mapping[str, Any]]:
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("format_version") != FORMAT_VERSION:
         raise ValueError(f"it is not in version {FORMAT_VERSION} of the format {FORMAT}")
     try:
-        kinds: dict[str, type] = dict.fromkeys(
-            ("kind", "name", "distribution", "version", "digest", "mbdkit", "date"), str
-        )
+        texts = ("kind", "name", "distribution", "version", "digest", "mbdkit", "date")
+        kinds: dict[str, type] = dict.fromkeys(texts, str)
         kinds |= {"options": dict, "checks": dict, "claims": dict, "failed": list, "skipped": list, "quick": bool}
         if all(isinstance(record[key], kind) for record in data["records"] for key, kind in kinds.items()):
             return tuple(data["records"])
@@ -168,17 +167,13 @@ def _evidence_of(item: Registered, chosen: str) -> PluginEvidence:
         return PluginEvidence("checkout" if is_own else "never", "there is no evidence of it", digest)
     if chosen:
         values = json.loads(chosen)
-        records = [record for record in records if _covers(item, record["options"], values)]
-        if not records:
-            word: Word = "checkout" if is_own and _is_changed(item, digest) else "never"
+        if not (records := [record for record in records if _covers(item, record["options"], values)]):
+            is_changed = any(record["digest"] != digest for record in read_records(path))
+            word: Word = "checkout" if is_own and is_changed else "never"
             return PluginEvidence(word, "it was verified with other options", digest)
     results = [_judged(item, record, digest) for record in records]
     ranks: tuple[Word, ...] = ("failed", "changed since", "checkout", "verified")
     return min(results, key=lambda result: ranks.index(result.word))
-
-
-def _is_changed(item: Registered, digest: str) -> bool:
-    return any(record["digest"] != digest for record in read_records(evidence_file(item.origin)))
 
 
 def _covers(item: Registered, checked: Mapping[str, Any], values: Mapping[str, Any]) -> bool:
@@ -206,12 +201,8 @@ def _judged(item: Registered, record: Mapping[str, Any], digest: str) -> PluginE
         why = f"version {record['version']} was checked {when}, and {version} is installed"
         return PluginEvidence(changed, why, digest)
     if record["digest"] != digest:
-        why = (
-            "the sources were edited after the checks"
-            if changed == "checkout"
-            else "its code is not that which was checked"
-        )
-        return PluginEvidence(changed, f"{why} {when}", digest)
+        edited, other = "the sources were edited after the checks", "its code is not that which was checked"
+        return PluginEvidence(changed, f"{edited if changed == 'checkout' else other} {when}", digest)
     if not record["verified"]:
         names = record["failed"][:MOST_NAMES] or ["too few checks could be run"]
         more = f" and {len(record['failed']) - MOST_NAMES} more" if len(record["failed"]) > MOST_NAMES else ""

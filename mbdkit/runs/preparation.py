@@ -124,8 +124,7 @@ def check_disk_space(spec: RunSpec, mechanism: CompiledMechanism, path: Path | N
     Raises SpecError if the archive is larger than the whole disk or memory. Raises ResourceError if the archive is
     larger than the space that is free now.
     """
-    rows = rows_expected(spec)
-    if rows is None or spec.limits.wall_time is not None:
+    if (rows := rows_expected(spec)) is None or spec.limits.wall_time is not None:
         return
     row = row_bytes(archive_names(mechanism), spec.output.recorded)
     with SpecError.place_by(spec.placed):

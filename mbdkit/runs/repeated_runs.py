@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 from mbdkit.archive.run import Run
@@ -44,7 +44,8 @@ def repeated_run(data: Mapping[str, Any], load: Callable[[Mapping[str, Any]], Ru
     """
     numbers: dict[Path, float] = {}
     try:
-        content = (_content(data, (), numbers), registry(), tuple(_environment()))
+        own = {name: value for name, value in os.environ.items() if name.startswith("MBDKIT_")}
+        content = (_content(data, (), numbers), registry(), tuple(own.items()))
     except TypeError:  # a value of another type
         return None
     if not _LOCK.acquire(blocking=False):
@@ -108,7 +109,3 @@ def _content(value: object, path: Path, numbers: dict[Path, float]) -> Hashable:
     if kind is float:
         return kind, value.hex()  # type: ignore[attr-defined]
     raise TypeError(f"{kind} is no type of plain data")
-
-
-def _environment() -> Iterator[tuple[str, str]]:
-    return ((name, value) for name, value in os.environ.items() if name.startswith("MBDKIT_"))

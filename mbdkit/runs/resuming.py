@@ -96,8 +96,7 @@ def continue_run(
         check_target(path, overwrite=overwrite)
         _finish_replacement(part)
     with _held(part) as stream:
-        checkpoint = Checkpoint.of(part)
-        if checkpoint is None:
+        if (checkpoint := Checkpoint.of(part)) is None:
             with only_known((), allowed=False):
                 return _renamed(part, path, overwrite)
         with only_known(checkpoint.files, allowed=files):
@@ -137,8 +136,7 @@ def _check_interrupted(path: Path, *, overwrite: bool) -> None:
             raise SpecError(f"this run is complete, so there is nothing to resume; {hint}", file=path)
         if run.status != "interrupted" or not run.spec_kind.is_integrated:
             raise _refused(path, f"it was not interrupted but has ended with the status {run.status}")
-        checkpoint = Checkpoint.of(path)
-        if checkpoint is None:
+        if (checkpoint := Checkpoint.of(path)) is None:
             spec = _same_spec(path, run.spec_json, run.run_id, run.provenance)
             missing = f"its checkpoint {checkpoint_path(path).name} is not in the same folder"
             raise _refused(path, why_without(spec, make_method(spec)) or missing)
@@ -228,8 +226,7 @@ def _same_spec(part: Path, spec_json: str, run_id: str, then: Mapping[str, objec
         raise _refused(part, "its spec is damaged") from None
     now = provenance(spec)
     keys = [*DECIDE_LAST_BITS, *(key for key in now if key.endswith(("_distribution", "_version", "_digest")))]
-    other = [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]
-    if other:
+    if other := [(key, then.get(key), now[key]) for key in keys if str(then.get(key)) != str(now[key])]:
         changes = [f"{_word(key, now)} {shown(str(old))}, now {new}" for key, old, new in other]
         same = "use such a processor" if [key for key, *_ in other] == ["processor"] else "install the same"
         raise _refused(part, f"it began with {listed(changes, 'and')}", hint=f"{same}, or {_ANEW}")

@@ -213,9 +213,7 @@ class CoincidentEnds(WatchedArrays):
 
     def add(self, states: States) -> None:
         """Take note of states."""
-        values = np.empty((len(states.time), len(self._names), 4))  # length, rate, force, time
-        values[..., :3], values[..., 3] = states.observed.forces[:, self._columns, :3], states.time[:, None]
-        values = np.concatenate([self._last, values])
+        values = np.concatenate([self._last, self._values(states.time, states.observed.forces)])
         self._last = values[-1:].copy()
         self._first = np.minimum(self._first, self._times(values).min(axis=0, initial=np.inf))
 
@@ -224,17 +222,19 @@ class CoincidentEnds(WatchedArrays):
 
         `time`: (R, T) times [s]. `forces`: (R, T, F, 5) values of all force elements.
         """
-        values = np.empty((*time.shape, len(self._names), 4))
-        values[..., :3], values[..., 3] = forces[:, :, self._columns, :3], time[:, :, None]
+        values = self._values(time, forces)
         return np.asarray(np.isfinite(self._times(values.swapaxes(0, 1))).any(axis=(0, 2)))
+
+    def _values(self, time: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return length, rate and force of the watched elements, and the time, (..., 4)."""
+        values = np.empty((*time.shape, len(self._names), 4))
+        values[..., :3], values[..., 3] = forces[..., self._columns, :3], time[..., None]
+        return values
 
     @staticmethod
     def _times(values: np.ndarray) -> np.ndarray:
         """Return the times (T - 1, ...) at which ends meet, infinite if they do not, from values (T, ..., 4)."""
-        (s0, rate0, force0, t0), (s1, rate1, force1, t1) = (
-            np.moveaxis(values[:-1], -1, 0),
-            np.moveaxis(values[1:], -1, 0),
-        )
+        (s0, rate0, force0, t0), (s1, rate1, force1, t1) = (np.moveaxis(x, -1, 0) for x in (values[:-1], values[1:]))
         h = t1 - t0
         turned = (s0 + h * rate0 < REVERSED * s1) & (s1 - h * rate1 < REVERSED * s0) | (s1 == 0.0)
         met = turned & (np.where(s0 < s1, force0, force1) != 0.0)  # a slack rope has no force to reverse

@@ -223,10 +223,7 @@ def long_step(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[Finding]
 def unresolved_beams(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
     """Yield a warning for each beam whose oscillations are not resolved by the fixed steps of an implicit method."""
     step, beams = spec.time.step, spec.mechanism().beams
-    if not beams or step is None:
-        return
-    claims = spec.claims
-    if claims.adaptive or "tangents" not in claims.needs:
+    if not beams or step is None or (claims := spec.claims).adaptive or "tangents" not in claims.needs:
         return  # step-size control resolves them, and explicit methods fail visibly
     fate = "keeps the energy of faster motions, but not their frequencies" if claims.symmetric else "damps faster ones"
     for name, beam in beams.items():

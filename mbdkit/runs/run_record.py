@@ -60,12 +60,9 @@ class Continuation:
     @property
     def times(self) -> dict[str, float]:
         """The times in `TIMES` of the run up to the checkpoint [s]; 0 for entries that are missing or not numbers."""
-        known = self.state.get("times")
-        times = [known.get(name) if isinstance(known, Mapping) else None for name in TIMES]
-        return {
-            name: float(seconds) if isinstance(seconds, float) else 0.0
-            for name, seconds in zip(TIMES, times, strict=True)
-        }
+        stored = self.state.get("times")
+        known = stored if isinstance(stored, Mapping) else {}
+        return {name: seconds if isinstance(seconds := known.get(name), float) else 0.0 for name in TIMES}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

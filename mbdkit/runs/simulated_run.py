@@ -241,7 +241,7 @@ class SimulatedRun:
         The arguments are the wall time and the processor time at which its steps began [s].
         """
         writer, parts = self.record.writer, self.parts()
-        if parts is None or not (isinstance(writer, ArchiveWriter) and writer.keeps_checkpoints):
+        if parts is None or not isinstance(writer, ArchiveWriter) or writer.path is None:
             return None
 
         def state() -> StoredState:
@@ -263,8 +263,7 @@ class SimulatedRun:
                 self.add(Taken(taken_before), (before, elapsed))
         while not (stepper.finished or stepper.failure or self.failure or self.interrupted):
             since, done = time.perf_counter(), stepper.counters.steps
-            stretch = self.next_stretch(stepper)
-            if stretch is None:
+            if (stretch := self.next_stretch(stepper)) is None:
                 break
             now = time.perf_counter() - begin
             self.add(self.taken(stepper, stretch), (elapsed, now))

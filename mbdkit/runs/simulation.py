@@ -30,13 +30,7 @@ from mbdkit.engine.workspace import Workspace
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.runs.corners import check_jumps
 from mbdkit.runs.findings import findings
-from mbdkit.runs.preparation import (
-    RunSetup,
-    build,
-    check_calls,
-    check_disk_space,
-    make_method,
-)
+from mbdkit.runs.preparation import RunSetup, build, check_calls, check_disk_space, make_method
 from mbdkit.runs.run_record import Request, RunRecord, begin_archive, begin_arrays
 from mbdkit.runs.run_seams import Progress, computed_run
 from mbdkit.runs.simulated_run import SimulatedRun

@@ -17,7 +17,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import WIDTH
-from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.event_expression import RunExpression, places_of
 from mbdkit.events.quantities import QuantityEvaluator
 from mbdkit.integrators.lanes.lane_batch import BatchState, advance_explicit, new_lane_batch
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes, suits_lanes, topology_of
@@ -224,9 +224,8 @@ class SimulationBatch:
         """
         mechanism, numbers = self.spec.mechanism(), self.spec.numbers
         parsed = [RunExpression.parse(text, mechanism, numbers, crosses=False) for text in expressions]
-        quantities = list(dict.fromkeys(quantity for one in parsed for quantity in one.quantities))
-        evaluator = QuantityEvaluator(self._workspace, quantities, self._observed)
-        places = {quantity: index for index, quantity in enumerate(quantities, 1)}
+        places = places_of(parsed)
+        evaluator = QuantityEvaluator(self._workspace, list(places), self._observed)
         functions = [one.compiled(places, of_arrays=True).value for one in parsed]
 
         def read() -> np.ndarray:

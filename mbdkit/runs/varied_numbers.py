@@ -176,8 +176,7 @@ class VariedNumbers:
             if (found := self.results(values[member].tolist())) is not None:
                 parts[found[0]].append((np.array([member]), np.array([found[1]])))
         joined = {variant: [*map(np.concatenate, zip(*some, strict=True))] for variant, some in parts.items()}
-        known_parts = {variant: part for variant, part in joined.items() if len(part[0])}
-        if not known_parts:
+        if not (known_parts := {variant: part for variant, part in joined.items() if len(part[0])}):
             return None
         members = np.concatenate([part[0] for part in known_parts.values()])
         order = np.argsort(members)

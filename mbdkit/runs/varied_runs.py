@@ -21,11 +21,7 @@ from mbdkit.archive.run_writer import utc_now
 from mbdkit.base.errors import SpecError
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.assembly import assemble_from, search_for
-from mbdkit.engine.consistent_start import (
-    CompiledForStarts,
-    MechanismAtStart,
-    within_double_precision,
-)
+from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, within_double_precision
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.self_stress import looped_rows
 from mbdkit.integrators.interface import Guards

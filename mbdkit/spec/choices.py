@@ -150,11 +150,8 @@ def registry_of(root: type[BaseModel]) -> Registry:
     """Return the registry in the `Choice` annotations of a spec; if there are none, the registry of installed
     plugins.
     """
-    for field in root.model_fields.values():
-        for extra in field.metadata:
-            if isinstance(extra, Choice):
-                return extra.registry
-    return registry()
+    metadata = (extra for field in root.model_fields.values() for extra in field.metadata)
+    return next((extra.registry for extra in metadata if isinstance(extra, Choice)), None) or registry()
 
 
 @functools.cache

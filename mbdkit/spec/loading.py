@@ -153,11 +153,10 @@ def example_names(kind: str | None = None) -> list[str]:
 @functools.lru_cache(maxsize=1)
 def _kinds(known: Registry) -> dict[str, str]:
     marked = [kind for kind in spec_kinds() if kind.marker]
-    kinds = {}
-    for name, path in _examples_of(known).items():
-        text = path.read_text("utf-8")
-        kinds[name] = next((kind.name for kind in marked if f"\n{kind.marker}:" in text), "run")
-    return kinds
+    texts = {name: path.read_text("utf-8") for name, path in _examples_of(known).items()}
+    return {
+        name: next((kind.name for kind in marked if f"\n{kind.marker}:" in text), "run") for name, text in texts.items()
+    }
 
 
 def example_groups() -> dict[str, str]:

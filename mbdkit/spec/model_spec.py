@@ -84,8 +84,7 @@ class StrictSpec(Section):
     @property
     def written(self) -> Mapping[Path, WrittenText]:
         """The expressions that were given in place of numbers, by key path."""
-        written: Written = self._private["_written"]
-        return written
+        return cast(Written, self._private["_written"])
 
     def sections(self) -> dict[str, Any]:
         """Return the sections by name, with expressions as written."""

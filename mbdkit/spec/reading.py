@@ -157,8 +157,7 @@ def _decoded(raw: bytes, file: str) -> str:
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
         raise SpecError("this file is not valid UTF-8 text", file=file, line=line) from None
-    control = re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", text)
-    if control:
+    if control := re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]", text):
         line = text[: control.start()].count("\n") + 1
         raise SpecError(f"there is a control character {control[0]!r} here; is this a text file?", file=file, line=line)
     return text

@@ -251,11 +251,8 @@ class RunSpec(ModelSpec):
         if interval is not None and not (self.time.final - self.time.start) / interval < LARGEST_COUNT:
             raise SpecError(f"{interval!r} is too small: the run would have too many rows", key="output.interval")
         if interval is not None and not self.integrator_plugin.dense_output:
-            dense = [
-                other.name
-                for other in choice_of(type(self), "integrator").registry.of_kind("integrator")
-                if isinstance(other.plugin, IntegratorPlugin) and other.plugin.dense_output
-            ]
+            items = choice_of(type(self), "integrator").registry.of_kind("integrator")
+            dense = [one.name for one in items if isinstance(one.plugin, IntegratorPlugin) and one.plugin.dense_output]
             raise SpecError(
                 f"integrator '{item.name}' has no dense output, so use `every` (a number of steps) instead; "
                 f"methods with dense output: {listed(dense) or 'none installed'}",
@@ -349,14 +346,8 @@ class RunSpec(ModelSpec):
             canonical_json, update = self._canonical_with(model), {"model": model}
         spec = self.model_copy(update=update)
         assert spec.__pydantic_private__ is not None
-        spec.__pydantic_private__ |= {
-            "_document": None,
-            "_mechanism": None,
-            "_files": FilesRead(),
-            "_run_id": "",
-            "_watched": None,
-            "_canonical": canonical_json,
-        }
+        spec.__pydantic_private__ |= dict.fromkeys(("_document", "_mechanism", "_watched"))
+        spec.__pydantic_private__ |= {"_files": FilesRead(), "_run_id": "", "_canonical": canonical_json}
         if parameters is not None:
             spec.__pydantic_private__ |= {"_numbers": numbers, "_around_model": None}
         return spec
@@ -431,8 +422,7 @@ class RunSpec(ModelSpec):
     def watched(self) -> dict[str, RunExpression]:
         """Return the parsed expressions of the events by name. Raises the errors of `mechanism`."""
         self.mechanism()
-        watched: dict[str, RunExpression] = self._watched
-        return watched
+        return cast("dict[str, RunExpression]", self._watched)
 
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the run."""
@@ -451,14 +441,12 @@ class RunSpec(ModelSpec):
     def settings(self) -> dict[str, dict[str, RunExpression]]:
         """Return the parsed expressions of new state values, by event and state. Raises the errors of `mechanism`."""
         self.mechanism()
-        settings: dict[str, dict[str, RunExpression]] = self._settings
-        return settings
+        return cast("dict[str, dict[str, RunExpression]]", self._settings)
 
     def schedules(self) -> tuple[InputSchedule, ...]:
         """Return the schedule of each input of the mechanism. Raises the errors of `mechanism`."""
         self.mechanism()
-        schedules: tuple[InputSchedule, ...] = self._schedules
-        return schedules
+        return cast("tuple[InputSchedule, ...]", self._schedules)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -526,8 +514,7 @@ def with_sections(cls: type[RunSpec], keys: Collection[str]) -> type[RunSpec]:
 
     Raises SpecError if the part of mbdkit that adds a section is not installed.
     """
-    further = set(keys) - cls.model_fields.keys()
-    if not further:
+    if not (further := set(keys) - cls.model_fields.keys()):
         return cls
     known = kinds_with_section()
     for key in further & SECTIONS_OF_PARTS.keys() - known.keys():

@@ -95,8 +95,7 @@ def _default(spec: RunSpec, path: Path) -> float:
     default: Any = np.nan
     for key in path:
         if isinstance(holder, BaseModel):
-            field = type(holder).model_fields.get(str(key))
-            if field is None:
+            if (field := type(holder).model_fields.get(str(key))) is None:
                 raise _unknown(path)
             default, holder = field.default, getattr(holder, str(key))
         elif isinstance(holder, Mapping | list | tuple):

@@ -6,7 +6,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, BeforeValidator, GetJsonSchemaHandler, ValidationError, WithJsonSchema
 from pydantic.json_schema import JsonSchemaValue
@@ -29,10 +29,9 @@ def built_in_measures() -> Mapping[str, str]:
     The values are ``reference``, ``second run``, or an empty text for measures that need nothing else.
     """
     try:
-        known: Mapping[str, str] = higher_layers.built_in_measures()
+        return cast("Mapping[str, str]", higher_layers.built_in_measures())
     except MissingPartError:
         return {}
-    return known
 
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]{0,99}")

@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import chain
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -82,12 +81,8 @@ class VariedSpecs:
         changed = {name for name, value in numbers.items() if value != pattern.numbers[name]}
         data = {"model": canonical(pattern.model)}
         for path, written in pattern.written.items():
-            if changed.isdisjoint(names_in(written)):
-                continue
-            holder: Any = data
-            for key in path[:-1]:
-                holder = holder[key]
-            holder[path[-1]] = written.value(numbers, path)
+            if not changed.isdisjoint(names_in(written)):
+                put(data, path, written.value(numbers, path))
         text = json.dumps(data["model"], allow_nan=False)
         if (known := self._alike.get(text)) is None:
             model = type(pattern.model).model_validate_json(text, context=self._context)

@@ -113,8 +113,7 @@ class _Reader:
             return self._alias(event, path)
         before = self.count, self.length, len(self.placed)
         self._add(1, 0, event, path)
-        anchor = event.anchor
-        if anchor is not None:
+        if (anchor := event.anchor) is not None:
             self.anchors.pop(anchor, None)
             self.open.add(anchor)
         data = self._new(event, path)

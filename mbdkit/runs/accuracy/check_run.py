@@ -95,27 +95,21 @@ def why_unknown(
     """Return a clause that says why errors are unknown after `errors.known_until`; empty if all are known."""
     if not errors.unknown:
         return ""
-    following = (
-        time[np.searchsorted(time, errors.known_until, side="right")] if errors.known_until >= time[0] else time[0]
-    )
+    is_begun = errors.known_until >= time[0]
+    following = time[np.searchsorted(time, errors.known_until, side="right")] if is_begun else time[0]
     for companion, rows in runs:
         if rows.failure and _reached(rows) < following:
             why = f"the comparison run with {companion.run.name} ended at {_reached(rows):.6g} s: {rows.failure}"
             break
     else:
         why = f"{listed(errors.unknown, 'and')} of the comparison runs do not converge, or differ too much from the run"
-    return f"{why}{_undamped(mechanism)}"
-
-
-def _undamped(mechanism: Mechanism) -> str:
-    """Return a clause about a beam without damping, whose fast vibrations no step size resolves; empty without one."""
     for name, beam in mechanism.beams.items():
-        if not beam.damping:
+        if not beam.damping:  # no step size resolves its fast vibrations
             return (
-                f"; the fast vibrations of beam '{name}' never decay, because it has no `damping`: give it a value of "
-                f"about a tenth of the step (see `mbdkit guide beams`)"
+                f"{why}; the fast vibrations of beam '{name}' never decay, because it has no `damping`: give it a "
+                f"value of about a tenth of the step (see `mbdkit guide beams`)"
             )
-    return ""
+    return why
 
 
 def _clause(sentence: str) -> str:
@@ -300,14 +294,12 @@ def with_asked(accuracy: Accuracy, spec: RunSpec, workspace: Workspace, choice: 
         return accuracy
     reached = PositionMeasure.of(spec, workspace).known(accuracy)
     if choice is None:
-        given = Candidate.of(spec)
+        given, why = Candidate.of(spec), AS_GIVEN
         setting = given.integrator.get("rtol") if given.adaptive else spec.time.step
         chosen = given.name(float(setting)) if setting is not None else str(given.integrator["name"])
     else:
-        chosen = choice.chosen
-    return replace(
-        accuracy, asked=spec.accuracy, reached=reached, chosen=chosen, why=AS_GIVEN if choice is None else choice.why
-    )
+        chosen, why = choice.chosen, choice.why
+    return replace(accuracy, asked=spec.accuracy, reached=reached, chosen=chosen, why=why)
 
 
 def missed_because(accuracy: Accuracy, tried: Sequence[Choice], failure: Failure | None = None) -> str:

@@ -132,9 +132,8 @@ class Candidate:
 
     def name(self, setting: float) -> str:
         """Return name and setting, such as ``dop853 in adaptive steps with tolerance 1e-08``."""
-        options = "".join(
-            f" {key} {value}" for key, value in self.integrator.items() if key in ("stages",) and value is not None
-        )
+        stages = self.integrator.get("stages")
+        options = "" if stages is None else f" stages {stages}"
         how = f"in adaptive steps with tolerance {setting:g}" if self.adaptive else f"with step {setting:g} s"
         return f"{self.integrator['name']}{options} {how}"
 
@@ -201,16 +200,12 @@ def choose_method(spec: RunSpec, workspace: Workspace, progress: Progress | None
     first = Candidate.of(spec)
     search = _Search(spec, workspace, PositionMeasure.of(spec, workspace), progress)
     recordable = first.adaptive and not spec.events and not workspace.mechanism.states
-    if recordable and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size)):
-        candidates = search.ladder(first)
-        if candidates is not None:
-            return candidates
-    if spec.choose == "step":
+    recordable = recordable and can_be_recorded(first.applied_to(spec, LOOSEST, search.measure.size))
+    if recordable and (choice := search.ladder(first)) is not None:
+        return choice
+    if spec.choose == "step" or first.integrator["name"] != FIRST_EXPLICIT["name"]:
         return search.of(first)
-    if first.integrator["name"] != FIRST_EXPLICIT["name"]:
-        return search.of(first)
-    second = replace(first, integrator=dict(FIRST_IMPLICIT))
-    return search.better(first, second)
+    return search.better(first, replace(first, integrator=dict(FIRST_IMPLICIT)))
 
 
 def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice | None:
@@ -228,13 +223,7 @@ def other_method(spec: RunSpec, workspace: Workspace, choice: Choice) -> Choice 
 
 
 class _Search:
-    def __init__(
-        self,
-        spec: RunSpec,
-        workspace: Workspace,
-        measure: PositionMeasure,
-        progress: Progress | None,
-    ):
+    def __init__(self, spec: RunSpec, workspace: Workspace, measure: PositionMeasure, progress: Progress | None):
         self.spec, self.workspace, self.measure, self.progress = spec, workspace, measure, progress
         assert spec.accuracy is not None
         self.asked = spec.accuracy
@@ -276,16 +265,8 @@ class _Search:
             error = error_share(differences, [other.setting for other in compared])
             limited = ROUNDING if setting <= TIGHTEST else ""
             if error <= self.asked or limited:
-                return Choice(
-                    candidate,
-                    setting,
-                    self.measure.size,
-                    self.why_last(compared, differences, error),
-                    self.work,
-                    limited,
-                    tuple(compared[:-1]),
-                    run,
-                )
+                size, why = self.measure.size, self.why_last(compared, differences, error)
+                return Choice(candidate, setting, size, why, self.work, limited, tuple(compared[:-1]), run)
             setting = _setting(candidate, self.next_tolerance(compared, differences, error))
 
     def difference(self, other: RecordedPilot, run: RecordedPilot) -> float:

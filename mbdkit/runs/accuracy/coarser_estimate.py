@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -72,10 +73,7 @@ def estimate_from_coarser(
 
     Returns the estimates; zero at the first row if all runs start from the same state.
     """
-
-    def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
-        return _Quantity(values, tolerances, unit, size, asked, equal_until)
-
+    estimated = partial(_Quantity, tolerances=tolerances, asked=asked, equal_until=equal_until)
     return assemble(main, (*coarser, main), units, estimated)
 
 
@@ -113,9 +111,10 @@ class _Quantity(Estimated):
     def __init__(
         self,
         values: list[np.ndarray],
-        tolerances: Sequence[float],
         unit: float,
         size: float,
+        *,
+        tolerances: Sequence[float],
         asked: float,
         equal_until: int,
     ):

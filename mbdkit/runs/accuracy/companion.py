@@ -240,14 +240,10 @@ class Budget:
 
 def until(timetable: Timetable, end: float) -> Timetable:
     """Return a timetable that ends at `end` [s], without the stops at or after it."""
-    table = timetable
-    margins = {
-        stop: margin
-        for stop, margin in zip(table.stops, table.stop_margins, strict=True)
-        if stop < end - SAME_TIME * margin
-    }
-    impacts = tuple(stop for stop in table.impacts if stop in margins)
-    return replace(table, end=end, stops=tuple(margins), stop_margins=tuple(margins.values()), impacts=impacts)
+    stops = zip(timetable.stops, timetable.stop_margins, strict=True)
+    margins = {stop: margin for stop, margin in stops if stop < end - SAME_TIME * margin}
+    impacts = tuple(stop for stop in timetable.impacts if stop in margins)
+    return replace(timetable, end=end, stops=tuple(margins), stop_margins=tuple(margins.values()), impacts=impacts)
 
 
 def finer(timetable: Timetable, times: np.ndarray, factor: int) -> Timetable:

@@ -111,12 +111,6 @@ def most_steps(steps: int) -> int:
     return LOOKS + SINGLE_STEPS[0] + SINGLE_STEPS[1] * steps
 
 
-def step_factors(spec: RunSpec) -> tuple[int, int]:
-    """Return the factors by which the fixed steps of two comparison runs are smaller than those of the run."""
-    chosen = spec.reacting
-    return (None if chosen is None else chosen.item.factors) or HALVINGS
-
-
 def guards_of_treatment(spec: RunSpec, method: Method) -> tuple[ChosenTreatment, Mapping[str, int]] | None:
     """Return the treatment in guards of a run that determines reactions of elements, the names of the methods, and the
     factors of their steps; None for other runs.
@@ -137,8 +131,9 @@ def finer_runs(setup: RunSetup) -> list[Comparison]:
     own = Comparison("", spec.integrator_item, spec.integrator)
     if not spec.claims.adaptive:
         assert spec.time.step is not None
-        step = spec.time.step
-        return [replace(own, name=f"step {step / factor:.4g} s", factor=factor) for factor in step_factors(spec)]
+        step, chosen = spec.time.step, spec.reacting
+        factors = (None if chosen is None else chosen.item.factors) or HALVINGS
+        return [replace(own, name=f"step {step / factor:.4g} s", factor=factor) for factor in factors]
     given, runs = _tolerances(setup), []
     is_own = has_tolerances(setup)
     for factor in TENTHS if is_own else OTHER_TENTHS:
@@ -181,19 +176,10 @@ def other_runs(setup: RunSetup, end: float, *, is_dense: bool = False) -> list[C
     adaptive: dict[str, Any] = {"adaptive": True, "rtol": GUARD_TOLERANCE}
     if (treated := guards_of_treatment(spec, method)) is not None:
         treatment, factors = treated
-        kind, options = treatment.section.treatment, adaptive
-        if spec.claims.adaptive:
-            kind = f"adaptive {kind}"
-        else:
-            options = {}
-        return [
-            replace(
-                Comparison.of_other(name, f"{kind} {name}", "index-1", NONE, **options),
-                factor=factor,
-                treatment=treatment,
-            )
-            for name, factor in factors.items()
-        ]
+        word, options = ("adaptive ", adaptive) if spec.claims.adaptive else ("", {})
+        kind = f"{word}{treatment.section.treatment}"
+        others = {name: Comparison.of_other(name, f"{kind} {name}", "index-1", NONE, **options) for name in factors}
+        return [replace(run, factor=factors[name], treatment=treatment) for name, run in others.items()]
     tableau, stiff, projected = method.traits.tableau, method.traits.suits_stiff, _projected(setup)
     family, longest = "" if tableau is None else tableau.name, (end - spec.time.start) / LOOKS
     loose = adaptive | {"stages": 5, "rtol": IMPLICIT_GUARD_TOLERANCE, "max_step": longest}

@@ -22,6 +22,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -103,11 +104,7 @@ def estimate_errors(
     logarithms of the observed order. Returns the estimates; zero at the first row if all runs start from the same
     state.
     """
-
-    def estimated(values: list[np.ndarray], unit: float, size: float) -> _Quantity:
-        return _Quantity(values, unit, size, refinement)
-
-    return assemble(runs[0], (*runs, guard), units, estimated)
+    return assemble(runs[0], (*runs, guard), units, partial(_Quantity, refinement=refinement))
 
 
 class Estimated(ABC):
@@ -167,9 +164,7 @@ def assemble(
     reaction = of([wrench(run) for run in every], wrench(main), units.force)
     count = int(np.sum(position.known & velocity.known & reaction.known))
     quantities = {"positions": position, "velocities": velocity, "reactions": reaction}
-    unknown = (
-        [] if count == len(main.time) else [word for word, quantity in quantities.items() if not quantity.known[count]]
-    )
+    unknown = tuple(word for word, quantity in quantities.items() if not quantity.known[count : count + 1].all())
     return ErrorEstimate(
         position.errors() / scale,
         velocity.errors() / scale,
@@ -177,7 +172,7 @@ def assemble(
         reaction.norm_errors(slice(2, 3)) * length,
         float(main.time[count - 1]) if count else math.nan,
         position.order(count),
-        tuple(unknown),
+        unknown,
     )
 
 

@@ -141,12 +141,7 @@ class RecordedPilot(PilotRun):
     """
 
     def __init__(
-        self,
-        spec: RunSpec,
-        setting: float,
-        workspace: Workspace,
-        most_steps: int,
-        progress: Progress | None = None,
+        self, spec: RunSpec, setting: float, workspace: Workspace, most_steps: int, progress: Progress | None = None
     ):
         given = timetable(spec, size_at_start(spec, workspace))
         most = min(given.max_steps, most_steps, MOST_VALUES // len(workspace.q0))

@@ -168,15 +168,10 @@ class Simulation:
         self._restart()
 
     def _started(self, spec: RunSpec) -> SimulatedRun:
-        path = self._archive
+        path, since = self._archive, time.perf_counter()
         writer = begin_arrays if path is None else partial(begin_archive, path=path, overwrite=self._overwrite)
         request = Request(
-            begin=writer,
-            since=time.perf_counter(),
-            measured_in=measured_in,
-            path=path,
-            starts=self._starts,
-            is_open=True,
+            begin=writer, since=since, measured_in=measured_in, path=path, starts=self._starts, is_open=True
         )
         with one_thread_of_linear_algebra():
             return start_run(spec, request)
@@ -212,12 +207,8 @@ class Simulation:
         self._advancing: Advancing = run.stepper
         self._present: PresentValues | None = None
         self._is_fixed: bool = stepper.is_fixed
-        is_plain = (
-            run.watch is None
-            and run.record.integrals is None
-            and not run.record.needs_nodes
-            and not run.record.table.single
-        )
+        record = run.record
+        is_plain = run.watch is None and record.integrals is None and not (record.needs_nodes or record.table.single)
         self._quick = stepper if isinstance(stepper, CompiledStepper) and stepper.is_fixed and is_plain else None
         if self._quick is not None:
             self._quick.keep_start()
@@ -400,8 +391,7 @@ class Simulation:
         """Advance to the goal of the stepper, and keep what the steps give."""
         run, stepper, advancing = self._run, self.stepper, self._advancing
         while not (advancing.finished or advancing.failure or run.failure or stepper.at_goal):
-            stretch = run.next_stretch(advancing)
-            if stretch is not None:
+            if (stretch := run.next_stretch(advancing)) is not None:
                 self._keep(stretch, begin)
         failure = run.failure or advancing.failure
         if failure is not None:
@@ -444,8 +434,7 @@ class Simulation:
         return float(PresentState(self.stepper).z[self.mechanism_inputs[number].state]) if given is None else given
 
     def _number(self, name: str) -> int:
-        number = self._numbers.get(name)
-        if number is None:
+        if (number := self._numbers.get(name)) is None:
             names = [*self._numbers]
             hint = did_you_mean(str(name), names) or ("; it has none" if not names else "")
             raise SpecError(f"the mechanism has no input {name!r}{hint}", key="inputs")
@@ -498,8 +487,7 @@ class Simulation:
         self.check_open()
         if self.ended:
             raise SpecError(f"the simulation has ended, so that its state is of no use: {self.ended}")
-        parts = self._run.parts()
-        if parts is None:
+        if (parts := self._run.parts()) is None:
             why = why_without(self.spec, self._run.method) or "its steps are taken by a library that cannot store it"
             raise SpecError(f"the state of this simulation cannot be stored: {why}")
         self._drain()

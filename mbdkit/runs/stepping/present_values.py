@@ -16,7 +16,7 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.state_expressions import POSITIONS, VELOCITIES
 from mbdkit.engine.workspace import Workspace
-from mbdkit.events.event_expression import RunExpression
+from mbdkit.events.event_expression import RunExpression, places_of
 from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.quantities.names import archive_names
@@ -88,16 +88,14 @@ class PresentValues:
 
     def __init__(self, workspace: Workspace, stepper: CompiledStepper | StepHost, expressions: Sequence[RunExpression]):
         self._now = PresentState(stepper)
-        quantities = list(dict.fromkeys(quantity for expression in expressions for quantity in expression.quantities))
-        places = {quantity: index for index, quantity in enumerate(quantities, start=1)}
+        places = places_of(expressions)
         self._own = own = workspace.with_own_pivots()
         names = archive_names(workspace.mechanism)
-        self._values: list[float] = [0.0] * (len(quantities) + 1)
+        self._values: list[float] = [0.0] * (len(places) + 1)
         self._direct: list[tuple[int, Callable[[], float]]] = []
         self._taken: list[tuple[int, Callable[[States], np.ndarray], bool]] = []
         for quantity, place in places.items():
-            getter = self._getter(quantity, workspace)
-            if getter is not None:
+            if (getter := self._getter(quantity, workspace)) is not None:
                 self._direct.append((place, getter))
             else:
                 self._taken.append((place, quantity.taker(names), quantity.is_vector))

@@ -8,8 +8,6 @@ from dataclasses import replace
 from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
-import numpy as np
-
 from mbdkit.integrators.interface import Stretch
 from mbdkit.integrators.loop.step_loop import ROW_MARGIN
 from mbdkit.runs.run_record import Taken
@@ -91,8 +89,7 @@ class Record:
 
     def adopt(self, other: Record, state: SimulationState) -> None:
         """Take over the record of another simulation at a state, for a simulation in the same state."""
-        links = other._up_to(state)
-        if links is not None and not other._passed:
+        if (links := other._up_to(state)) is not None and not other._passed:
             self._links, self.is_whole = links, True
             self._of_states.update({one: other._of_states[one] for one in (state, state.before) if one is not None})
 
@@ -143,7 +140,8 @@ class Record:
         final = stepper.last_state()
         if row is not None and interval is not None and row.time[-1] >= end - ROW_MARGIN * interval:
             # such a row is one of the end, with the counts of the steps since the row before
-            final = replace(final, intervals=row.intervals[-1:].copy(), corrections=_last(row.corrections))
+            corrections = None if row.corrections is None else row.corrections[-1:].copy()
+            final = replace(final, intervals=row.intervals[-1:].copy(), corrections=corrections)
             final.intervals[:, 0] = final.time
             assert last is not None
             assert last.taken is not None
@@ -157,7 +155,3 @@ class Record:
 def _rows(link: _Link) -> Stretch:
     assert link.taken is not None
     return link.taken.stretch
-
-
-def _last(values: np.ndarray | None) -> np.ndarray | None:
-    return None if values is None else values[-1:].copy()
