@@ -77,7 +77,6 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     """
     from mbdkit.base.errors import SpecError
     from mbdkit.base.text import shown
-    from mbdkit.spec.reading import Document
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 

@@ -24,6 +24,12 @@ from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
 
+#: Commands: name, order and summary.
+_COMMANDS = (
+    ("inverse", 30, "Compute joint and actuator forces from a measured motion."),
+    ("workload", 40, "Print the workload of joints: peaks, impulses and work."),
+)
+
 #: Groups of the archive with a history of each element: name, order, class of the histories, and summary.
 _GROUPS = (
     ("motion", 200, "ObservedHistory", "Observed quantities of a measured motion."),
@@ -123,17 +129,9 @@ def mbdkit_items() -> Iterable[Item]:
                 "statics": "an analysis of a mechanism at rest does not include muscles; leave them out",
             },
         ),
-        Command(
-            name="inverse",
-            summary="Compute joint and actuator forces from a measured motion.",
-            order=30,
-            target=Target("mbdkit_biomech.commands:inverse"),
-        ),
-        Command(
-            name="workload",
-            summary="Print the workload of joints: peaks, impulses and work.",
-            order=40,
-            target=Target("mbdkit_biomech.commands:workload"),
+        *(
+            Command(name=name, summary=summary, order=order, target=Target(f"mbdkit_biomech.commands:{name}"))
+            for name, order, summary in _COMMANDS
         ),
         Accessor(
             name="raw_misalignment",

@@ -15,7 +15,7 @@ import ast
 import itertools
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, model_validator
@@ -32,6 +32,8 @@ REACH = 1.5
 
 
 CLOSED = 1e-12  #: Largest residual of the joints of a device at the start [m, rad, m/s, rad/s].
+
+T = TypeVar("T", float, np.ndarray)
 
 
 class DeviceAttachment(StrictModel):
@@ -130,8 +132,8 @@ def _moved(bodies: Mapping[str, Body], q: np.ndarray, v: np.ndarray) -> dict[str
     return found
 
 
-def turned(angle: float, point: tuple[float, float]) -> tuple[float, float]:
-    """Return a point (x, y), turned by an angle [rad]."""
+def turned(angle: T, point: tuple[T, T]) -> tuple[T, T]:
+    """Return a point (x, y), turned by an angle [rad]; or points, by angles, as arrays."""
     c, s = elementary.cos(angle), elementary.sin(angle)
     return c * point[0] - s * point[1], s * point[0] + c * point[1]
 
@@ -193,9 +195,8 @@ class _Worn:
         frame = 0.0 if one.angle is None else one.angle - angle
         move = turned(frame, (x + swung[0] - held[0], y + swung[1] - held[1]))
         at = one.at[0] + move[0], one.at[1] + move[1]
-        farthest = max(
-            (elementary.hypot(*point) for body, point in _pins(self.person) if body == one.limb), default=0.0
-        )
+        pins = [place[2] for pin in self.person.joints.values() for place in pin.attachments() if place[1] == one.limb]
+        farthest = max((elementary.hypot(*point) for point in pins), default=0.0)
         if one.limb != GROUND and (far := elementary.hypot(*at)) > REACH * farthest > 0.0:
             moved, of_offset = elementary.hypot(*move), f"{self.key}.offset"
             what = f"moves the cuff of '{link}' by {moved:.3g} m, to" if moved else "is"
@@ -228,9 +229,8 @@ class _Worn:
             # the point of the limb below the centre of mass, by way of the point of the attached link
             x, y = lead.to_local(body.position)
             arm = turned(angle, (x - one.on[0], y - one.on[1]))
-            found[name] = self._carried(
-                body, (at[0] + arm[0], at[1] + arm[1]), angle + body.angle - lead.angle, one.limb
-            )
+            place = at[0] + arm[0], at[1] + arm[1]
+            found[name] = self._carried(body, place, angle + body.angle - lead.angle, one.limb)
         return self._closed(found)
 
     def _closed(self, bodies: dict[str, Body]) -> dict[str, Body]:
@@ -301,11 +301,6 @@ def _components(near: Mapping[str, set[str]]) -> list[set[str]]:
                 part |= near[one]
             found.append(part)
     return found
-
-
-def _pins(mechanism: Mechanism) -> list[tuple[str, tuple[float, float]]]:
-    """Return body and point of each joint, in the frame of the body [m]."""
-    return [(body, point) for joint in mechanism.joints.values() for _, body, point in joint.attachments()]
 
 
 class _Renaming:

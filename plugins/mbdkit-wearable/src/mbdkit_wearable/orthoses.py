@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from mbdkit.plugin import Mechanism, NotNegative, Number, Positive, StrictModel
 from mbdkit.plugin.mechanisms import Motion
@@ -160,12 +160,8 @@ def four_bar(options: FourBarOrthosisOptions) -> Mechanism:
     for rod, ends in {"acl": "CB", "pcl": "DA"}.items():
         (ax, ay), (bx, by) = (pins[end] for end in ends)
         _part(m, rod, options.rod_mass, ((ax + bx) / 2.0, (ay + by) / 2.0), math.hypot(bx - ax, by - ay))
-    for pin, pair in {
-        "A": ("lower", "pcl"),
-        "B": ("lower", "acl"),
-        "C": ("upper", "acl"),
-        "D": ("upper", "pcl"),
-    }.items():
+    pairs = {"A": ("lower", "pcl"), "B": ("lower", "acl"), "C": ("upper", "acl"), "D": ("upper", "pcl")}
+    for pin, pair in pairs.items():
         m.revolute(pin, *pair, at=pins[pin])
     return m
 
@@ -209,12 +205,7 @@ def hip_knee(options: ExoskeletonOptions) -> Mechanism:
     """
     knee = -(options.thigh_length or THIGH * options.height)
     m = _orthosis(options, knee)
-    m.body(
-        "pelvis",
-        mass=options.pelvis_mass,
-        inertia=options.pelvis_mass * 0.2**2 / 12.0,
-        position=(0.0, options.pelvis_arm),
-    )
+    _part(m, "pelvis", options.pelvis_mass, (0.0, options.pelvis_arm), 0.2)
     m.revolute("hip", "pelvis", "upper", at=(0.0, 0.0))
     m.revolute("hinge", "upper", "lower", at=(0.0, knee))
     m.torsion_spring("hip_spring", "pelvis", "upper", stiffness=options.hip_stiffness)
@@ -225,15 +216,8 @@ def hip_knee(options: ExoskeletonOptions) -> Mechanism:
 @model_builder
 def strut(options: StrutOptions) -> Mechanism:
     """Return two shells, and a spring behind the knee: bodies `upper` and `lower`, force `strut`."""
-    m, (upper, lower) = _links(options), options.arms
-    free = upper + lower if options.free_length is None else options.free_length
-    m.spring_damper(
-        "strut",
-        "upper",
-        "lower",
-        points=((-options.depth, 0.0), (-options.depth, 0.0)),
-        stiffness=options.stiffness,
-        damping=options.damping,
-        free_length=free,
-    )
+    m, end = _links(options), (-options.depth, 0.0)
+    free = sum(options.arms) if options.free_length is None else options.free_length
+    numbers: dict[str, Any] = {"stiffness": options.stiffness, "damping": options.damping, "free_length": free}
+    m.spring_damper("strut", "upper", "lower", points=(end, end), **numbers)
     return m

@@ -85,14 +85,8 @@ def mbdkit_models() -> list[ModelPlugin]:
 def mbdkit_studies() -> list[StudyPlugin]:
     """Return the study of misfit."""
     summary = "Force that a misplaced orthosis adds to the knee, shear of its cuffs and help lost, for three devices."
-    return [StudyPlugin("misfit", summary, _misfit, Target("mbdkit_wearable.misfit.verdict:verdict"))]
-
-
-def _misfit(quick: bool) -> dict[str, object]:
-    """Return the spec of the study, whose motions are those of packaged examples."""
-    from mbdkit_wearable.misfit.study import study
-
-    return study(quick)
+    spec = Target("mbdkit_wearable.misfit.study:study")
+    return [StudyPlugin("misfit", summary, spec, Target("mbdkit_wearable.misfit.verdict:verdict"))]
 
 
 @hookimpl
@@ -177,7 +171,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=190,
             stage="rows",
             find=Target("mbdkit_wearable.cuff_criteria:watch_cuffs"),
-            of=frozenset({"run"}),
             criteria=("cuff-loads", "cuff-slip"),
             elements="cuffs",
         ),

@@ -414,29 +414,21 @@ def recorded_states(result: Inverse, knees: np.ndarray | None = None) -> States:
     supplied = reactions.powers[:, 0] + dynamics.power.sum(axis=1) + result.loads.power.sum(axis=1)
     work, dissipated = (cumulative_simpson(x, x=motion.time, initial=0) for x in (supplied, reactions.powers[:, 1]))
     start, muscles = float(observed.kinetic[0] + observed.potential[0]), _muscles(result)
-    return States(
-        workspace.mechanism,
-        motion.time,
-        q,
-        v,
-        lambda: observed,
-        work=work,
-        dissipated=dissipated,
-        start_energy=start,
-        handles={"actuators": result.actuators}
-        | ({} if muscles is None else {"muscles": muscles} | _knees(result, knees)),
-        elapsed=np.zeros(count),
-    )
+    handles: dict[str, object] = {"actuators": result.actuators}
+    if muscles is not None:
+        handles |= {"muscles": muscles, "knees": _knees(result, knees)}
+    none = np.zeros(count)
+    return States(workspace.mechanism, motion.time, q, v, lambda: observed, work, dissipated, start, handles, none)
 
 
-def _knees(result: Inverse, bars: np.ndarray | None) -> dict[str, np.ndarray]:
+def _knees(result: Inverse, bars: np.ndarray | None) -> np.ndarray:
     """Return the forces in knees; see `knee_forces`."""
     if bars is None:
         own, q = reactions_of(result), result.motion.q
         bars = np.full((len(q), len(knees := knees_of(result.problem)), 3), np.nan)
         for k, (joint, shank) in enumerate(knees):
             bars[:, k, 0] = compression(own[:, joint], q, shank)
-    return {"knees": knee_forces(result, bars)}
+    return knee_forces(result, bars)
 
 
 def _muscles(result: Inverse) -> Muscles | None:

@@ -41,6 +41,10 @@ class MovingFrame:
         """Return the frame at this angle."""
         return cls(origin, elementary.unit_vector(angle), angle, velocity, rate)
 
+    def hinged(self, point: complex, angle: float, rate: float) -> MovingFrame:
+        """Return the frame with its origin at a point of this one, turned relative to it by an angle at a rate."""
+        return MovingFrame.at(self.to_global(point), self.angle + angle, self.velocity_of(point), self.rate + rate)
+
     def to_global(self, point: complex) -> complex:
         """Return the position of a point of the frame [m]."""
         return self.origin + self.turn * point
@@ -136,11 +140,8 @@ def knee_of(
     tibial = {"A": pose.A - knee, "B": pose.B - knee}
     shank = _shank(thigh, pose, femoral["C"], tibial["B"], linkage, flexion)
     rods, ends = {}, {}
-    rates = linkage.rod_rates(pose, -flexion[1])
-    for name, length, top, end, rate in (
-        ("acl", linkage.acl, "C", "B", rates[0]),
-        ("pcl", linkage.pcl, "D", "A", rates[1]),
-    ):
+    acl, pcl = linkage.rod_rates(pose, -flexion[1])
+    for name, length, top, end, rate in (("acl", linkage.acl, "C", "B", acl), ("pcl", linkage.pcl, "D", "A", pcl)):
         start, stop = thigh.to_global(femoral[top]), shank.to_global(tibial[end])
         spin = thigh.rate + rate
         rods[name] = Body(

@@ -72,12 +72,7 @@ class LegParts(NamedTuple):
 def pinned_leg(person: BodySegments, pose: LegPose, hip: Hip) -> LegParts:
     """Return a leg with a pinned knee."""
     thigh, knee = _thigh(pose, hip), -1j * person.thigh_length
-    shank = MovingFrame.at(
-        thigh.to_global(knee),
-        thigh.angle - pose.knee_flexion,
-        thigh.velocity_of(knee),
-        thigh.rate - pose.knee_flexion_rate,
-    )
+    shank = thigh.hinged(knee, -pose.knee_flexion, -pose.knee_flexion_rate)
     parts = _leg(person, pose, hip, thigh, shank)
     points = (xy(knee - person.thigh.centre), xy(-person.shank.centre))
     pin = Revolute(bodies=("thigh", "shank"), points=points)
@@ -115,21 +110,13 @@ def four_bar_leg(
 
 
 def _thigh(pose: LegPose, hip: Hip) -> MovingFrame:
-    trunk = hip.frame
-    return MovingFrame.at(
-        trunk.origin, trunk.angle + pose.hip_flexion, trunk.velocity, trunk.rate + pose.hip_flexion_rate
-    )
+    return hip.frame.hinged(0j, pose.hip_flexion, pose.hip_flexion_rate)
 
 
 def _leg(person: BodySegments, pose: LegPose, hip: Hip, thigh: MovingFrame, shank: MovingFrame) -> LegParts:
     """Return a leg without the joints of its knee, given the frames of thigh and shank."""
     ankle = -1j * person.shank_length
-    foot = MovingFrame.at(
-        shank.to_global(ankle),
-        shank.angle + pose.ankle_dorsiflexion,
-        shank.velocity_of(ankle),
-        shank.rate + pose.ankle_dorsiflexion_rate,
-    )
+    foot = shank.hinged(ankle, pose.ankle_dorsiflexion, pose.ankle_dorsiflexion_rate)
     segments = {"thigh": person.thigh, "shank": person.shank, "foot": person.foot}
     frames = {"thigh": thigh, "shank": shank, "foot": foot}
     places = {"knee": ("shank", 0j), "ankle": ("foot", 0j), "heel": ("foot", person.heel), "toe": ("foot", person.toe)}

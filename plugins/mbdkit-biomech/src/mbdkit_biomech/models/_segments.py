@@ -161,6 +161,5 @@ class BodySegments:
 
     def _limb(self, of: Fractions) -> RigidSegment:
         length, mass = of.length * self.height, of.mass * self.body_mass
-        return RigidSegment(
-            mass, complex(0.0, -of.centre * length), mass * (of.gyration * length) * (of.gyration * length)
-        )
+        gyration = of.gyration * length
+        return RigidSegment(mass, complex(0.0, -of.centre * length), mass * gyration * gyration)

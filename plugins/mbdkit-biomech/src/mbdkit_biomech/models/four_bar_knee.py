@@ -158,16 +158,10 @@ def build(options: FourBarKneeOptions) -> Mechanism:
         mechanism.torsion_spring(DAMPER, mechanism.ground, "shank", damping=options.damping)
     for name, spring in options.springs.items():
         on_thigh, on_shank = (complex(*point) for point in spring.points)
+        points = xy(thigh.to_global(on_thigh)), xy(on_shank - leg.centre)
+        numbers = spring.model_dump(exclude={"points"})
         try:
-            mechanism.spring_damper(
-                name,
-                mechanism.ground,
-                "shank",
-                points=(xy(thigh.to_global(on_thigh)), xy(on_shank - leg.centre)),
-                stiffness=spring.stiffness,
-                damping=spring.damping,
-                free_length=spring.free_length,
-            )
+            mechanism.spring_damper(name, mechanism.ground, "shank", points=points, **numbers)
         except SpecError as error:
             raise SpecError(error.message, key=f"springs.{name}") from None
     return mechanism

@@ -249,21 +249,14 @@ def _mechanism(name: str, o: LegOptions, leg: Callable[[BodySegments, LegPose, H
             bodies[key] = bodies[key].model_copy(update={"mass": bodies[key].mass + mass})
     for kind, own, further in (("joints", joints, o.joints), ("markers", markers, o.markers)):
         for key in own.keys() & further.keys():
-            raise SpecError(
-                f"the leg itself has an element of this name (it has {listed(sorted(own))})",
-                key=f"{kind}.{quoted(key)}",
-            )
-    data = MechanismData.model_validate(
-        {
-            "gravity": o.gravity,
-            "bodies": bodies,
-            "joints": joints | o.joints,
-            "forces": o.forces,
-            "markers": markers | o.markers,
-            "inputs": o.inputs,
-            "muscles": muscles,
-            "contacts": o.contacts,
-            "coordinates": coordinates | root,
-        }
-    )
-    return Mechanism.from_data(data, name=name)
+            message = f"the leg itself has an element of this name (it has {listed(sorted(own))})"
+            raise SpecError(message, key=f"{kind}.{quoted(key)}")
+    data = {
+        **{key: getattr(o, key) for key in ("gravity", "forces", "inputs", "contacts")},
+        "bodies": bodies,
+        "joints": joints | o.joints,
+        "markers": markers | o.markers,
+        "muscles": muscles,
+        "coordinates": coordinates | root,
+    }
+    return Mechanism.from_data(MechanismData.model_validate(data), name=name)

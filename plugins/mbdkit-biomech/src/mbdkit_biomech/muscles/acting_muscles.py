@@ -145,11 +145,8 @@ class MuscleForce:
             elif item.wrap is not None:
                 assert before is not None
                 radius = item.wrap.radius if item.wrap.side == "left" else -item.wrap.radius
-                found += [
-                    _segment("tangent", before, item, radius),
-                    _segment("tangent", item, after, -radius),
-                    _segment("lifted", before, after, 0.0),
-                ]
+                found += [_segment("tangent", before, item, radius), _segment("tangent", item, after, -radius)]
+                found.append(_segment("lifted", before, after, 0.0))
         return tuple(found)
 
     def fiber_length_at(self, length: float) -> float:

@@ -254,11 +254,8 @@ class Muscle(Element):
     def places(self) -> list[tuple[str, str]]:
         """Return (key, body name) of each body that the element refers to."""
         keys = ("body" if item.wrap is None else "wrap.body" for item in self.path)
-        patella = [] if self.patella is None else [("patella", self.path[-1].on)]
-        return [
-            *((f"path[{index}].{key}", item.on) for index, (key, item) in enumerate(zip(keys, self.path, strict=True))),
-            *patella,
-        ]
+        found = [(f"path[{k}].{key}", item.on) for k, (key, item) in enumerate(zip(keys, self.path, strict=True))]
+        return found if self.patella is None else [*found, ("patella", self.path[-1].on)]
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""

@@ -312,17 +312,15 @@ def muscle_lines(muscle: Muscle, mechanism: Mechanism) -> list[list[Place]]:
     for item in items:  # a point, or the center of a circle, in the frame of its body at the start
         x, y = (_value(mechanism, part) for part in item.center)
         places.append((item.on, (x, y)))
-    results: list[Place] = []
+    results = places.copy()
     for index, item in enumerate(items):
-        body, center = places[index]
-        if item.wrap is None:
-            results.append((body, center))
-            continue
-        (ax, ay), (bx, by) = (mechanism.to_global(*places[other]) for other in (index - 1, index + 1))
-        size = math.hypot(bx - ax, by - ay) or 1.0
-        reach = item.wrap.radius * (1.0 if item.wrap.side == "left" else -1.0) / size
-        x, y = mechanism.to_global(body, center)
-        results.append((body, mechanism.to_local(body, (x - reach * (by - ay), y + reach * (bx - ax)))))
+        if item.wrap is not None:
+            (ax, ay), (bx, by) = (mechanism.to_global(*places[other]) for other in (index - 1, index + 1))
+            size = math.hypot(bx - ax, by - ay) or 1.0
+            reach = item.wrap.radius * (1.0 if item.wrap.side == "left" else -1.0) / size
+            x, y = mechanism.to_global(*places[index])
+            point = mechanism.to_local(item.on, (x - reach * (by - ay), y + reach * (bx - ax)))
+            results[index] = (item.on, point)
     return [results]
 
 

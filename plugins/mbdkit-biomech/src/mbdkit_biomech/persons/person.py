@@ -284,11 +284,8 @@ class Skeleton:
                 is_hip = joint.startswith("hip")
                 weight = center.fit.weights[side] / (len(self.segments.legs) if is_hip else 1)
                 point = (center.proximal, center.distal)[side]
-                shift, turn = (
-                    size / np.sqrt(len(cluster.names)) * np.eye(3),
-                    -product(np.cross(np.eye(3), point), turns),
-                )
-                moves = np.hstack([shift, turn])
+                shift = size / np.sqrt(len(cluster.names)) * np.eye(3)
+                moves = np.hstack([shift, -product(np.cross(np.eye(3), point), turns)])
                 row = columns.index(f"markers.{'hip' if is_hip else joint}.x")
                 shifts[0][row : row + 2] += weight * product(to_plane, moves)[:2]
                 slip = np.zeros((len(columns), 2))
@@ -433,13 +430,9 @@ def _length(
     weights, size = 1.0 / np.array(variances), float(np.sqrt(sum(variances)))
     lengths, doubts = list(values.values()), []
     if abs(lengths[0] - lengths[-1]) > SIDES * size:
-        doubts = [
-            _doubt(
-                "lengths",
-                f"{listed([f'{body} {own:.3f} m' for body, own in values.items()], 'and')} long differ by more than "
-                f"{SIDES:g} standard deviations ({1000 * size:.0f} mm): check markers and joint centres of both legs",
-            )
-        ]
+        told = listed([f"{body} {own:.3f} m" for body, own in values.items()], "and")
+        apart = f"{told} long differ by more than {SIDES:g} standard deviations ({1000 * size:.0f} mm)"
+        doubts = [_doubt("lengths", f"{apart}: check markers and joint centres of both legs")]
     mean = float(np.sum(weights * np.array(lengths)) / np.sum(weights))
     return SegmentLength(mean, float(np.sqrt(1.0 / np.sum(weights))), variation, values), doubts
 

@@ -144,12 +144,10 @@ class _Plate:
             have = f"plates {listed(list(map(str, numbers)), 'and')}" if numbers else "no force plates"
             why = f" ({file.table.remark})" if file.table.remark else ""
             raise SpecError(f"{file.table.name} has no plate {number}: it has {have}{why}", key=key)
-        self.number, self.force, self.point, self.torque = (
-            number,
-            *(
-                plane.coordinates(file.vectors(f"plate{number}.{quantity}", unit, key))
-                for quantity, unit in (("force", "N"), ("point", "m"), ("torque", "N m"))
-            ),
+        self.number = number
+        self.force, self.point, self.torque = (
+            plane.coordinates(file.vectors(f"plate{number}.{quantity}", unit, key))
+            for quantity, unit in (("force", "N"), ("point", "m"), ("torque", "N m"))
         )
         if (missing := np.flatnonzero(np.isnan(self.force + self.torque).any(axis=1))).size:
             raise file.table.error(f"force or torque of plate {number} is missing", row=int(missing[0]), key=key)
@@ -230,10 +228,8 @@ def plates_under_feet(
     time, loads, findings = file.time, {}, []
     keys = {number: f"loads.{name}.plates" for name, (_, own) in asked.items() for number in own}
     plates = {number: _Plate(file, number, plane, key) for number, key in keys.items()}
-    strict = every or len(feet) == 2
-    contacts = [
-        one for number, plate in plates.items() for one in plate.contacts(feet, time, keys[number] if strict else "")
-    ]
+    strict = keys if every or len(feet) == 2 else dict.fromkeys(keys, "")
+    contacts = [one for number, plate in plates.items() for one in plate.contacts(feet, time, strict[number])]
     standing = [(plates[one.plate], one, feet[one.body]) for one in contacts]
     slide, offset = _slide(standing), None
     if slide:

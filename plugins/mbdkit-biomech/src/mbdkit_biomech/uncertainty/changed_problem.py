@@ -226,11 +226,9 @@ class Changer:
         moved = {key: getattr(asked, key) + change[key,] for key in ("exponent", "minimum") if (key,) in change}
         own, recruited = list(problem.names.mechanism.muscles), self.result.recruited
         assert recruited is not None
-        targets = recruited.targets
-        targets = targets.changed(
-            [change.get(("across", one.joint), 0.0) for one in targets.knees],
-            [factor(change, "emg", own[one.muscle]) for one in targets.emg],
-        )
+        shifts = [change.get(("across", one.joint), 0.0) for one in recruited.targets.knees]
+        gains = [factor(change, "emg", own[one.muscle]) for one in recruited.targets.emg]
+        targets = recruited.targets.changed(shifts, gains)
         recruiter = Recruiter(asked.model_copy(update=moved), problem.names, problem.actuators, targets)
         for knee, phase, share in shared_activations(self.problem):
             recruiter.floor = recruiter.floor + change.get(("cocontraction", knee, phase), 0.0) * share
@@ -239,7 +237,8 @@ class Changer:
         for name, muscle in recruiter.muscles.items():
             changed = {key: getattr(muscle, key) * factor(change, key, name) for key in PROPERTIES}
             muscles[name] = muscle.model_copy(update=changed)
-        return recruiter.with_muscles(muscles)
+        recruiter.muscles = muscles
+        return recruiter
 
 
 def factor(change: Change, key: str, element: str) -> float:

@@ -257,10 +257,8 @@ class StackedOutcomes:
             units = np.moveaxis(smooth["unit"][:, :, knee.index], 2, -1)  # (T, S, M, 3)
             unit[:, k] = compression(units, q, knee.shank).reshape(unit[:, k].shape)
         shifts = [np.tile(self._total(values, ("across", knee.joint)), frames) for knee in targets.knees]
-        gains = [
-            np.tile(elementary.exp(self._total(values, ("emg", self._names[one.muscle]))), frames)
-            for one in targets.emg
-        ]
+        of_emg = (self._total(values, ("emg", self._names[one.muscle])) for one in targets.emg)
+        gains = [np.tile(elementary.exp(total), frames) for total in of_emg]
         soft = targets.soft(Axial(without, unit), np.nan_to_num(capacity), np.nan_to_num(passive), shifts, gains)
         return share_softly(programme, exponent, soft, start)[1]
 

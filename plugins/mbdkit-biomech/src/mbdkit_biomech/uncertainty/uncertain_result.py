@@ -190,15 +190,13 @@ class UncertainResult:
         if self.added is None:
             return {}
         noise = "by all sources but the noise"
+        without = "error of followers/reaction_force_without, not by noise"
+        added = f"error of what devices add to reaction_force {noise}"
         what = f"error of the largest followers/reaction_force_without, {noise}"
         change = f"errors of the changes of the largest and the mean force, and of the largest added force, {noise}"
         return {
-            "reaction_without_error": TableColumn(
-                self.added.without, _TJ, "N", "error of followers/reaction_force_without, not by noise"
-            ),
-            "reaction_added_error": TableColumn(
-                self.added.added, _TJ, "N", f"error of what devices add to reaction_force {noise}"
-            ),
+            "reaction_without_error": TableColumn(self.added.without, _TJ, "N", without),
+            "reaction_added_error": TableColumn(self.added.added, _TJ, "N", added),
             "reaction_without_peak_error": TableColumn(self.added.largest_without, ("joint",), "N", what),
             "change": TableColumn(np.array(CHANGES, object), ("change",), "1", "what devices change"),
             "reaction_change_error": TableColumn(self.added.changes, ("change", "joint"), "N", change),
@@ -263,10 +261,8 @@ def _added(
     stacked = StackedOutcomes(without_followers(result), sources)
     own = [stacked.at(numbers).reactions for numbers in (values, np.zeros((1, len(sources))))]
     sampled, plain = ((one[..., :2], other[..., :2]) for one, other in zip((reactions, nominal), own, strict=True))
-    of_without, of_added = (
-        _bound(np.linalg.norm(x - y, axis=-1))
-        for x, y in ((sampled[1], plain[1]), (sampled[0] - sampled[1], plain[0] - plain[1]))
-    )
+    of_without = _bound(np.linalg.norm(sampled[1] - plain[1], axis=-1))
+    of_added = _bound(np.linalg.norm((sampled[0] - sampled[1]) - (plain[0] - plain[1]), axis=-1))
     sizes, nominal_sizes = (_changes(*pair, result.motion.time) for pair in (sampled, plain))
     largest, *changes = (_bound(np.abs(x - y)) for x, y in zip(sizes, nominal_sizes, strict=True))
     return AddedBars(of_without, of_added, largest, np.stack(changes))

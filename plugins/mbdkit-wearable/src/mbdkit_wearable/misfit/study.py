@@ -139,13 +139,8 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
 
 def study(quick: bool) -> dict[str, object]:
     """Return the spec of the study; `quick`: with few members."""
-    sample = {
-        "n": FEW if quick else MEMBERS,
-        "method": "sobol",
-        "seed": 1,
-        "design": "saltelli",
-        "variables": VARIABLES,
-    }
+    size = FEW if quick else MEMBERS
+    sample = {"n": size, "method": "sobol", "seed": 1, "design": "saltelli", "variables": VARIABLES}
     motions = {name: make() for name, make in MOTIONS.items()}
     return {
         "mbdkit_study": 1,

@@ -17,12 +17,8 @@ from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
 if TYPE_CHECKING:
     from mbdkit import Study
 
-WORDS = {
-    "parameters.forward": "forward",
-    "parameters.upward": "upward",
-    "parameters.turn": "rotation",
-    "parameters.tissue": "tissue",
-}
+#: Words for the variables.
+WORDS = dict(zip(VARIABLES, ("forward", "upward", "rotation", "tissue"), strict=True))
 #: Texts of the claims by name.
 TEXTS: dict[str, dict[str, str]] = yaml.safe_load(Path(__file__).with_name("words.yaml").read_text("utf-8"))
 BINS = 8  #: Number of intervals of a variable in which figures show the median of a measure.
@@ -89,13 +85,10 @@ class Sample:
         if not self.count:
             return (None,) * (4 + len(WORDS))
         totals = [self.totals()[name] for name in WORDS]
-        numbers = (
-            float(f"{self.median('added'):.3g}"),
-            float(f"{np.quantile(self.values['added'], 0.95):.3g}"),
-            float(f"{self.median('shear'):.3g}"),
-            float(f"{100 * self.median('transmitted'):.3g}"),
-        )
-        return (*numbers, *(None if np.isnan(one) else float(f"{one:.2f}") for one in totals))
+        added, high = self.median("added"), np.quantile(self.values["added"], 0.95)
+        measures = (added, high, self.median("shear"), 100 * self.median("transmitted"))
+        rounded = (None if np.isnan(one) else float(f"{one:.2f}") for one in totals)
+        return (*(float(f"{one:.3g}") for one in measures), *rounded)
 
 
 Samples = Mapping[tuple[str, str], Sample]
@@ -118,20 +111,18 @@ Pairs = dict[str, tuple[float, float]]
 
 def _growth(samples: Samples) -> Pairs:
     pairs: Pairs = {}
-    for (motion, device), sample in samples.items():
-        if device == "hinge":
-            small, large = (sample.median("added", rows) for rows in (sample.offset < SMALL, sample.offset > LARGE))
-            pairs[f"{motion}, {device}"] = (small, large)
+    for motion in MOTIONS:
+        one = samples[motion, "hinge"]
+        pairs[f"{motion}, hinge"] = one.median("added", one.offset < SMALL), one.median("added", one.offset > LARGE)
     return pairs
 
 
 def _direction(samples: Samples) -> Pairs:
     pairs: Pairs = {}
-    for (motion, device), sample in samples.items():
-        if device == "hinge":
-            totals = sample.totals()
-            others = max(totals[name] for name in VARIABLES if name not in ("parameters.upward", "parameters.tissue"))
-            pairs[f"{motion}, {device}"] = (others, totals["parameters.upward"])
+    for motion in MOTIONS:
+        totals = samples[motion, "hinge"].totals()
+        others = max(totals["parameters.forward"], totals["parameters.turn"])
+        pairs[f"{motion}, hinge"] = others, totals["parameters.upward"]
     return pairs
 
 
@@ -140,8 +131,8 @@ def _self_alignment(samples: Samples) -> Pairs:
     for motion in MOTIONS:
         hinge, own = samples[motion, "hinge"], samples[motion, "self-aligning"]
         for words, most in (("all offsets", np.inf), ("small offsets", SMALL)):
-            values = [one.median("added", one.offset < most) for one in (own, hinge)]
-            pairs[f"{motion}, {words}"] = (values[0], values[1])
+            aligning, hinged = (one.median("added", one.offset < most) for one in (own, hinge))
+            pairs[f"{motion}, {words}"] = aligning, hinged
     return pairs
 
 
@@ -149,8 +140,8 @@ def _tissue(samples: Samples) -> Pairs:
     pairs: Pairs = {}
     for (motion, device), sample in samples.items():
         tissue = sample.values["parameters.tissue"]
-        soft, stiff = (sample.median("transmitted", rows) for rows in (tissue < 0.6, tissue > 1.6))
-        pairs[f"{motion}, {device}"] = (soft, stiff)
+        soft, stiff = tissue < 0.6, tissue > 1.6
+        pairs[f"{motion}, {device}"] = sample.median("transmitted", soft), sample.median("transmitted", stiff)
     return pairs
 
 

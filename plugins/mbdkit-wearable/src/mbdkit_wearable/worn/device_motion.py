@@ -18,6 +18,7 @@ E. Hairer and G. Wanner, Solving Ordinary Differential Equations II, Springer 19
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -42,6 +43,9 @@ RENEWED, SLOW, FAR = 6, 0.2, 0.5
 
 INSTANT = 1e-4  #: Time by which the limbs move for the rates of the equilibrium [s].
 
+States: TypeAlias = tuple[np.ndarray, np.ndarray]  #: Positions and velocities, one row each per state.
+Triple: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
+
 
 @dataclass(frozen=True)
 class LimbMotion:
@@ -52,7 +56,7 @@ class LimbMotion:
     v: np.ndarray
     a: np.ndarray
 
-    def at_nodes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def at_nodes(self) -> Triple:
         """Return times (T - 1, 2), positions and velocities (T - 1, 2, L) at the nodes of each interval."""
         h, s = np.diff(self.time)[:, None, None], NODES[None, :, None]
         (q0, q1), (v0, v1), (a0, a1) = ((x[:-1, None], x[1:, None]) for x in (self.q, self.v, self.a))
@@ -93,7 +97,7 @@ class DeviceMotion:
         self._weight = weights.ravel()
         self._base: _Linearized | None = None if near is None else near._base
 
-    def states(self, motion: LimbMotion) -> tuple[np.ndarray, np.ndarray]:
+    def states(self, motion: LimbMotion) -> States:
         """Return positions and velocities (T, n) of limbs and device. Raise RunError if there is no such motion."""
         q0, v0, lam0 = self._begin(motion)
         found = None if self._base is None else self._corrected(motion, q0, v0, lam0)
@@ -110,26 +114,23 @@ class DeviceMotion:
         evaluate_frames(self._address, *(np.ascontiguousarray(x, dtype=float) for x in (time, q, v)), True, out)
         return out
 
-    def _terms(
-        self, time: np.ndarray, limbs: tuple[np.ndarray, np.ndarray], q: np.ndarray, v: np.ndarray, lam: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _terms(self, time: np.ndarray, limbs: States, device: States, lam: np.ndarray) -> Triple:
         """Return ``Phi_q^T lam - Q`` (R, d), Phi (R, m) and Phi_q (R, m, d) of the device in R states."""
-        frames = self._frames(time, np.hstack([limbs[0], q]), np.hstack([limbs[1], v]))
+        frames = self._frames(time, *(np.hstack(both) for both in zip(limbs, device, strict=True)))
         jacobian = frames.jacobian[:, :, self._first :]
         pull = np.einsum("rmd,rm->rd", jacobian, lam) - frames.force[:, self._first :]
         return pull, frames.phi, jacobian
 
-    def _slopes(
-        self, time: np.ndarray, limbs: tuple[np.ndarray, np.ndarray], q: np.ndarray, v: np.ndarray, lam: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _slopes(self, time: np.ndarray, limbs: States, device: States, lam: np.ndarray) -> Triple:
         """Return derivatives (R, d, d) of ``Phi_q^T lam - Q`` with respect to q and v, and Phi_q (R, m, d)."""
-        count, d = q.shape
+        count, d = device[0].shape
         moves = np.zeros((2 * d + 1, 2, d))
         moves[1 : d + 1, 0], moves[d + 1 :, 1] = STEP * np.eye(d), STEP * np.eye(d)
         rows = 2 * d + 1
         where, rates = (np.repeat(x, rows, axis=0) for x in limbs)
-        at, speed = (np.repeat(x, rows, axis=0) + np.tile(moves[:, i], (count, 1)) for i, x in enumerate((q, v)))
-        pull, _, jacobian = self._terms(np.repeat(time, rows), (where, rates), at, speed, np.repeat(lam, rows, axis=0))
+        at, speed = (np.repeat(x, rows, axis=0) + np.tile(moves[:, i], (count, 1)) for i, x in enumerate(device))
+        lam = np.repeat(lam, rows, axis=0)
+        pull, _, jacobian = self._terms(np.repeat(time, rows), (where, rates), (at, speed), lam)
         pull = pull.reshape(count, rows, d)
         slopes = np.swapaxes(pull[:, 1:] - pull[:, :1], 1, 2) / STEP
         return slopes[..., :d], slopes[..., d:], jacobian[::rows]
@@ -140,8 +141,9 @@ class DeviceMotion:
         still = np.zeros((1, d))
         pose = limbs[None], np.zeros((1, len(limbs)))
         for _ in range(2 * MOST):
-            pull, phi, _ = self._terms(at, pose, q[None], still, lam[None])
-            stiffness, _, jacobian = self._slopes(at, pose, q[None], still, lam[None])
+            device = q[None], still
+            pull, phi, _ = self._terms(at, pose, device, lam[None])
+            stiffness, _, jacobian = self._slopes(at, pose, device, lam[None])
             matrix = np.block([[stiffness[0], jacobian[0].T], [jacobian[0], np.zeros((self._rows, self._rows))]])
             change = np.linalg.lstsq(matrix, -np.concatenate([pull[0], phi[0]]), rcond=1e-12)[0]
             size = float(np.max(np.abs(change[:d]), initial=0.0))
@@ -151,7 +153,7 @@ class DeviceMotion:
                 return q, lam
         raise RunError(f"the device has no equilibrium at t = {time:.6g} s, from which it could follow the limbs")
 
-    def _begin(self, motion: LimbMotion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _begin(self, motion: LimbMotion) -> Triple:
         """Return position, velocity (d,) and multipliers (m,) at the first time."""
         time, limbs = float(motion.time[0]), motion.q[0]
         if self._base is not None:
@@ -162,9 +164,7 @@ class DeviceMotion:
         ends = [self._equilibrium(time, limbs + sign * INSTANT * motion.v[0], q, lam)[0] for sign in (1.0, -1.0)]
         return q, (ends[0] - ends[1]) / (2 * INSTANT), lam
 
-    def _step_by_step(
-        self, motion: LimbMotion, q: np.ndarray, v: np.ndarray, lam: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _step_by_step(self, motion: LimbMotion, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> States:
         """Return positions and velocities (T, d) of the device, and keep the derivatives of this motion."""
         times, limbs, rates = motion.at_nodes()
         count, d, m = len(times), len(q), self._rows
@@ -178,10 +178,10 @@ class DeviceMotion:
             for number in range(MOST):
                 at, rate = guess[:, :d], w @ (guess[:, :d] - qs[k])
                 if number % RENEWED == 0:
-                    stiffness, damping, jacobian = self._slopes(times[k], pose, at, rate, guess[:, d:])
+                    stiffness, damping, jacobian = self._slopes(times[k], pose, (at, rate), guess[:, d:])
                     matrix = self._matrix(w[None], stiffness[None], damping[None], jacobian[None])[0]
                     inverse = np.linalg.inv(matrix)
-                pull, phi, _ = self._terms(times[k], pose, at, rate, guess[:, d:])
+                pull, phi, _ = self._terms(times[k], pose, (at, rate), guess[:, d:])
                 left = np.hstack([self._mass * (w @ (rate - vs[k])) + pull, phi])
                 change = -(inverse @ left.ravel()).reshape(2, d + m)
                 guess = guess + change
@@ -210,22 +210,12 @@ class DeviceMotion:
         return matrix.reshape(len(w), 2 * (d + m), 2 * (d + m))
 
     def _linearized(
-        self,
-        w: np.ndarray,
-        times: np.ndarray,
-        limbs: tuple[np.ndarray, np.ndarray],
-        stages: np.ndarray,
-        qs: np.ndarray,
-        lam: np.ndarray,
+        self, w: np.ndarray, times: np.ndarray, limbs: States, stages: np.ndarray, qs: np.ndarray, lam: np.ndarray
     ) -> _Linearized:
         """Return the derivatives of K steps at stages (K, 2, d + m)."""
         count, d, m = len(w), len(self._mass), self._rows
-        flat = (2 * count, -1)
-        at, rate = stages[..., :d], w @ (stages[..., :d] - qs[:-1, None])
-        pose = limbs[0].reshape(flat), limbs[1].reshape(flat)
-        own = self._slopes(
-            times.ravel(), pose, at.reshape(flat), rate.reshape(flat), stages[..., d:].reshape(2 * count, m)
-        )
+        device = stages[..., :d], w @ (stages[..., :d] - qs[:-1, None])
+        own = self._slopes(times.ravel(), _flat(limbs), _flat(device), stages[..., d:].reshape(2 * count, m))
         stiffness, damping, jacobian = (one.reshape(count, 2, *one.shape[1:]) for one in own)
         inverses = np.linalg.inv(self._matrix(w, stiffness, damping, jacobian))
         sums, squares = (one.sum(axis=2)[..., None, None] for one in (w, w @ w))
@@ -234,9 +224,7 @@ class DeviceMotion:
         start[:, :, :d, d:] = -sums * np.diag(self._mass)
         return _Linearized(inverses, inverses @ start.reshape(count, -1, 2 * d), stages, qs, lam)
 
-    def _corrected(
-        self, motion: LimbMotion, q: np.ndarray, v: np.ndarray, lam: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray] | None:
+    def _corrected(self, motion: LimbMotion, q: np.ndarray, v: np.ndarray, lam: np.ndarray) -> States | None:
         """Return positions and velocities (T, d) of the device from a motion nearby; None if that is too far."""
         base = self._base
         assert base is not None
@@ -245,16 +233,14 @@ class DeviceMotion:
         times, limbs, rates = motion.at_nodes()
         count, d, m = len(times), len(q), self._rows
         w = INVERSE / np.diff(motion.time)[:, None, None]
-        stages, flat, before = base.stages.copy(), (2 * count, -1), np.inf
-        pose = limbs.reshape(flat), rates.reshape(flat)
+        stages, before = base.stages.copy(), np.inf
+        pose = _flat((limbs, rates))
         for number in range(MOST):
             at = stages[..., :d]
             qs = np.vstack([q, at[:, 1]])
             rate = w @ (at - qs[:-1, None])
             vs = np.vstack([v, rate[:, 1]])
-            pull, phi, _ = self._terms(
-                times.ravel(), pose, at.reshape(flat), rate.reshape(flat), stages[..., d:].reshape(2 * count, m)
-            )
+            pull, phi, _ = self._terms(times.ravel(), pose, _flat((at, rate)), stages[..., d:].reshape(2 * count, m))
             inertia = self._mass * (w @ (rate - vs[:-1, None]))
             left = np.concatenate([inertia + pull.reshape(count, 2, d), phi.reshape(count, 2, m)], axis=2)
             change = base.substituted(w, left.reshape(count, -1)).reshape(count, 2, d + m)
@@ -269,6 +255,12 @@ class DeviceMotion:
                 base = self._base = self._linearized(w, times, (limbs, rates), stages, qs, lam)
             before = size
         return None
+
+
+def _flat(states: States) -> States:
+    """Return states (K, 2, d) at the stages of K steps as one row each."""
+    q, v = (x.reshape(2 * len(x), -1) for x in states)
+    return q, v
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from mbdkit.plugin import GROUND, Mechanism, SpecError, quoted
 from mbdkit.plugin.equations import GivenForces, StateObserver, elementary
 from mbdkit.plugin.runs import AddedForces, Follower
 from mbdkit.plugin.seams import follower
-from mbdkit_wearable.device import Device, add_devices
+from mbdkit_wearable.device import Device, add_devices, turned
 from mbdkit_wearable.worn.device_motion import DeviceMotion, LimbMotion
 
 if TYPE_CHECKING:
@@ -116,9 +116,9 @@ class WornDevice(Follower):
             normal, shear, on_link = np.moveaxis(observed.forces[:, list(one.forces), 2], 1, 0)
             moment = -on_link
             (x, y), place = one.cuff.axis, bodies[limb]
-            force = turned(place[:, 2], np.column_stack([normal * x - shear * y, normal * y + shear * x]))
-            on = np.tile(one.cuff.ends[1], (len(time), 1))
-            point = bodies[link][:, :2] + turned(bodies[link][:, 2], on)
+            force = np.column_stack(turned(place[:, 2], (normal * x - shear * y, normal * y + shear * x)))
+            px, py = np.tile(one.cuff.ends[1], (len(time), 1)).T
+            point = bodies[link][:, :2] + np.column_stack(turned(bodies[link][:, 2], (px, py)))
             rows.append((one.name, limb, force, point, moment))
             arm, index = point - place[:, :2], self.limbs.index(limb)
             left[:, index, :2] -= force
@@ -137,19 +137,11 @@ class WornDevice(Follower):
         factor = float(elementary.exp(change.get("tissue", 0.0)))
         attach = {}
         for link, one in self.device.attach.items():
-            stiffness = {
-                key: factor * getattr(one.cuff.stiffness, key) for key in type(one.cuff.stiffness).model_fields
-            }
-            cuff = one.cuff.model_copy(update={"stiffness": one.cuff.stiffness.model_copy(update=stiffness)})
+            own = one.cuff.stiffness
+            stiffness = own.model_copy(update={key: factor * value for key, value in own})
+            cuff = one.cuff.model_copy(update={"stiffness": stiffness})
             attach[link] = one.model_copy(update={"cuff": cuff})
         offset = (*moved, angle + change.get("misfit_angle", 0.0))
         found = WornDevice(self.device.model_copy(update={"offset": offset, "attach": attach}), self.name, self.person)
         found._near = self._motion or self._near
         return found
-
-
-def turned(angle: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (T, 2), turned by angles (T,)."""
-    c, s = elementary.cos(angle), elementary.sin(angle)
-    x, y = vectors.T
-    return np.column_stack([c * x - s * y, s * x + c * y])

@@ -4,7 +4,7 @@ used for several quantities.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
@@ -260,16 +260,12 @@ def _fit(result: Inverse) -> Iterator[Finding]:
         large = [index for index in np.argsort(-rms) if rms[index] > RESIDUAL][:4]
         worst, first = [measured.names[index] for index in large], large[0]
         limit = f"{RESIDUAL:g} {'rad' if measured.quantities.is_angle[first] else 'times the longest link'}"
+        causes = "likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths."
         yield doubt(
             "fit",
             f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is "
             f"{_size(measured, first, rms[first], length)} (doubtful above {limit}); columns with large residuals: "
-            f"{listed(worst, 'and')}; "
-            + _cause_of_misfit(
-                result,
-                share,
-                "likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths.",
-            ),
+            f"{listed(worst, 'and')}; {_cause_of_misfit(result, share, causes)}",
         )
         return
     if np.any(rms > LEAST_SUDDEN) and (told := misplaced_marker(result, share)):
@@ -302,9 +298,7 @@ def _noise(result: Inverse) -> Iterator[Finding]:
     measured = result.fitted.measured
     left = measured.raw - measured.quantities.values(result.motion.q)
     ratio = np.sqrt(np.nanmean(left**2, axis=0)) / measured.deviation
-    told: Sequence[str] = [
-        f"{name} {one:.3g}" for name, one in zip(measured.names, ratio, strict=True) if one > BEYOND_NOISE
-    ]
+    told = [f"{name} {one:.3g}" for name, one in zip(measured.names, ratio, strict=True) if one > BEYOND_NOISE]
     if told:
         yield doubt(
             "noise",

@@ -113,10 +113,8 @@ def load_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield doubts about measured loads."""
     for index, (name, load) in enumerate(result.problem.spec.loads.items()):
         if load.is_plate:
-            yield from _direction(result, index, name)
-            yield from _horizontal_sign(result, index, name)
-            yield from _offset(result, index, name)
-            yield from _lag(result, index, name)
+            for criterion in (_direction, _horizontal_sign, _offset, _lag):
+                yield from criterion(result, index, name)
             yield from glitch_doubts(result, name)
     yield from load_point_doubts(result)
     yield from _balance(result, bars)
@@ -146,25 +144,15 @@ def _lag(result: Inverse, index: int, name: str) -> Iterator[Finding]:
             return
         off = of_contact - weight @ of_contact / whole
         slip[delay] = float(np.sqrt(weight @ np.sum(off**2, axis=1) / whole))
-        own = in_body(result, shifted, place // 3)
+        own = in_body(q, shifted)
         own -= weight @ own / whole
         width[delay] = float(np.sqrt(max(0.0, np.linalg.eigvalsh((own.T * weight) @ own / whole)[0])))
     line = NARROW * result.problem.fitter.manifold.length
+    slips = f"while it acts, the point of {body} under it slips with {{:.3g}} m/s, but only with {{:.2g}} m/s"
+    scatters = f"its points on {body} scatter by {{:.2g}} m about a straight line, but only by {{:.2g}} m"
     for values, most, floor, ratio, told in (
-        (
-            slip,
-            RESTING * usual,
-            0.0,
-            SLIPPING,
-            f"while it acts, the point of {body} under it slips with {{:.3g}} m/s, but only with {{:.2g}} m/s",
-        ),
-        (
-            width,
-            np.inf,
-            line,
-            WIDER,
-            f"its points on {body} scatter by {{:.2g}} m about a straight line, but only by {{:.2g}} m",
-        ),
+        (slip, RESTING * usual, 0.0, SLIPPING, slips),
+        (width, np.inf, line, WIDER, scatters),
     ):
         best, given = min(values, key=lambda delay: values[delay]), values[min(values, key=abs)]
         limit, at_end = ratio * max(values[best], floor), values[float(np.copysign(LONGEST_LAG, best))]

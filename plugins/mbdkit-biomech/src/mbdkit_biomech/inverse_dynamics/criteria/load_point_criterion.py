@@ -10,6 +10,7 @@ from mbdkit.base import elementary
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.mechanism_quantities import Point
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
 from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt
@@ -50,13 +51,12 @@ def _stands(result: Inverse, body: int, plates: list[int], acts: np.ndarray) -> 
     """Return whether a body is close to the ground and slow at an end of the points of its plates, (T,)."""
     q, v = (x[:, 3 * body : 3 * body + 3] for x in (result.motion.q, result.motion.v))
     points = [centre_of_pressure(result, index)[0] for index in plates]
-    own = np.concatenate([in_body(result, x, body)[acts[:, k]] for x, k in zip(points, plates, strict=True)])
+    own = np.concatenate([in_body(q, x)[acts[:, k]] for x, k in zip(points, plates, strict=True)])
     ground = np.median(np.concatenate([x[acts[:, k], 1] for x, k in zip(points, plates, strict=True)]))
-    c, s = elementary.cos(q[:, 2]), elementary.sin(q[:, 2])
     stands = np.zeros(len(q), dtype=bool)
     for share in ENDS:
         x, y = float(np.quantile(own[:, 0], share)), float(np.median(own[:, 1]))
-        arm = np.stack([c * x - s * y, s * x + c * y], axis=1)
+        arm = np.column_stack(Point(body, x, y).arm(result.motion.q))
         speed = np.hypot(v[:, 0] - v[:, 2] * arm[:, 1] + result.problem.spec.motion.belt, v[:, 1] + v[:, 2] * arm[:, 0])
         stands |= (speed < SLOW) & (q[:, 1] + arm[:, 1] - ground < LOW)
     return stands
@@ -119,30 +119,24 @@ def load_point_doubts(result: Inverse) -> Iterator[Finding]:
             yield from _zeros(result, index, name, wide)
 
 
-def _outlines(result: Inverse) -> tuple[np.ndarray, np.ndarray]:
-    """Return the wide and the narrow outlines of all bodies: their smallest and largest x and y in the frame of the
-    body, (B, 2, 2) each.
+def _outlines(result: Inverse) -> np.ndarray:
+    """Return the wide and the narrow outlines of all bodies, (2, B, 2, 2): their smallest and largest x and y in the
+    frame of the body.
 
     An outline contains the joint points and markers of the body. Wide outlines, and narrow ones unless these points
     cover the rod (`COVERED`), also contain a square around the centre of mass; see `ROD`.
     """
     mechanism = result.problem.names.mechanism
-    points: dict[str, list[tuple[float, float]]] = {name: [] for name in mechanism.bodies}
-    for joint in mechanism.joints.values():
-        for _, name, point in joint.attachments():
-            points.get(name, []).append(point)
-    for marker in mechanism.markers.values():
-        if marker.point is not None:
-            points.get(marker.body, []).append(marker.point)
-    wide: list[tuple[np.ndarray, np.ndarray]] = []
-    narrow: list[tuple[np.ndarray, np.ndarray]] = []
+    places = [place[1:] for joint in mechanism.joints.values() for place in joint.attachments()]
+    places += [(marker.body, marker.point) for marker in mechanism.markers.values() if marker.point is not None]
+    outlines = []
     for name, body in mechanism.bodies.items():
-        half, own = ROD * np.sqrt((body.inertia or 0.0) / body.mass), np.array(points[name]).reshape(-1, 2)
+        half = ROD * np.sqrt((body.inertia or 0.0) / body.mass)
+        own = np.array([point for on, point in places if on == name]).reshape(-1, 2)
         every = np.array([(-half, -half), (half, half), *own])
         covered = own.size and np.max(np.ptp(own, axis=0)) >= COVERED * 2 * half
-        for found, one in ((wide, every), (narrow, own if covered else every)):
-            found.append((one.min(axis=0), one.max(axis=0)))
-    return np.array(wide), np.array(narrow)
+        outlines.append([(one.min(axis=0), one.max(axis=0)) for one in (every, own if covered else every)])
+    return np.array(outlines).swapaxes(0, 1)
 
 
 def centre_of_pressure(result: Inverse, index: int) -> tuple[np.ndarray, np.ndarray]:
@@ -156,16 +150,15 @@ def centre_of_pressure(result: Inverse, index: int) -> tuple[np.ndarray, np.ndar
     return result.loads.point[:, index] + arm[:, None] * force[:, ::-1] * [1.0, -1.0], np.abs(arm) * np.sqrt(square)
 
 
-def in_body(result: Inverse, point: np.ndarray, body: int) -> np.ndarray:
-    """Return points (T, 2) in the frame of a body."""
-    q = result.motion.q[:, 3 * body : 3 * body + 3]
+def in_body(q: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return points (T, 2) in the frame of a body with poses (T, 3)."""
     (x, y), c, s = (point - q[:, :2]).T, elementary.cos(q[:, 2]), elementary.sin(q[:, 2])
     return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
 
 def _outside(result: Inverse, point: np.ndarray, body: int, outline: np.ndarray) -> np.ndarray:
     """Return the distance (T,) of points (T, 2) from the outline of a body, relative to the body's extent."""
-    own = in_body(result, point, body)
+    own = in_body(result.motion.q[:, 3 * body : 3 * body + 3], point)
     beyond = np.maximum(0.0, np.maximum(outline[0] - own, own - outline[1]))
     extent = float(np.linalg.norm(outline[1] - outline[0]))
     return np.asarray(np.linalg.norm(beyond, axis=1) / extent) if extent > 0 else np.zeros(len(own))

@@ -60,17 +60,15 @@ AT_REST = 1e-9  #: Peaks of moments and forces [N m, N] below this value are rou
 def model_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield doubts about the masses, beams, muscles and reserves of the model."""
     yield from spec_doubts(result.problem.spec)
-    workspace = result.problem.prepared.workspace
     mechanism = result.problem.names.mechanism
     if mechanism.beams:
-        coarse = CoarseBeams(mechanism, workspace.mechanism)
+        coarse = CoarseBeams(mechanism, result.problem.prepared.workspace.mechanism)
         coarse.add(recorded_states(result))
         for warning in coarse.findings():
             yield doubt("elements", f"{warning}.")
     if result.recruited is not None:
-        yield from _fibers(result, result.recruited)
-        yield from _reserves(result, result.recruited)
-        yield from _weak_muscles(result, result.recruited)
+        for criterion in (_fibers, _reserves, _weak_muscles):
+            yield from criterion(result, result.recruited)
 
 
 def spec_doubts(spec: InverseSpec) -> Iterator[Finding]:

@@ -72,11 +72,6 @@ class LongGap:
     end: float
     longest: float
 
-    @property
-    def length(self) -> float:
-        """Time between the samples on both sides [s]."""
-        return self.end - self.start
-
 
 def long_gaps(result: Inverse) -> list[LongGap]:
     """Return the interpolated gaps that are longer than half a period of the highest cutoff of the smoothed
@@ -124,9 +119,10 @@ def changes_in_gaps(result: Inverse, path: NoisePath, gaps: Sequence[LongGap]) -
         # rows with the amplified noise of the filling
         near = (time > gap.start - gap.longest) & (time < gap.end + gap.longest)
         largest = np.max(acceleration[~near if not np.all(near) else near, gap.column])
-        place = (time[gap.rows] - gap.start) / gap.length
+        length = gap.end - gap.start
+        place = (time[gap.rows] - gap.start) / length
         # the largest second derivative of s^2 (1 - s)^2, and of its product with 1 - 2 s, is 2, at both ends
-        even = 0.5 * largest * (place * (1 - place) * gap.length) ** 2
+        even = 0.5 * largest * (place * (1 - place) * length) ** 2
         changes[gap.rows, gap.column, 2 * number : 2 * number + 2] = np.stack([even, even * (1 - 2 * place)], axis=1)
     return path.smoothed(changes)
 

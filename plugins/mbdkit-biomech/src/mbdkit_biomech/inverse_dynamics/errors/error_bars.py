@@ -174,10 +174,8 @@ def error_bars(result: Inverse) -> ResultBars | None:
     for group in groups:
         beyond = [np.zeros_like(square) for square in squares]
         for one in group:
-            for index, (change, noise) in enumerate(
-                zip(one.change, _squares(sensitivity, of_others.pop(0)), strict=True)
-            ):
-                beyond[index] += (change**2 - noise) / len(group)
+            for total, change, noise in zip(beyond, one.change, _squares(sensitivity, of_others.pop(0)), strict=True):
+                total += (change**2 - noise) / len(group)
         squares = [square + np.maximum(0.0, more) for square, more in zip(squares, beyond, strict=True)]
     of_ends = _squares_of_changes(sensitivity, changes_at_ends(data))
     likely = response(likely_at_ends(data))
@@ -191,20 +189,17 @@ def error_bars(result: Inverse) -> ResultBars | None:
     for square, more in zip(squares, of_gaps, strict=True):
         square[more > HIDDEN**2 * square] = np.nan
     method = _method(result, data.deviation, *([one.name for one in group] for group in groups), gaps=gaps)
-    method += "" if uncertain is None else uncertain.told
     parts = {}
     if uncertain is not None:
+        method += uncertain.told
         parts = uncertain.parts(of_data, squares[1], _excess_by_noise(data, result, sensitivity[1]))
     actuators, force, torque, position, velocity, muscles = (np.sqrt(square) for square in squares)
+    end, took = float(times[-1]), time.perf_counter() - begin
     return ResultBars(
         data.noise,
         actuators,
         muscles,
-        Accuracy(
-            *(times, position, velocity, force, torque, float(times[-1]), np.nan, method),
-            time.perf_counter() - begin,
-            further=parts,
-        ),
+        Accuracy(times, position, velocity, force, torque, end, np.nan, method, took, further=parts),
         (np.sqrt(of_ends[0]), np.sqrt(of_ends[1])),
         (np.sqrt(of_gaps[0]), np.sqrt(of_gaps[1])),
         (np.abs(likely.actuators), np.linalg.norm(likely.reactions[:, :, :2], axis=2)),
@@ -424,11 +419,9 @@ def _method(
 ) -> str:
     measured = result.fitted.measured
     stated = ~np.isnan(measured.deviation)
+    columns = zip(measured.names, deviation, measured.quantities.quantities, stated, strict=True)
     texts = [
-        f"{name} {value:.3g} {quantity.unit}{' (stated)' if given else ''}"
-        for name, value, quantity, given in zip(
-            measured.names, deviation, measured.quantities.quantities, stated, strict=True
-        )
+        f"{name} {value:.3g} {quantity.unit}{' (stated)' if given else ''}" for name, value, quantity, given in columns
     ]
     loads = [
         f"{name}.{array}{'' if axis is None else '.' + 'xy'[axis]} {value:.3g} {LOAD_UNITS[array]}"

@@ -105,10 +105,8 @@ class NoisePath:
         for begin, end, _ in self._intervals:
             if end - begin >= FEWEST:
                 own = by[begin:end]
-                rate[begin:end], bend[begin:end] = (
-                    part.reshape(own.shape)
-                    for part in local_derivatives(self._time[begin:end], own.reshape(len(own), -1))
-                )
+                slopes = local_derivatives(self._time[begin:end], own.reshape(len(own), -1))
+                rate[begin:end], bend[begin:end] = (part.reshape(own.shape) for part in slopes)
         speed = products(by, x.rate) + products(rate, x.value)
         bending = products(by, x.acceleration) + products(2 * rate, x.rate) + products(bend, x.value)
         return Smoothed(products(by, x.value), speed, bending)

@@ -101,15 +101,8 @@ def read_c3d(path: Path, most_cells: int, *, channels: bool = False) -> Measured
         columns = Path(folder) / "columns.npz"
         places = [*map(str, sys.path)]
         program = f"import sys; sys.path[:] = {places!r}; from {__name__} import write_columns; write_columns()"
-        command = [
-            sys.executable,
-            "-c",
-            program,
-            str(path.absolute()),
-            str(columns),
-            str(most_cells),
-            str(int(channels)),
-        ]
+        arguments = map(str, (path.absolute(), columns, most_cells, int(channels)))
+        command = [sys.executable, "-c", program, *arguments]
         alone = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # whose threads take address space
         none = subprocess.DEVNULL
         try:
@@ -201,10 +194,8 @@ def _decoded(path: Path, most_cells: int, *, channels: bool) -> _Columns | None:
     if not unit and any(np.ptp(plate["corners"]) > LARGEST_PLATE for plate in plates):
         unit = "mm"
     if plates and _has_negative_offsets(file["parameters"].get("ANALOG", {})):
-        plates, remark = (
-            (),
-            "its analog channels have negative offsets, which the package ezc3d takes for positive ones",
-        )
+        plates = ()
+        remark = "its analog channels have negative offsets, which the package ezc3d takes for positive ones"
     for number, plate in enumerate(plates, 1):
         if not frames or plate["force"].shape[1] < frames:
             continue

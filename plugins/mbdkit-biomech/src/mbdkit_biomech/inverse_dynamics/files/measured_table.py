@@ -149,17 +149,13 @@ class MeasuredTable:
             raise SpecError(f"{self.name} has no column '{cited(heading)}'{hint}{remark}", key=key)
         if self.headings.count(self.headings[place]) > 1:
             raise self.error(f"two columns have the heading '{cited(heading)}'")
-        try:
+        with suppress(IndexError, TypeError, ValueError):  # if there are gaps, or cells that are not numbers
             texts = [cells[place] for cells in self.cells]
-            if not all(map(_is_plain, texts)):
-                raise ValueError
             values = np.array([float(text) for text in texts])  # type: ignore[arg-type]  # None raises TypeError
-        except (IndexError, TypeError, ValueError):  # there are gaps, or cells that are not numbers
-            values = np.array([math.inf])
-        if np.any(np.isinf(values)):
-            cells = (cells[place] if place < len(cells) else None for cells in self.cells)
-            values = np.array([self._number(cell, row, heading) for row, cell in enumerate(cells)])
-        return values
+            if all(map(_is_plain, texts)) and not np.any(np.isinf(values)):
+                return values
+        cells = (cells[place] if place < len(cells) else None for cells in self.cells)
+        return np.array([self._number(cell, row, heading) for row, cell in enumerate(cells)])
 
     def _number(self, cell: Cell, row: int, heading: str) -> float:
         if cell is None:

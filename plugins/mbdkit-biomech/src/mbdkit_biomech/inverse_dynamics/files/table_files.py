@@ -77,8 +77,7 @@ def read_table(path: Path, key: str, separator: str | None = None, decimal: str 
         return c3d
     readers: dict[str, Callable[[str, list[str]], MeasuredTable]] = {
         **dict.fromkeys((".csv", ".tsv", ".txt", ".dat"), partial(_read_csv, separator=separator, decimal=decimal)),
-        ".mot": _read_storage,
-        ".sto": _read_storage,
+        **dict.fromkeys((".mot", ".sto"), _read_storage),
         ".trc": _read_trc,
     }
     if suffix not in readers:
@@ -208,14 +207,11 @@ def _usual(unit: str) -> str:
 
 def _with_points(rows: list[list[str]], delimiter: str, decimal: str | None) -> list[list[str]]:
     """Return the rows of a table with decimal points, if it has decimal commas throughout."""
-    if decimal == ".":
-        return rows
-    if decimal is None and (
-        delimiter in ", " or not any(map(DECIMAL_COMMA.fullmatch, itertools.chain.from_iterable(rows)))
-    ):
-        return rows
-    cells_of = itertools.chain.from_iterable(rows)
-    if decimal is None and any("." in one and begins_like_number(one) and ":" not in one for one in cells_of):
+    if decimal is None and delimiter not in ", ":
+        flat = itertools.chain.from_iterable
+        has_points = any("." in cell and begins_like_number(cell) and ":" not in cell for cell in flat(rows))
+        decimal = "," if any(map(DECIMAL_COMMA.fullmatch, flat(rows))) and not has_points else None
+    if decimal != ",":
         return rows
     return [[cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells] for cells in rows]
 
@@ -224,10 +220,8 @@ _HEADING_WITH_UNIT = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]+)[\])]")
 
 
 def _rows_of(file: str, lines: list[str], delimiter: str) -> list[tuple[int, list[str]]]:
-    if delimiter == " ":
-        split = ((number, line.split()) for number, line in enumerate(lines, 1) if _is_row(line))
-        return list(_within(file, split))
-    return list(_within(file, _csv_rows(file, lines, delimiter)))
+    split = ((number, line.split()) for number, line in enumerate(lines, 1) if _is_row(line))
+    return list(_within(file, split if delimiter == " " else _csv_rows(file, lines, delimiter)))
 
 
 def _units_in(headings: Sequence[str], cells: Sequence[str]) -> dict[str, str]:

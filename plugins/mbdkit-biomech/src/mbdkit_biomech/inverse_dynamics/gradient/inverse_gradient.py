@@ -216,18 +216,15 @@ class _Frames:
         states = self._described(lam, np.stack(by_pairs, axis=-1))
         power = np.asarray(states.power[..., : 1 + self.seeds.count])
         supplied = np.stack([power[:, 0] + supplied, power[:, 1]], axis=1)
-        mechanism = self.workspace.mechanism
-        return DifferentiatedStates.of_duals(
-            mechanism,
-            states,
-            self.seeds.count,
-            cumulative_simpson(supplied, x=motion.time, axis=0, initial=0),
-            handles={"actuators": actuators} | ({} if muscles is None else {"muscles": muscles}),
-            names=archive_names(mechanism).with_members(
-                actuators=members_of_actuators(recorded),
-                muscles=[] if muscles is None else [(name, ()) for name in self.result.problem.names.mechanism.muscles],
-            ),
-        )
+        mechanism, count = self.workspace.mechanism, self.seeds.count
+        members: dict[str, Any] = {"actuators": members_of_actuators(recorded)}
+        handles: dict[str, object] = {"actuators": actuators}
+        if muscles is not None:
+            members["muscles"] = [(name, ()) for name in self.result.problem.names.mechanism.muscles]
+            handles["muscles"] = muscles
+        names = archive_names(mechanism).with_members(**members)
+        energy = cumulative_simpson(supplied, x=motion.time, axis=0, initial=0)
+        return DifferentiatedStates.of_duals(mechanism, states, count, energy, handles=handles, names=names)
 
     def _of_pairs(self, lam: np.ndarray) -> np.ndarray:
         """Return the multipliers (T, P, 2) of all P pairs of constraint rows from the multipliers (T, m) of the
@@ -260,11 +257,8 @@ class _Frames:
         own = self._actuators(values, np.where(driven[:, None], value, change.beside))
         left_over = np.where(driven, recruited.beside, 0.0), np.where(driven[:, None], change.beside, 0.0)
         spare = self._actuators(*left_over)[:, places]
-        return (
-            lam,
-            np.concatenate([own, spare], axis=1),
-            differentiated_muscles(recruiter, recruited, change, self.seeds),
-        )
+        muscles = differentiated_muscles(recruiter, recruited, change, self.seeds)
+        return lam, np.concatenate([own, spare], axis=1), muscles
 
     def _slope(self, name: str, shape: tuple[int, ...]) -> np.ndarray:
         """Return the derivatives (..., K) of an array of the motion; zeros if the array does not depend on
@@ -277,10 +271,7 @@ class _Frames:
         """Return the states for multipliers `lam` (T, P, 2) of all rows, with derivatives `slope` (T, P, 2, K)."""
         motion = self.result.motion
         given = (
-            (
-                np.column_stack([x, np.zeros((len(x), 3))]),
-                np.pad(self._slope(name, x.shape), ((0, 0), (0, 3), (0, 0))),
-            )
+            (np.column_stack([x, np.zeros((len(x), 3))]), np.pad(self._slope(name, x.shape), ((0, 0), (0, 3), (0, 0))))
             for name, x in zip(MOTION, (motion.q, motion.v, motion.a), strict=False)
         )
         return self._given.states(motion.time, given, (lam, slope))
@@ -292,8 +283,8 @@ class _Frames:
 
     def _needed(self, lack: np.ndarray) -> np.ndarray:
         """Return the derivatives (T, n, K) of the generalized forces that actuators and joints supply."""
-        own = lack[:, :-3, 1 : 1 + self.seeds.count] - self._slope("motion.loads", self.result.motion.q.shape)
-        return np.asarray(own)
+        of_loads = self._slope("motion.loads", self.result.motion.q.shape)
+        return np.asarray(lack[:, :-3, 1 : 1 + self.seeds.count] - of_loads)
 
     def _changes(self, lack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (T, U, K) of the actuators and (T, m, K) of the multipliers."""
@@ -309,10 +300,7 @@ class _Frames:
         turned = np.sum(self._slope("motion.columns", columns.shape) * motion.v[:, :, None, None], axis=1)
         faster = products(np.swapaxes(columns, 1, 2), self._slope("motion.v", motion.v.shape))
         power = slope * rate[..., None] + value[..., None] * (turned + faster)
-        both = (
-            np.concatenate([value[..., None], slope], axis=-1),
-            np.concatenate([(value * rate)[..., None], power], axis=-1),
-        )
+        both = [np.concatenate([x[..., None], y], axis=-1) for x, y in ((value, slope), (value * rate, power))]
         return np.stack(both, axis=2)
 
     def _load_power(self) -> np.ndarray:

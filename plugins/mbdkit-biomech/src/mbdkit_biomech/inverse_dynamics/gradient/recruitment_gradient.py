@@ -47,11 +47,6 @@ from mbdkit_biomech.muscles.muscle_values import Muscles
 OF_MUSCLES = ("length", "rate", "fiber_length", "fiber_rate", "capacity", "passive", "pull", "arms")
 
 
-def key_of(name: str) -> str:
-    """Return the name under which the preparation stores an array of muscles."""
-    return f"muscles.{name}"
-
-
 def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarray]:
     """Return the arrays of the muscles of a motion that may depend on parameters, and the weights of the muscles."""
     recruiter = problem.recruiter
@@ -60,16 +55,13 @@ def muscle_arrays(problem: InverseProblem, motion: Motion) -> dict[str, np.ndarr
     own = recruiter.contraction(motion)
     arms = balance.as_actuators(own.pull)
     every = {name: arms if name == "arms" else np.nan_to_num(getattr(own, name)) for name in OF_MUSCLES}
-    return {key_of(name): x for name, x in (every | {"weights": recruiter.weights}).items()}
+    return {f"muscles.{name}": x for name, x in (every | {"weights": recruiter.weights}).items()}
 
 
 def require_derivatives_of(recruiter: Recruiter) -> None:
     """Raise SpecError if the solution of recruitment cannot be differentiated."""
     if recruiter.asked.dynamics == "activation":
-        raise SpecError(
-            "gradients are not available with `dynamics: activation`",
-            key="recruitment.dynamics",
-        )
+        raise SpecError("gradients are not available with `dynamics: activation`", key="recruitment.dynamics")
     if recruiter.is_elastic:
         raise SpecError("gradients are not available with elastic tendons", key="recruitment")
     if recruiter.targets:
@@ -137,7 +129,7 @@ def _slopes(seeds: Seeds, recruited: Recruited, index: int) -> dict[str, np.ndar
     none: Mapping[str, np.ndarray] = {name: np.zeros_like(x) for name, x in shapes.items()} | {
         "weights": np.zeros(contraction.length.shape[1])
     }
-    results = {name: seeds.get(key_of(name)) for name in none}
+    results = {name: seeds.get(f"muscles.{name}") for name in none}
     return {name: none[name] if x is None else x[..., index] for name, x in results.items()}
 
 
@@ -177,11 +169,8 @@ def differentiated_muscles(
     slopes = [_slopes(seeds, recruited, k) for k in range(seeds.count)]
     kinematic = {name: np.stack([slope[name] for slope in slopes], axis=-1) for name in OF_MUSCLES[:4]}
     power = -(change.force * contraction.rate[..., None] + recruited.force[..., None] * kinematic["rate"])
-    values = {name: getattr(contraction, name) for name in kinematic} | {
-        "activation": recruited.activation,
-        "force": recruited.force,
-        "power": recruited.power,
-    }
+    own = {name: getattr(recruited, name) for name in ("activation", "force", "power")}
+    values = {name: getattr(contraction, name) for name in kinematic} | own
     every = kinematic | {"activation": change.activation, "force": change.force, "power": power}
     joined = {name: np.concatenate([x[..., None], every[name]], axis=-1) for name, x in values.items()}
     return Muscles(**joined, muscles=tuple(recruiter.muscles.values()))

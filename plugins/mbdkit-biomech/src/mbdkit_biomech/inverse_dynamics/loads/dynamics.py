@@ -117,7 +117,12 @@ class Balance:
         directions: Directions | None = None,
     ):
         directions = manifold.directions_at(motion.time, motion.q) if directions is None else directions
-        _require_regular(directions, motion)
+        singular = np.flatnonzero(directions.singular())
+        if singular.size:
+            raise RunError(
+                f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of "
+                f"its joints are not determined; exclude this time with `time.start` and `time.end`"
+            )
         self.directions, self._scale = directions, manifold.scale
         self.columns = columns_of(motion.q, actuators)
         self._free = np.swapaxes(directions.free * manifold.scale[:, None], 1, 2)  # (T, f, n)
@@ -165,15 +170,6 @@ def weights_of(manifold: Manifold, actuators: Sequence[NamedActuator]) -> np.nda
     return np.array([actuator.weight / (manifold.length if actuator.unit == "N m" else 1.0) for actuator in actuators])
 
 
-def _require_regular(directions: Directions, motion: Motion) -> None:
-    singular = np.flatnonzero(directions.singular())
-    if singular.size:
-        raise RunError(
-            f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of "
-            f"its joints are not determined; exclude this time with `time.start` and `time.end`"
-        )
-
-
 def _rank(fitter: Fitter, balance: Balance, time: np.ndarray, report: bool) -> int:
     """Return the smallest number of free directions that the actuators drive in a frame.
 
@@ -191,11 +187,10 @@ def _rank(fitter: Fitter, balance: Balance, time: np.ndarray, report: bool) -> i
     if rank < freedoms and not report:
         undriven = free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
         where = "" if np.all(ranks == rank) else f" at t = {time[frame]:.6g} s"
-        missing = freedoms - rank
         raise SpecError(
             f"no actuator drives {fitter.names_of(np.abs(undriven).max(axis=1))}{where}: "
             f"{counted(effect.shape[2], 'actuator')} for {counted(freedoms, 'degree')} of freedom; add "
-            f"{counted(missing, 'actuator')}, or use `unbalanced: report` to report the unbalanced forces",
+            f"{counted(freedoms - rank, 'actuator')}, or use `unbalanced: report` to report the unbalanced forces",
             key="actuators",
         )
     return rank

@@ -90,9 +90,8 @@ def _shares(problem: InverseProblem, motion: Motion, loads: Loads, plates: list[
     known = np.sum(pushed, axis=1) / safe
     whole = np.clip((known - PART) / (WHOLE - PART), 0.0, 1.0)
     carried = np.minimum(known * (1.0 - whole) + whole, 1.0)
-    return np.asarray(
-        np.where(acts, pushed / np.maximum(np.sum(pushed, axis=1), 1e-12)[:, None], 0.0) * carried[:, None]
-    )
+    share = pushed / np.maximum(np.sum(pushed, axis=1), 1e-12)[:, None]
+    return np.asarray(np.where(acts, share, 0.0) * carried[:, None])
 
 
 def _with(loads: Loads, motion: Motion, added: AddedForces, bodies: tuple[str, ...]) -> Loads:
@@ -104,15 +103,10 @@ def _with(loads: Loads, motion: Motion, added: AddedForces, bodies: tuple[str, .
         own = np.column_stack([force, _cross(arm, force) + added.torque[:, index]])
         generalized[:, at : at + 3] += own
         powers.append(np.sum(own * motion.v[:, at : at + 3], axis=1)[:, None])
-    return Loads(
-        (*loads.names, *added.names),
-        (*loads.bodies, *added.bodies),
-        np.concatenate([loads.force, added.force], axis=1),
-        np.concatenate([loads.point, added.point], axis=1),
-        np.concatenate([loads.torque, added.torque], axis=1),
-        generalized,
-        np.concatenate(powers, axis=1),
-    )
+    pairs = (loads.force, added.force), (loads.point, added.point), (loads.torque, added.torque)
+    force, point, torque = (np.concatenate(pair, axis=1) for pair in pairs)
+    names, on = (*loads.names, *added.names), (*loads.bodies, *added.bodies)
+    return Loads(names, on, force, point, torque, generalized, np.concatenate(powers, axis=1))
 
 
 def _cross(arm: np.ndarray, force: np.ndarray) -> np.ndarray:

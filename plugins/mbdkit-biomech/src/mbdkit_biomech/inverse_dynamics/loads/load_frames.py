@@ -46,9 +46,8 @@ def load_drawing(run: Run, mechanism: Mechanism | None) -> Illustration | None:
     text = (
         f"Forces to one scale, at equal intervals {when}: {described}." if described else f"At equal intervals {when}."
     )
-    wide, narrow = (
-        _svg(run, mechanism, *size) for size in ((FRAMES, Illustration.WIDE), (FRAMES_NARROW, Illustration.NARROW))
-    )
+    wide = _svg(run, mechanism, FRAMES, Illustration.WIDE)
+    narrow = _svg(run, mechanism, FRAMES_NARROW, Illustration.NARROW)
     return Illustration(wide, narrow, "The mechanism at several times with arrows of its forces", text)
 
 
@@ -143,8 +142,7 @@ def _moments(run: Run, count: int) -> np.ndarray:
     """Return the times [s] of the frames: the middles of equal parts of the first cycle or, without a cycle, equally
     spaced times from the first to the last row.
     """
-    cycle = _cycle(run)
-    if cycle is None:
+    if (cycle := _cycle(run)) is None:
         return np.linspace(run.time[0], run.time[-1], count)
     begin, end = cycle
     return begin + (end - begin) * (np.arange(count) + 0.5) / count

@@ -6,14 +6,13 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
-from mbdkit.mechanism.mechanism_quantities import GROUND
+from mbdkit.mechanism.mechanism_quantities import Point
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import MeasuredTable, cited
 from mbdkit_biomech.inverse_dynamics.motion.measured import (
@@ -83,8 +82,8 @@ class LoadSeries:
     like_point: tuple[str, ...] = ()
     contradictions: tuple[str, ...] = ()
 
-    def moved(self, component: Component, by: float) -> LoadSeries:
-        """Return the load with a component changed at all times at which the load acts."""
+    def moved(self, component: Component, by: float | np.ndarray) -> LoadSeries:
+        """Return the load with a component changed by a number, or by numbers, at all times at which it acts."""
         name, axis = component
         values = getattr(self, name).copy()
         values[self.acts, ... if axis is None else axis] += by
@@ -92,13 +91,11 @@ class LoadSeries:
 
     def with_noise(self, random: np.random.Generator) -> LoadSeries:
         """Return the load with Gaussian noise of its components at all times at which it acts."""
-        moved: dict[str, Any] = {}
-        acts = self.acts
-        for (name, axis), deviation in self.deviation.items():
-            values = moved.setdefault(name, getattr(self, name).copy())
+        moved = self
+        for component, deviation in self.deviation.items():
             noise = deviation * random.standard_normal(len(self.time))
-            values[acts, ... if axis is None else axis] += noise[acts]
-        return replace(self, **moved)
+            moved = moved.moved(component, noise[self.acts])
+        return moved
 
     @property
     def acts(self) -> np.ndarray:
@@ -274,8 +271,7 @@ def _required(
             )
         raise table.error(f"column '{cited(column.column)}': {told}", row=int(missing[0]))
     known = np.flatnonzero(~absent)
-    rows = np.arange(len(values))
-    return np.interp(rows, known, values[known]) if known.size else np.zeros(len(values))
+    return np.interp(np.arange(len(values)), known, values[known]) if known.size else np.zeros(len(values))
 
 
 def loads_on(motion: Motion, series: Mapping[str, LoadSeries], bodies: tuple[str, ...]) -> Loads:
@@ -317,10 +313,4 @@ def global_point(one: LoadSeries, time: np.ndarray, q: np.ndarray) -> np.ndarray
     """Return the point of application (T, 2) in the global frame."""
     if one.point is None:
         return q[:, 3 * one.body : 3 * one.body + 2]
-    given = one.at(time, one.point)
-    if one.frame == GROUND:
-        return given
-    place = 3 * one.frame
-    c, s = elementary.cos(q[:, place + 2]), elementary.sin(q[:, place + 2])
-    x, y = c * given[:, 0] - s * given[:, 1], s * given[:, 0] + c * given[:, 1]
-    return np.column_stack([q[:, place] + x, q[:, place + 1] + y])
+    return np.column_stack(Point(one.frame, *one.at(time, one.point).T).position(q))

@@ -145,10 +145,7 @@ class Fitter:
             poses.append(pose)
             if moved < LONGEST / 2:
                 stride = min(max(1, count // KEYS), 2 * stride)
-        known = np.array(poses)
-        start = np.empty((count, self.manifold.n))
-        for index in range(self.manifold.n):
-            start[:, index] = np.interp(np.arange(count), keys, known[:, index])
+        start = np.column_stack([np.interp(np.arange(count), keys, column) for column in np.array(poses).T])
         return self.refined(target, start)
 
     def _following(self, target: FitTarget, frame: int, start: np.ndarray) -> tuple[np.ndarray, float]:

@@ -17,7 +17,6 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import counted, listed
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.engine.linear_systems import products
-from mbdkit.mechanism.mechanism_quantities import Quantity
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.inverse_dynamics.files.measured_table import (
     MeasuredTable,
@@ -168,25 +167,9 @@ def read_motion(spec: InverseSpec, names: QuantityNames) -> tuple[Measured, Meas
     if "unit" in motion.time.model_fields_set:
         units.insert(0, ("motion.time", motion.time.column, motion.time.unit, "s"))
     in_degrees = np.array([column.unit == "deg" for column in columns.values()])
-    given_derivatives = derivatives if all(has_derivatives) else None
-    return (
-        Measured(
-            time,
-            tuple(columns),
-            quantities,
-            raw,
-            values,
-            weight,
-            given_derivatives,
-            deviation,
-            as_given,
-            has_unit,
-            in_degrees,
-            may_turn,
-            tuple(contradicted_units(table, units)),
-        ),
-        table,
-    )
+    numbers = raw, values, weight, derivatives if all(has_derivatives) else None, deviation
+    about = as_given, has_unit, in_degrees, may_turn, tuple(contradicted_units(table, units))
+    return Measured(time, tuple(columns), quantities, *numbers, *about), table
 
 
 def source_table(section: MeasuredMotion | Load, folder: Path, key: str) -> MeasuredTable | None:
@@ -375,7 +358,6 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
         raise SpecError(f"{cited(path.name)} has no body {listed(missing)} of the model", key="motion.file")
     places = [archived.index(name) for name in bodies]
     q, v, a = (array[:, places].reshape(len(time), -1) for array in arrays)
-    found: dict[str, Quantity]
     if motion.columns is None:
         axes = ("x", "y", "angle")
         wanted = {f"{name}.{axis}": ObservedColumn(column=f"{name}.{axis}") for name in bodies for axis in axes}
@@ -385,9 +367,8 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
     quantities = Quantities(list(found.values()))
     values = quantities.values(q)
     jacobian = quantities.jacobian(q)
-    rate = products(jacobian, v)
     acceleration = products(jacobian, a) + quantities.curvature(q, v)
-    derivatives = np.stack([rate, acceleration]) if motion.smooth.name == "none" else None
+    derivatives = np.stack([products(jacobian, v), acceleration]) if motion.smooth.name == "none" else None
     weight = np.array([column.weight for column in wanted.values()])
     deviation = np.array([column.deviation or np.nan for column in wanted.values()])
     yes = np.ones(len(wanted), dtype=bool)

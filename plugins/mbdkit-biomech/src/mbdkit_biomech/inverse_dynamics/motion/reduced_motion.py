@@ -137,9 +137,8 @@ def other_coordinates(
     observed = dict(zip(measured.names, measured.quantities.quantities, strict=True))
     rows = _rates(fitter.manifold, measured.time, q, measured.quantities)
     if _determine(_greedy(rows, len(observed))[1]):
-        return (
-            None if set(observed) == set(chosen.names) else _independent(observed, [(0, range(len(observed)))], len(q))
-        )
+        every = [(0, range(len(observed)))]
+        return None if set(observed) == set(chosen.names) else _independent(observed, every, len(q))
     others = {name: one for name, one in candidates.items() if one not in chosen.quantities.quantities}
     rows = _rates(fitter.manifold, measured.time, q, Quantities(list(others.values())))
     if len(others) < rows.shape[2] or np.min(singular_values(rows), initial=np.inf) < ENOUGH:

@@ -55,11 +55,10 @@ class UnusedData:
     @property
     def notes(self) -> dict[str, str]:
         """Lists for the provenance: markers of the model without data, and columns that are not used."""
-        texts = {
-            "unobserved_markers": ("markers", self.markers, "model"),
-            "unused_columns": ("columns", self.columns, "data"),
-        }
-        given = ((key, *words) for key, words in texts.items())
+        given = (
+            ("unobserved_markers", "markers", self.markers, "model"),
+            ("unused_columns", "columns", self.columns, "data"),
+        )
         return {key: f"{what} {listed(names, 'and', NAMED)} of the {of}" for key, what, names, of in given if names}
 
     @property

@@ -152,11 +152,6 @@ class MuscleEquilibrium:
     stiffness: np.ndarray
     by_velocity: np.ndarray
 
-    @property
-    def offset(self) -> np.ndarray:
-        """Values at zero activation of the linear approximations of the tensions [N]."""
-        return np.asarray(self.tension - self.stiffness * self.activation)
-
 
 class ElasticMuscles:
     """M muscles with elastic tendons.
@@ -292,7 +287,7 @@ def in_equilibrium(
         own = elastic.towards(least, tension, *given)
         last, size = np.zeros(len(elastic.names)), 1.0
         for _ in range(ITERATIONS):
-            activation = share(frame, own.stiffness, own.offset)
+            activation = share(frame, own.stiffness, own.tension - own.stiffness * own.activation)
             if not np.all(np.isfinite(activation)):
                 break
             force = own.tension / elastic.max_force

@@ -75,17 +75,13 @@ def _knees(spec: InverseSpec, names: QuantityNames, time: np.ndarray) -> tuple[C
             "`plates` in `loads`",
             key="frontal",
         )
-    return tuple(
-        Compartments(
-            knee,
-            joints.index(knee),
-            names.body(names.mechanism.joints[knee].bodies[1], "model"),
-            asked.width,
-            own.deviation if asked.deviation is None else asked.deviation,
-            *(np.interp(time, person.time, x) for x in own[:2]),
-        )
-        for knee, own in person.knees.items()
-    )
+    found = []
+    for knee, own in person.knees.items():
+        shank = names.body(names.mechanism.joints[knee].bodies[1], "model")
+        deviation = own.deviation if asked.deviation is None else asked.deviation
+        of_ground = (np.interp(time, person.time, x) for x in own[:2])
+        found.append(Compartments(knee, joints.index(knee), shank, asked.width, deviation, *of_ground))
+    return tuple(found)
 
 
 def _channel(
@@ -128,6 +124,5 @@ def _channel(
             key=f"{key}.scale",
         )
     deviation = asked.deviation * len(asked.columns) ** 0.5  # channels of a muscle count as one together
-    return EmgTarget(
-        muscles.index(name), np.minimum(values, 1.0) if has_scale else values, deviation, column, has_scale
-    )
+    activation = np.minimum(values, 1.0) if has_scale else values
+    return EmgTarget(muscles.index(name), activation, deviation, column, has_scale)

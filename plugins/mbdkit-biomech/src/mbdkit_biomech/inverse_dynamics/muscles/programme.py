@@ -14,7 +14,7 @@ target that is almost reached. With a cost of higher order, two things differ fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,10 +59,8 @@ class Programme:
 
     def only(self, rows: np.ndarray) -> Programme:
         """Return the programmes of a selection of frames."""
-        matrix, right, low, high, lowest = (
-            one[rows] for one in (self.matrix, self.right, self.low, self.high, self.lowest)
-        )
-        return Programme(matrix, right, low, high, self.weight, lowest)
+        arrays = {name: getattr(self, name)[rows] for name in ("matrix", "right", "low", "high", "lowest")}
+        return replace(self, **arrays)
 
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return what the equations lack (T, K) with unknowns (T, N)."""

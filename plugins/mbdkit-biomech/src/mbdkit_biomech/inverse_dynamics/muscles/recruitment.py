@@ -79,17 +79,11 @@ class Recruiter:
         other.
     """
 
-    def __init__(
-        self,
-        asked: Recruitment,
-        names: QuantityNames,
-        actuators: Sequence[NamedActuator],
-        targets: Targets | None = None,
-    ):
+    def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator], targets: Targets):
         muscles = names.mechanism.muscles
         if not muscles:
             raise SpecError("needs muscles, but the model has none", key="recruitment")
-        self.asked, self._actuators, self.targets = asked, actuators, targets or Targets()
+        self.asked, self._actuators, self.targets = asked, actuators, targets
         self.muscles: Mapping[str, Muscle] = muscles
         self._paths = {name: MusclePath(name, muscle, names) for name, muscle in muscles.items()}
         uses_fibers = asked.capacity == "full" or asked.passive
@@ -102,7 +96,7 @@ class Recruiter:
                     "should be greater than 0, because an elastic tendon needs a length",
                     key=f"model.muscles.{quoted(name)}.tendon_length",
                 )
-        if asked.dynamics == "activation" and (asked.exponent == "inf" or asked.exponent == 1):
+        if asked.dynamics == "activation" and asked.exponent in (1, "inf"):
             raise SpecError(
                 f"activation dynamics need an exponent of 2 or more, not {asked.exponent}", key="recruitment.exponent"
             )
@@ -146,12 +140,6 @@ class Recruiter:
     def couples_frames(self) -> bool:
         """Whether the forces of the muscles in a frame depend on other frames."""
         return self.is_elastic or self.asked.dynamics == "activation"
-
-    def with_muscles(self, muscles: Mapping[str, Muscle]) -> Recruiter:
-        """Return a recruiter of muscles with other properties, but the same paths."""
-        other = copy(self)
-        other.muscles = muscles
-        return other
 
     def with_targets(self, targets: Targets) -> Recruiter:
         """Return a recruiter of the same muscles with other targets."""
@@ -239,18 +227,9 @@ class Recruiter:
         pushed = products(balance.columns, beside) + products(own.pull, force)
         speed = products(np.swapaxes(balance.columns, 1, 2), motion.v)
         values = np.hstack([np.where(driven, dynamics.value, beside), reserve])
-        return Recruited(
-            contraction=own,
-            sharing=sharing,
-            shared=shared,
-            targets=targets,
-            activation=activation,
-            force=force,
-            power=-force * own.rate,
-            beside=beside,
-            actuators=np.stack([values, values * np.hstack([speed, speed[:, places]])], axis=-1),
-            lam=balance.directions.multipliers(pushed - needed),
-        )
+        actuators = np.stack([values, values * np.hstack([speed, speed[:, places]])], axis=-1)
+        power, lam = -force * own.rate, balance.directions.multipliers(pushed - needed)
+        return Recruited(own, sharing, shared, targets, activation, force, power, beside, actuators, lam)
 
     def _over_time(self, sharing: Sharing, shared: Shared, time: np.ndarray, *, strict: bool) -> Shared:
         """Return the solution with activation dynamics, starting from the solutions of single frames; see
@@ -380,9 +359,8 @@ class Recruiter:
 
         result = in_equilibrium(elastic, time, own.length[:, which], own.rate[:, which], share)
         length, rate = own.fiber_length.copy(), own.fiber_rate.copy()
-        length[:, which], rate[:, which] = (
-            np.array([getattr(one, name) for one in result]) for name in ("length", "rate")
-        )
+        length[:, which] = [one.length for one in result]
+        rate[:, which] = [one.rate for one in result]
         return replace(own, fiber_length=length, fiber_rate=rate, capacity=capacity, passive=passive)
 
     @property

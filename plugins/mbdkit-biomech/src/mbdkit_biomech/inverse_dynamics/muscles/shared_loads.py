@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.optimize import linprog
@@ -31,6 +32,8 @@ from scipy.sparse.csgraph import connected_components
 from mbdkit.base import elementary
 from mbdkit.engine.linear_systems import least_norms, products
 from mbdkit_biomech.inverse_dynamics.muscles.programme import Programme, near_optimum, slope_of_cost
+
+Triple: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 #: Largest numbers of evaluations in the first attempt, and in each further one; 5 to 15 are usual.
 FIRST_STEPS, STEPS = 25, 200
@@ -118,7 +121,7 @@ def share_loads(programme: Programme, exponent: float, start: np.ndarray | None 
     return Shared(value * weight, np.where(certificate <= SOLVED, certificate, np.inf), multipliers / size)
 
 
-def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> Triple:
     """Return the results of `_dual_newton` for independent parts of the programmes, which are solved one by one.
 
     Each leg is a part: its muscles have no arms about joints of the other one.
@@ -146,9 +149,7 @@ def _each_part(programme: Programme, p: float, start: np.ndarray | None) -> tupl
 
 
 @np.errstate(all="ignore")  # programmes without solution diverge
-def _dual_newton(
-    programme: Programme, p: float, start: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _dual_newton(programme: Programme, p: float, start: np.ndarray | None = None) -> Triple:
     """Return solutions (T, N), certificates (T,) and multipliers (T, K) for p > 1 and weights of 1."""
     begin = np.zeros_like(programme.right) if start is None else start
     if p > 2 and start is None:
@@ -260,7 +261,7 @@ def _certificate(programme: Programme, x: np.ndarray, y: np.ndarray, p: float) -
     return np.asarray(np.maximum(wrong, _violation(programme, x, y)))
 
 
-def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _linear(programme: Programme, exponent: float) -> Triple:
     """Return solutions (T, N), certificates (T,) and nan (T, K) for p = 1 or infinity and weights of 1.
 
     An unknown that may be negative is written as the difference of two unknowns that are not negative.
@@ -283,9 +284,7 @@ def _linear(programme: Programme, exponent: float) -> tuple[np.ndarray, np.ndarr
     return value, np.where(solved, wrong, np.inf), np.full_like(programme.right, np.nan)
 
 
-def _optimal_face(
-    programme: Programme, row: int, *, is_largest: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+def _optimal_face(programme: Programme, row: int, *, is_largest: bool) -> Triple | None:
     """Return bounds (N,) and lowest multipliers (K,) that define the set of all solutions of a linear programme, whose
     unknowns are not negative; None if it has no solution.
 

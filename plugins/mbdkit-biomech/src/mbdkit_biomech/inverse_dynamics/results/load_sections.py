@@ -14,19 +14,7 @@ from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
 from mbdkit_biomech.inverse_dynamics.results.inverse_summary import reserve_shares
 from mbdkit_biomech.inverse_dynamics.results.workload import ElementWorkload, Workload, workload
 from mbdkit_biomech.uncertainty.contributions import uncertainty_charts, uncertainty_sections
-from mbdkit_report import (
-    Axis,
-    Cell,
-    Figure,
-    Line,
-    Section,
-    Table,
-    View,
-    bands,
-    bar_cells,
-    bar_columns,
-    columns_of,
-)
+from mbdkit_report import Axis, Cell, Figure, Line, Section, Table, View, bands, bar_cells, bar_columns, columns_of
 from mbdkit_report.notebook.result_views import object_view
 from mbdkit_report.seams import report_charts, report_sections
 
@@ -104,29 +92,19 @@ def _muscles(run: Run) -> tuple[Section, ...]:
         muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
     shares = reserve_shares(run)
     told = [f"{share:.2%} of {name}" for name, share in shares.items()]
-    sentence = (
-        f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."
-        if told
-        else "Muscles alone exert the moments of the joints that they act on: there are no reserves."
+    sentence = "Muscles alone exert the moments of the joints that they act on: there are no reserves."
+    if told:
+        sentence = f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."
+    of_joints = columns_of("joint; with muscles [N]; without muscles [N]; ratio")
+    of_muscles = columns_of(
+        "muscle; largest activation; mean activation; largest tension [N]; error of the largest [N]; "
+        "time of the largest [s]"
     )
+    note = "Without muscles, actuators would drive the joints."
+    bounds = "Errors are bounds that hold with a probability of 95 %."
     tables = (
-        Table(
-            "contact-forces",
-            "Largest joint forces",
-            columns_of("joint; with muscles [N]; without muscles [N]; ratio"),
-            tuple(joints),
-            "Without muscles, actuators would drive the joints.",
-        ),
-        Table(
-            "muscles",
-            "Muscles",
-            columns_of(
-                "muscle; largest activation; mean activation; largest tension [N]; error of the largest [N]; "
-                "time of the largest [s]"
-            ),
-            tuple(muscles),
-            "Errors are bounds that hold with a probability of 95 %.",
-        ),
+        Table("contact-forces", "Largest joint forces", of_joints, tuple(joints), note),
+        Table("muscles", "Muscles", of_muscles, tuple(muscles), bounds),
     )
     return (Section("muscles", "Muscles", (sentence,), None, tables),)
 
@@ -138,9 +116,8 @@ def _contact_chart(run: Run) -> list[Figure]:
     for path, word in (("joints/reaction_force", ""), ("muscles/reaction_force_without", " without muscles")):
         lines += _lines(run, np.linalg.norm(run.array(path), axis=2), (f"{name}{word}" for name in run.joint_names))
     caption = "Force in each joint with the forces of the muscles, and if actuators drove the joints instead."
-    return [
-        Figure("contact", "Joint forces with and without muscles", caption, _TIME, Axis("force", "N"), tuple(lines))
-    ]
+    title = "Joint forces with and without muscles"
+    return [Figure("contact", title, caption, _TIME, Axis("force", "N"), tuple(lines))]
 
 
 def _workload_table(elements: tuple[ElementWorkload, ...]) -> Table:
@@ -178,13 +155,9 @@ def _disagreement(run: Run) -> Section:
         rms = float(np.sqrt(np.nanmean(one.residual**2))) if np.any(np.isfinite(one.residual)) else 0.0
         rows.append((name, one.units, rms, peak, when))
         worst[one.units] = max(worst.get(one.units, (0.0, "", 0.0)), (peak, name, when))
-    residuals = Table(
-        "residuals",
-        "Residuals of the columns",
-        columns_of("observed quantity; unit; rms of the residual; largest residual; time of the largest [s]"),
-        tuple(rows),
-        "Measured minus fitted value; gaps are left out.",
-    )
+    heads = columns_of("observed quantity; unit; rms of the residual; largest residual; time of the largest [s]")
+    note = "Measured minus fitted value; gaps are left out."
+    residuals = Table("residuals", "Residuals of the columns", heads, tuple(rows), note)
     raw = run.array("motion/raw_misalignment")
     gaps: list[tuple[Cell, ...]] = []
     for index, joint in enumerate(run.joint_names):

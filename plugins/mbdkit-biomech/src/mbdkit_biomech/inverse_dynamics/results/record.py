@@ -105,11 +105,9 @@ def _provenance(result: Inverse) -> dict[str, str | int | float]:
 
 def _measured(result: Inverse, errors: Mapping[str, float], run: Run) -> MeasuredValues:
     values = take_all(run, result.problem.source)
-    cause = (
-        "it depends on a gap that is longer than the smoothing can bridge"
-        if long_gaps(result)
-        else "the muscles cannot produce the motion in most of its samples"
-    )
+    cause = "the muscles cannot produce the motion in most of its samples"
+    if long_gaps(result):
+        cause = "it depends on a gap that is longer than the smoothing can bridge"
     unknown = {
         name: f"its error is unknown: {cause}"
         for name, error in errors.items()
@@ -137,19 +135,14 @@ def _rows(result: Inverse, bars: ResultBars | None, *, is_sample: bool) -> dict[
     `is_sample`: whether the result is a sample for error bars, for which no second result without followers is needed.
     """
     problem, fitted, loads = result.problem, result.fitted, result.loads
-    mechanism = problem.prepared.workspace.mechanism
+    mechanism, target = problem.prepared.workspace.mechanism, fitted.measured.target
     rows = {
         "motion/raw": fitted.measured.raw,
         "motion/fitted": fitted.values,
         "motion/residual": fitted.residual,
-        "motion/raw_misalignment": raw_misalignment(
-            problem.fitter.manifold, mechanism, fitted.measured.target, fitted.q
-        ),
+        "motion/raw_misalignment": raw_misalignment(problem.fitter.manifold, mechanism, target, fitted.q),
         "actuators/value_error": np.full(result.actuators.shape[:2], np.nan) if bars is None else bars.actuators,
-        "loads/force": loads.force,
-        "loads/point": loads.point,
-        "loads/torque": loads.torque,
-        "loads/power": loads.power,
+        **{f"loads/{name}": getattr(loads, name) for name in ("force", "point", "torque", "power")},
     }
     if problem.followers:
         other = result if is_sample else without_followers(result)

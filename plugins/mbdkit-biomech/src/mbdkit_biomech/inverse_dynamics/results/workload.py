@@ -142,9 +142,8 @@ class _Series:
 
         load = _load(t, at(self.value), self.units, at(self.error))
         torque = None if self.torque is None else _load(t, at(self.torque), "N m", at(self.torque_error))
-        return ElementWorkload(
-            self.name, self.kind, load, torque, None if self.power is None else _work(t, at(self.power))
-        )
+        work = None if self.power is None else _work(t, at(self.power))
+        return ElementWorkload(self.name, self.kind, load, torque, work)
 
 
 @dataclass(frozen=True)

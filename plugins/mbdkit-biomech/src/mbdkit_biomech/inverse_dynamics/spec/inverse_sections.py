@@ -174,8 +174,7 @@ _Smoothing = Annotated[
     NoSmoothing | QuinticSpline | SmoothingSpline | Butterworth | OpenSimFilter, Field(discriminator="name")
 ]
 Smoothing = Annotated[
-    _Smoothing,
-    BeforeValidator(_as_smoothing, json_schema_input_type=_Smoothing | Literal["none", "quintic", "spline"]),
+    _Smoothing, BeforeValidator(_as_smoothing, json_schema_input_type=_Smoothing | Literal["none", "quintic", "spline"])
 ]
 
 

@@ -71,21 +71,8 @@ class InverseSpec(ModelSpec):
 
     model_config = ConfigDict(title="mbdkit spec of inverse dynamics", defer_build=True)
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = (
-        "meta",
-        "subject",
-        "parameters",
-        "estimates",
-        "loads",
-        "unmeasured",
-        "actuators",
-        "recruitment",
-        "frontal",
-        "emg",
-        "uncertainty",
-        "follows",
-        "measures",
-        "unbalanced",
-        "accept",
+        *("meta", "subject", "parameters", "estimates", "loads", "unmeasured", "actuators", "recruitment"),
+        *("frontal", "emg", "uncertainty", "follows", "measures", "unbalanced", "accept"),
     )
 
     subject: Subject | None = None

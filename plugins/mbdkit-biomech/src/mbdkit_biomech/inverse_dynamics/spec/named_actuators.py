@@ -155,13 +155,8 @@ def actuators_of(
         If an actuator refers to an unknown joint or body, or to a joint whose coordinate is fixed, or has the name of a
         residual.
     """
-    if given:
-        found = [_given(name, one, names) for name, one in given.items()]
-    else:
-        found = _of_observed(observed, names)
-    residuals = [
-        residual for residual in _residuals(names) if all(residual.quantity != other.quantity for other in found)
-    ]
+    found = [_given(name, one, names) for name, one in given.items()] if given else _of_observed(observed, names)
+    residuals = [one for one in _residuals(names) if all(one.quantity != other.quantity for other in found)]
     for one in residuals:
         if one.name in given:
             raise SpecError(
