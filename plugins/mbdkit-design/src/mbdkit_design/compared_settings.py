@@ -57,20 +57,14 @@ class Comparison:
         before, after = self.own_start.goals[goal], self.own_best.goals[goal]
         if np.isnan(after):
             return f"With {self.name}, a run fails at the best point of this design."
-        change = f" ({100 * (after - before) / abs(before):+.3g} %)" if before else ""
-        return (
-            f"With {self.name}, this design changes the {goal} from {before:.6g} to {with_unit(after, unit)}{change}."
-        )
+        share = f" ({100 * (after - before) / abs(before):+.3g} %)" if before else ""
+        change = f"from {before:.6g} to {with_unit(after, unit)}{share}"
+        return f"With {self.name}, this design changes the {goal} {change}."
 
     @property
     def fails(self) -> bool:
         """Whether a run with the settings of the design fails at the point found with the other settings."""
         return self.actual is not None and any(map(np.isnan, self.actual.goals.values()))
-
-
-def compared_with(evaluator: Evaluator, name: str) -> Evaluator:
-    """Return an evaluator of the same design, with the settings that have this name in `compare` of the spec."""
-    return Evaluator(evaluator.spec, evaluator.run, compared=name)
 
 
 def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -> Comparison:
@@ -80,7 +74,7 @@ def compare(evaluator: Evaluator, name: str, best: np.ndarray, stages: Stages) -
     search begins at `best`, the best point of the design: if both settings are accurate, the other best point is near.
     If a run with the other settings fails there, the search begins at the start of the design.
     """
-    other = compared_with(evaluator, name)
+    other = Evaluator(evaluator.spec, evaluator.run, compared=name)
     stages.begin(f"comparison with {name}", other)
     optimizer, start = evaluator.spec.optimizer, evaluator.first
     try:

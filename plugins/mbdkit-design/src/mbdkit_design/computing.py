@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mbdkit.base.errors import ResourceError, RunError
@@ -15,7 +14,7 @@ from mbdkit.engine.native.levels import WIDTH
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.design_spec import DesignSpec
 from mbdkit_design.evaluation import Job, Outcome, ScenarioRuns, in_this_process
-from mbdkit_studies import PASSING, Batches, Engine, Task
+from mbdkit_studies import Batches, Engine, Task
 
 #: Computing time in this process [s] after which worker processes are started; starting one takes about two seconds.
 PATIENCE = 5.0
@@ -114,15 +113,8 @@ class Computer:
     def __enter__(self) -> Computer:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._stack.close()
-
-
-def is_passing(outcome: Outcome) -> bool:
-    """Return whether a run failed for an external reason, so that the next call tries again."""
-    return outcome.reason.startswith(PASSING)
 
 
 def plain_outcome(outcome: Outcome) -> dict[str, Any]:

@@ -65,9 +65,8 @@ def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
         checks = [gradient.check for gradient in gradients(evaluator, x, check=True)]
     except MbdkitError:
         return ()
-    return tuple(
-        _disagreement(check, m) for check in checks if check is not None for m in np.flatnonzero(~check.agrees).tolist()
-    )
+    found = [(check, m) for check in checks if check is not None for m in np.flatnonzero(~check.agrees).tolist()]
+    return tuple(_disagreement(check, m) for check, m in found)
 
 
 def _disagreement(check: GradientCheck, m: int) -> str:

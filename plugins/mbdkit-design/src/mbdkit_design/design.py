@@ -118,11 +118,8 @@ class Design:
 
     def summary(self) -> str:
         """Return the result as text for a terminal."""
-        rows, goals, measured = (
-            [("", "START", "BEST", "ERROR", "UNIT")],
-            goal_units(self.spec),
-            measure_units(self.spec),
-        )
+        rows = [("", "START", "BEST", "ERROR", "UNIT")]
+        goals, measured = goal_units(self.spec), measure_units(self.spec)
         told = {name: "unknown" if np.isnan(error) else f"{error:.1g}" for name, error in self.trust.errors.items()}
         for name, start, best in self.both_points("{:.6g}"):
             rows.append((name, start, best, "", variable_unit(self.spec, name)))
@@ -144,16 +141,10 @@ class Design:
             more = f"{len(self.front) - ROWS} more points are in design.json." if len(self.front) > ROWS else ""
             lines.append(table_text(replace(points, rows=points.rows[:ROWS], note=more)))
         if self.compared:
-            remarks = (
-                text
-                for comparison in self.compared
-                for text in (comparison.confirmation(*goals.values()), comparison.reason)
-                if text
-            )
-            lines += [
-                table_text(comparison_table(self.spec, self.best, self.compared, is_feasible=self.is_feasible)),
-                *remarks,
-            ]
+            points = comparison_table(self.spec, self.best, self.compared, is_feasible=self.is_feasible)
+            lines.append(table_text(points))
+            for comparison in self.compared:
+                lines += filter(None, (comparison.confirmation(*goals.values()), comparison.reason))
         return "\n".join([*lines, *self.warnings])
 
     def both_points(self, form: str = "{:.4g}") -> Iterator[tuple[str, str, str]]:
@@ -180,10 +171,8 @@ class Design:
             wrong = "; ".join(violations(self.spec, self.best, self.start))
             return f"No point that satisfies all limits was found; this one violates them least{wrong and ': '}{wrong}."
         if not self.is_converged:
-            return (
-                f"This point may not be an optimum: the search ended early ({self.message.rstrip('.')}). "
-                f"{advice(self.message)}"
-            )
+            early = f"the search ended early ({self.message.rstrip('.')})"
+            return f"This point may not be an optimum: {early}. {advice(self.message)}"
         if not self.unconfirmed:
             return ""
         return (
@@ -208,15 +197,9 @@ class Design:
             if not side and abs(self.best.variables[name] - self.start.variables[name]) <= self._slack(name)
         ]
         remarks = ((name, one.remark(self.best.variables)) for name, one in self.spec.tables.items())
-        told = [
-            *at_bounds,
-            *held,
-            *(f"In {name}, {remark}." for name, remark in remarks if remark),
-            *(sentence(self.spec, one) for one in self.undetermined),
-            *self.unconfirmed,
-            *self.changed_starts,
-        ]
-        told += map(_as_sentence, limits_in_degrees(self.spec))
+        told = [*at_bounds, *held, *(f"In {name}, {remark}." for name, remark in remarks if remark)]
+        told += (sentence(self.spec, one) for one in self.undetermined)
+        told += [*self.unconfirmed, *self.changed_starts, *map(_as_sentence, limits_in_degrees(self.spec))]
         return [*told, *self._uncertain_limits(), *self.trust.sentences(goal_units(self.spec))]
 
     def _uncertain_limits(self) -> list[str]:
@@ -224,12 +207,11 @@ class Design:
         texts, units = [], {name: unit for (_, name), unit in measure_units(self.spec).items()}
         for name, limit in self.spec.subject_to.items():
             values, error = [measures[name] for measures in self.best.measures.values()], self.trust.errors[name]
-            unit = units[name]
             for end in (one for one in (limit.max, limit.min) if one is not None):
                 is_near = min(abs(value - end) for value in values) < error
                 if is_near and error > LEAST_ERROR * abs(end or 1.0) and self.is_feasible:
-                    texts.append(f"{name} may violate its limit of {with_unit(end, unit)}, because its error is "
-                                 f"{with_unit(error, unit, 2)}.")  # fmt: skip
+                    limit_text, error_text = with_unit(end, units[name]), with_unit(error, units[name], 2)
+                    texts.append(f"{name} may violate its limit of {limit_text}, because its error is {error_text}.")
         return texts
 
     @property
@@ -259,18 +241,16 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
     end = evaluator.variables(result[0].end)
     at = ", ".join(f"{name} {with_unit(end[name], variable_unit(spec, name))}" for name in spec.single)
     least, before = evaluator.totals(result[0].end)[0], evaluator.totals(first)[0]
-    unit = goal_units(spec)[spec.totals[0]]
-    where = f" at {at}" if at else ""
+    unit, where = goal_units(spec)[spec.totals[0]], f" at {at}" if at else ""
     stages.notify(f"{counted(evaluator.runs, 'run')}: the least {spec.totals[0]} is {with_unit(least, unit)}{where}; "
                   f"at the start it is {with_unit(before, unit)}")  # fmt: skip
     front = [result[0]] if len(spec.totals) == 1 else pareto_front(evaluator, result[0], stages.notify)
     best = front[0] if len(front) == 1 else _knee(evaluator, front)
     stages.begin("errors of the result")
     trust = certified(evaluator, first, best.end)
-    near = sum(
-        one.feasible == result[0].feasible and one.cost <= result[0].cost + 1e-3 * abs(result[0].cost) for one in result
-    )
-    alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()
+    most = result[0].cost + 1e-3 * abs(result[0].cost)
+    near = sum(one.feasible == result[0].feasible and one.cost <= most for one in result)
+    alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()  # its runs count, too
     return Design(
         spec=spec,
         start=point_of(evaluator, first),

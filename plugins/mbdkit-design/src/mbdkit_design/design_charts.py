@@ -129,22 +129,17 @@ def front_charts(design: Design, units: Mapping[str, str]) -> Iterator[Figure]:
     pairs = list(combinations(design.best.goals, 2))
     for number, (first, second) in enumerate(pairs):
         kind: Literal["points", "both"] = "both" if len(pairs) == 1 else "points"
-        lines = tuple(
-            Line(
-                label,
-                np.array([point.goals[first] for point in chosen]),
-                np.array([point.goals[second] for point in chosen]),
-                kind if label == "front" else "points",
-            )
-            for label, chosen in points.items()
-        )
+        lines = []
+        for label, chosen in points.items():
+            x, y = np.array([(point.goals[first], point.goals[second]) for point in chosen]).T
+            lines.append(Line(label, x, y, kind if label == "front" else "points"))
         caption = (
             f"Pareto front: no point has less of {'both' if len(pairs) == 1 else 'all'} goals. The best point is "
             f"closest to the smallest values of all goals, each relative to its range on the front."
         )
         name = "front" if len(pairs) == 1 else f"front-{number + 1}"
         axes = Axis(first, units[first]), Axis(second, units[second])
-        yield Figure(name, f"{second} against {first}", caption, axes[0], axes[1], lines)
+        yield Figure(name, f"{second} against {first}", caption, *axes, tuple(lines))
 
 
 def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units: Mapping[str, str]) -> Iterator[Figure]:
@@ -158,9 +153,8 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
     units
         Units of the goals by name.
     """
-    limited = (
-        " Where a limit is violated, the goal may be smaller than at the best point." if design.spec.subject_to else ""
-    )
+    limited = " Where a limit is violated, the goal may be smaller than at the best point."
+    common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
     for index, cut in enumerate(around[""]):
         words, unit = key_words(cut.variable), variable_unit(design.spec, cut.variable)
         lines = []
@@ -173,15 +167,11 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
             ]
         yield Figure(
             f"cut-{index + 1}", f"Goal along {words}",
-            f"The goal near the best point, which is marked, with all other variables at their best values.{limited}",
-            Axis(words, unit), Axis("goal", _common(units)), tuple(lines),
+            f"The goal near the best point, which is marked, with all other variables at their best values."
+            f"{limited if design.spec.subject_to else ''}",
+            Axis(words, unit), Axis("goal", common), tuple(lines),
             marks=(Mark("best", design.best.variables[cut.variable]),),
         )  # fmt: skip
-
-
-def _common(units: Mapping[str, str]) -> str:
-    result = set(units.values())
-    return result.pop() if len(result) == 1 else ""
 
 
 def sensitivity_section(
@@ -202,22 +192,15 @@ def sensitivity_section(
         "changes of a single goal in the scenarios, times their weights, add up to zero for each variable. A goal "
         "whose slope is discontinuous at the best value has two changes, for an increase and for a decrease."
     )
+    both = "{1:+.3g} if increased, {0:+.3g} if decreased"  # where the slope of the measure is discontinuous
     rows: list[tuple[Cell, ...]] = [
         (
             f"{one.measure} ({one.scenario})" if one.scenario else one.measure,
             units[one.scenario, one.measure],
-            *(_both(one, name) if name in one.corners else change for name, change in one.changes.items()),
+            *(both.format(*one.corners[name]) if name in one.corners else x for name, x in one.changes.items()),
         )
         for one in found
     ]
     columns = (Column("goal or limit"), Column("unit"), *(Column(words[name]) for name in found[0].changes))
     table = Table("sensitivities-table", "Changes in numbers", columns, tuple(rows))
     return Section("sensitivities", "Sensitivities", (sentence,), None, (table,))
-
-
-def _both(one: Sensitivity, name: str) -> str:
-    """Return the changes of a measure for an increase and for a decrease of a variable, as text. Both are needed where
-    the slope of the measure is discontinuous.
-    """
-    down, up = one.corners[name]
-    return f"{up:+.3g} if increased, {down:+.3g} if decreased"

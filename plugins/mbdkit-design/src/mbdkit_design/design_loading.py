@@ -59,17 +59,10 @@ def load_design_spec(source: object, assignments: Iterable[str] = (), **sections
             document.assign(assignment)
         spec = DesignSpec(**document.data)
         spec._document = document
-        spec._specs = {
-            name: _scenario_spec(spec, name, situation, folder) for name, situation in spec.situations.items()
-        }
-        for compared, settings in spec.compare.items():
-            changes = {
-                path_text(("compare", compared, key)): (parse_key(key), value) for key, value in settings.items()
-            }
-            spec._compared_specs[compared] = {
-                name: _scenario_spec(spec, name, situation, folder, changes)
-                for name, situation in spec.situations.items()
-            }
+        spec._specs = _scenario_specs(spec, folder, {})
+        for name, settings in spec.compare.items():
+            changes = {path_text(("compare", name, key)): (parse_key(key), value) for key, value in settings.items()}
+            spec._compared_specs[name] = _scenario_specs(spec, folder, changes)
     return spec
 
 
@@ -91,8 +84,13 @@ def _document(source: object) -> tuple[Document, FilePath]:
 Given = dict[str, tuple[Path, object]]
 
 
+def _scenario_specs(design: DesignSpec, folder: FilePath, changes: Given) -> dict[str, RunSpec | InverseSpec]:
+    """Return the specs of all scenarios by name; see `_scenario_spec`."""
+    return {name: _scenario_spec(design, name, one, folder, changes) for name, one in design.situations.items()}
+
+
 def _scenario_spec(
-    design: DesignSpec, name: str, scenario: Scenario, folder: FilePath, changes: Given | None = None
+    design: DesignSpec, name: str, scenario: Scenario, folder: FilePath, changes: Given
 ) -> RunSpec | InverseSpec:
     """Return the spec of a scenario, whose measures are the goals and limits, with the variables at their start values.
 
@@ -127,7 +125,7 @@ def _scenario_spec(
             continue
         variable.take_unit(units.get(path_text(variable_path(key)), ""))
         chosen[where] = (variable_path(key), variable.written)
-    chosen |= changes or {}
+    chosen |= changes
     _put_all(data, chosen)
     given |= chosen
     data["measures"] = {
@@ -185,9 +183,7 @@ def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mappi
         raise SpecError(f"no table within the bounds has such slopes over a length of {span:g}", key="slope")
     if variable.start is not None:
         given = np.atleast_1d(variable.start)
-        start = (
-            np.interp(evenly, np.linspace(at[0], at[-1], len(given)), given) if len(given) > 1 else start * 0 + given
-        )
+        start = np.interp(evenly, np.linspace(at[0], at[-1], len(given)), given)
     elif wrong := [x for x in start.tolist() if not variable.bounds[0] <= x <= variable.bounds[1]]:
         raise SpecError(f"the table of the base has the value {wrong[0]:g} outside; give `start`", key="bounds")
     keys = [f"{key}.1.{index}" for index in range(variable.points)]
@@ -195,9 +191,8 @@ def _table_of(design: DesignSpec, key: str, variable: TableVariable, data: Mappi
         if variable.start is None:
             start[-1] = start[0]
         elif start[0] != start[-1]:
-            raise SpecError(
-                f"a periodic table begins and ends at one value, not {start[0]:g} and {start[-1]:g}", key="start"
-            )
+            message = f"a periodic table begins and ends at one value, not {start[0]:g} and {start[-1]:g}"
+            raise SpecError(message, key="start")
         own = re.sub(r"\W", "_", f"parameters.ends_of_{above[2]}").replace("parameters_", "parameters.", 1)
         taken = {f"parameters.{name}" for name in parameters}
         taken |= {other.keys[0] for name, other in design._tables.items() if name != key}
@@ -268,7 +263,5 @@ def design_schema(installed: Registry | None = None) -> dict[str, object]:
     installed
         Registry of the models, integrators and force laws to include; by default, all that are installed.
     """
-    bases = {"RunBase": "run", "InverseBase": "inverse"}
-    return schema_with_bases(
-        DesignSpec, bases, installed, holder="Scenario", units={"Variable", "TableVariable", "Limit"}
-    )
+    bases, with_units = {"RunBase": "run", "InverseBase": "inverse"}, {"Variable", "TableVariable", "Limit"}
+    return schema_with_bases(DesignSpec, bases, installed, holder="Scenario", units=with_units)

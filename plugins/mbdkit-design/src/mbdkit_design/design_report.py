@@ -15,7 +15,6 @@ from mbdkit.base.terminal import say
 from mbdkit.base.text import listed
 from mbdkit.spec.yaml_reader import write_yaml
 from mbdkit_biomech.inverse_dynamics.loads.load_frames import load_drawing
-from mbdkit_design.compared_settings import compared_with
 from mbdkit_design.design import Design
 from mbdkit_design.design_charts import (
     POINT_WORDS,
@@ -28,6 +27,7 @@ from mbdkit_design.design_charts import (
 )
 from mbdkit_design.design_spec import GOAL, DesignSpec
 from mbdkit_design.design_verdict import costs_table, design_verdict, robustness_table
+from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import Cost, costs, goal_units, goal_words, measure_units, variable_unit
 from mbdkit_design.landscape import Cut, Sensitivity, cuts, sensitivities
 from mbdkit_design.robustness import robustness
@@ -80,7 +80,7 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
             best = evaluator.point(design.best.variables)
             around = {"": cuts(evaluator, best)}
             around |= {
-                comparison.name: cuts(compared_with(evaluator, comparison.name), best)
+                comparison.name: cuts(Evaluator(design.spec, evaluator.run, compared=comparison.name), best)
                 for comparison in design.compared
                 if comparison.believed
             }
@@ -105,6 +105,7 @@ def _page(
     units = goal_units(design.spec)
     words = {name: key_words(name) for name in design.spec.single}
     verdict = design_verdict(design)
+    numbered = [f"table-{number}" for number, _ in enumerate(design.spec.tables, start=1)]
     figures = (
         *table_charts(design),
         *load_charts(design, pairs),
@@ -135,14 +136,7 @@ def _page(
             *_devices(design, pairs),
             *((sensitivity_section(changes, words, measure_units(design.spec)),) if words else ()),
         ),
-        beside_verdict=(
-            "goals",
-            *(f"table-{n}" for n, _ in enumerate(design.spec.tables, start=1)),
-            "variables",
-            "compared",
-            "costs",
-            "robustness",
-        ),
+        beside_verdict=("goals", *numbered, "variables", "compared", "costs", "robustness"),
     )
 
 
@@ -172,9 +166,8 @@ def _drawn(pairs: Mapping[str, Pair], which: str) -> Illustration:
     run = pair[which]
     pose = np.asarray(run.array("trajectory/position")[0])
     shown = drawing(NamedPose.of(mechanism_of(run), list(run.bodies), pose, np.asarray(run.time)))
-    return replace(
-        shown, caption=f"{shown.caption} The device {POINT_WORDS[which]}{f', scenario {name}' if name else ''}."
-    )
+    where = f"{POINT_WORDS[which]}{f', scenario {name}' if name else ''}"
+    return replace(shown, caption=f"{shown.caption} The device {where}.")
 
 
 def _glance(design: Design, pairs: Mapping[str, Pair]) -> Section:

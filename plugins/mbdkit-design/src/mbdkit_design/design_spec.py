@@ -353,7 +353,7 @@ Optimizer = LocalOptimizer | GlobalOptimizer | EvolutionStrategy
 def _check_goals(value: object) -> object:
     if not isinstance(value, str | Mapping):
         raise SpecError(f"should be an expression, or a mapping of names and expressions, not {value_text(value)}")
-    if isinstance(value, Mapping) and not value:
+    if value == {}:
         raise SpecError("needs at least one goal, such as `torque: rms(joints.motor.torque)`")
     return value
 
@@ -369,9 +369,8 @@ def _check_variables(variables: dict[str, Variable | TableVariable]) -> dict[str
         raise SpecError("needs at least one variable, such as `stiffness: {bounds: [0, 100]}`")
     for name in variables:
         if not parse_key(name):
-            raise SpecError(
-                "should be the name of a parameter, or a dotted key of the base spec", key=path_text((name,))
-            )
+            message = "should be the name of a parameter, or a dotted key of the base spec"
+            raise SpecError(message, key=path_text((name,)))
     return variables
 
 
@@ -466,9 +465,8 @@ class DesignSpec(StrictSpec):
                 key="minimize",
             )
         if self.optimizer.name == "cma-es" and len(self.variables) == 1 and not tables:
-            raise SpecError(
-                "needs two variables or more; use slsqp or differential-evolution for one", key="optimizer.name"
-            )
+            message = "needs two variables or more; use slsqp or differential-evolution for one"
+            raise SpecError(message, key="optimizer.name")
         self._check_comparisons()
         for name in self.subject_to:
             if name in self.goals:

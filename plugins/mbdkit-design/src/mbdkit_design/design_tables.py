@@ -26,15 +26,8 @@ def comparison_table(
         else:
             actual = None if comparison.fails else comparison.actual.goals[goal]
             limits = "a run fails" if comparison.fails else "yes" if comparison.is_feasible else "no"
-            rows.append(
-                (
-                    comparison.name,
-                    *(comparison.believed.variables[name] for name in names),
-                    comparison.believed.goals[goal],
-                    actual,
-                    limits,
-                )
-            )
+            values = [comparison.believed.variables[name] for name in names]
+            rows.append((comparison.name, *values, comparison.believed.goals[goal], actual, limits))
     unit = goal_units(spec)[goal]
     columns = (
         Column("best point with"),
@@ -43,9 +36,8 @@ def comparison_table(
         Column("goal in fact", unit),
         Column("satisfies limits"),
     )
-    text = "; ".join(
-        f"{name}: {write_yaml(settings).strip().replace(chr(10), ', ')}" for name, settings in spec.compare.items()
-    )
+    changes = {name: write_yaml(settings).strip().replace("\n", ", ") for name, settings in spec.compare.items()}
+    text = "; ".join(f"{name}: {changed}" for name, changed in changes.items())
     note = f"The goal in fact, and whether limits are satisfied, are computed with the settings of the design. {text}."
     return Table("compared", "Results with other settings", columns, tuple(rows), note)
 

@@ -145,22 +145,14 @@ def _goal_table(design: Design) -> Table:
 def costs_table(costs: Sequence[Cost]) -> Table:
     """Return the table of the loads that differ between the start and the best point."""
     rows: list[tuple[Cell, ...]] = [
-        (
-            cost.scenario,
-            cost.label,
-            cost.unit,
-            cost.start,
-            cost.best,
-            None if np.isinf(cost.share) else 100 * cost.share,
-        )
-        for cost in costs
+        (one.scenario, one.label, one.unit, one.start, one.best, None if np.isinf(one.share) else 100 * one.share)
+        for one in costs
     ]
     columns = tuple(map(Column, ("scenario", "load", "unit", "start", "best", "change in %")))
     if not any(cost.scenario for cost in costs):
         rows, columns = [row[1:] for row in rows], columns[1:]
-    return Table(
-        "costs", "Loads elsewhere", columns, tuple(rows), "Largest forces and torques that change by 1 % or more."
-    )
+    note = "Largest forces and torques that change by 1 % or more."
+    return Table("costs", "Loads elsewhere", columns, tuple(rows), note)
 
 
 def robustness_table(spec: DesignSpec, point: DesignPoint, deviations: Sequence[Deviation]) -> Table:

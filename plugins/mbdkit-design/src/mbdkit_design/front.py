@@ -56,7 +56,5 @@ def _efficient(evaluator: Evaluator, points: list[Search]) -> list[Search]:
         return []
     goals = np.array([evaluator.totals(point.end) for point in points])
     slack = SLACK * np.ptp(goals, axis=0)
-    worse = [
-        bool(np.any(np.all(goals <= goal + slack, axis=1) & np.any(goals < goal - slack, axis=1))) for goal in goals
-    ]
-    return [point for point, is_worse in zip(points, worse, strict=True) if not is_worse]
+    better = (np.all(goals <= goal + slack, axis=1) & np.any(goals < goal - slack, axis=1) for goal in goals)
+    return [point for point, others in zip(points, better, strict=True) if not np.any(others)]

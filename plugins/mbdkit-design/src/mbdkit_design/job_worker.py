@@ -28,11 +28,7 @@ def compute(tasks: Sequence[Message], of_version: str) -> list[Message]:
 def _carry(task: Message, notify: Callable[[str], None]) -> Message:
     runs = _scenario(json.dumps(task["spec"]), task["folder"])
     points = [[(tuple(path), value) for path, value in settings] for settings in task["settings"]]
-    return {
-        "status": "complete",
-        "reason": "",
-        "results": [plain_outcome(outcome) for outcome in runs.outcomes(points)],
-    }
+    return {"status": "complete", "reason": "", "results": [*map(plain_outcome, runs.outcomes(points))]}
 
 
 @lru_cache(maxsize=16)

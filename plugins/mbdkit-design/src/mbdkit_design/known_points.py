@@ -16,8 +16,9 @@ from pydantic import BeforeValidator
 from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_regular, replacing
 from mbdkit.base.text import counted, shown
-from mbdkit_design.computing import is_passing, outcome_of, plain_outcome
+from mbdkit_design.computing import outcome_of, plain_outcome
 from mbdkit_design.evaluation import Evaluator, Job, Outcome
+from mbdkit_studies import PASSING
 
 #: A number; stored results have null in place of nan.
 Stored = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
@@ -128,18 +129,12 @@ class PointFile:
             raise _refused(error, self.path) from error
         first, *lines = text[: text.rfind(b"\n") + 1].split(b"\n")[:-1] or [FIRST]
         if not read_versioned(first, VERSION, self.path):
-            message = (
-                "this is not a list of evaluated points of this design; replace the design in the folder with "
-                "--overwrite"
-            )
-            raise SpecError(message, file=self.path)
+            hint = "replace the design in the folder with --overwrite"
+            raise SpecError(f"this is not a list of evaluated points of this design; {hint}", file=self.path)
         known = {line: point for line in lines if (point := self._parsed(line)) is not None}
         if damaged := len(lines) - len(known):
-            which = (
-                "is damaged and was removed; its run is"
-                if damaged == 1
-                else "are damaged and were removed; their runs are"
-            )
+            single, several = "is damaged and was removed; its run is", "are damaged and were removed; their runs are"
+            which = single if damaged == 1 else several
             self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {which} made again")
         sound = b"".join(line + b"\n" for line in (first, *known))
         if sound != text:
@@ -202,7 +197,7 @@ class KnownPoints:
         for job, outcome in self._compute(list(missing.values())):
             self._known[job.key] = outcome
             self._failed += outcome.verdict == "failed"
-            if self._file is not None and not is_passing(outcome):
+            if self._file is not None and not outcome.reason.startswith(PASSING):
                 self._file.add(job, outcome)
             if self._progress is not None:
                 self._progress(self.count, self._failed)

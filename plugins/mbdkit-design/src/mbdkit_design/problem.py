@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,10 +18,6 @@ if TYPE_CHECKING:
 #: Cost assigned to points where a run fails, relative to the cost at the start; so large that no search ends there.
 FAILED = 1e3
 
-#: Function that returns the derivatives (S, K, n) of goals and limits with respect to the scaled variables, at a point
-#: (n,).
-Jacobian = Callable[["Evaluator", np.ndarray], np.ndarray]
-
 
 @dataclass(frozen=True)
 class Bound:
@@ -30,15 +25,12 @@ class Bound:
 
     Attributes
     ----------
-    name
-        Name of the measure; if there are several scenarios, preceded by the name of the scenario and a colon.
     weights
         (S, K) weights of K goals and limits in S scenarios. The weighted sum of their values is the limited quantity.
     low, high
         Limits; infinite if there is no limit.
     """
 
-    name: str
     weights: np.ndarray
     low: float
     high: float
@@ -65,8 +57,6 @@ class Problem:
         Index of the goal.
     caps
         Upper limits of other goals, by index of the goal.
-    jacobian
-        Function that returns the derivatives of goals and limits.
 
     Raises
     ------
@@ -74,18 +64,13 @@ class Problem:
         If a run fails at the start.
     """
 
-    def __init__(
-        self,
-        evaluator: Evaluator,
-        goal: int = 0,
-        caps: dict[int, float] | None = None,
-        jacobian: Jacobian = derivatives,
-    ):
-        self.evaluator, self._jacobian = evaluator, jacobian
+    def __init__(self, evaluator: Evaluator, goal: int = 0, caps: dict[int, float] | None = None):
+        self.evaluator = evaluator
         self._differentiated: tuple[bytes, np.ndarray] = b"", np.empty(0)
         self.sums_squares = evaluator.spec.sums_squares
         self.weights = goal_weights(evaluator, goal)
-        self.bounds = [*_limits(evaluator), *(_cap(evaluator, *cap) for cap in (caps or {}).items())]
+        self.bounds = _limits(evaluator)
+        self.bounds += (Bound(goal_weights(evaluator, k), -np.inf, most) for k, most in (caps or {}).items())
         outcome = evaluator.outcomes(evaluator.first[None])[0]
         for scenario, one in zip(evaluator.spec.specs, outcome, strict=True):
             if one.verdict == "failed":
@@ -168,7 +153,7 @@ class Problem:
     def _derivatives(self, x: np.ndarray) -> np.ndarray:
         # optimisers request the derivatives of goals and of limits separately
         if self._differentiated[0] != x.tobytes():
-            self._differentiated = x.tobytes(), np.nan_to_num(self._jacobian(self.evaluator, x))
+            self._differentiated = x.tobytes(), np.nan_to_num(derivatives(self.evaluator, x))
         return self._differentiated[1]
 
 
@@ -183,11 +168,11 @@ def goal_weights(evaluator: Evaluator, goal: int) -> np.ndarray:
 def _limits(evaluator: Evaluator) -> list[Bound]:
     """Return the limits of a design in every scenario."""
     bounds = []
-    for row, scenario in enumerate(evaluator.spec.situations):
+    for row in range(len(evaluator.spec.situations)):
         for name, limit in evaluator.spec.subject_to.items():
             weights = np.zeros((len(evaluator.spec.situations), len(evaluator.names)))
             weights[row, evaluator.names.index(name)] = 1.0
-            bounds.append(Bound(f"{scenario}: {name}" if scenario else name, weights, *limit.ends))
+            bounds.append(Bound(weights, *limit.ends))
     return bounds
 
 
@@ -203,10 +188,6 @@ def _of_tables(evaluator: Evaluator) -> tuple[np.ndarray, np.ndarray]:
             rows += [by_share, -by_share]
             offsets += [np.full(len(by_share), -low / size), np.full(len(by_share), high / size)]
     return np.vstack(rows), np.concatenate(offsets)
-
-
-def _cap(evaluator: Evaluator, goal: int, most: float) -> Bound:
-    return Bound(evaluator.names[goal], goal_weights(evaluator, goal), -np.inf, most)
 
 
 def _size(bound: Bound, first: float) -> float:

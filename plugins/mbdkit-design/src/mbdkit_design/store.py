@@ -145,10 +145,7 @@ def written_out(spec: DesignSpec) -> dict[str, object]:
     if not spec.scenarios:
         return data | {"base": bases[""]}
     data.pop("base", None)
-    data["scenarios"] = {
-        name: {"base": bases[name], "weight": scenario.weight} for name, scenario in spec.scenarios.items()
-    }
-    return data
+    return data | {"scenarios": {n: {"base": bases[n], "weight": one.weight} for n, one in spec.scenarios.items()}}
 
 
 def _base(spec: RunSpec | InverseSpec) -> dict[str, object]:

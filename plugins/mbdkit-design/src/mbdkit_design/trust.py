@@ -77,9 +77,8 @@ class Trust:
         texts = [f"{level} at the {point}: {why.rstrip('.')}" for point, level, why in points if level in QUESTIONED]
         if texts:
             return f"Verdict on the runs: {'; '.join(texts)}."
-        errors = (
-            "estimated" if self.level == "good" else "those due to the data" if self.is_of_data else "not all known"
-        )
+        others = "those due to the data" if self.is_of_data else "not all known"
+        errors = "estimated" if self.level == "good" else others
         return f"Verdict on the runs: {self.level}, nothing suspicious seen; errors are {errors}."
 
     def sentences(self, units: Mapping[str, str]) -> list[str]:
@@ -126,9 +125,8 @@ def certified(evaluator: Evaluator, start: np.ndarray, best: np.ndarray) -> Trus
         failures_at_start = failures = ()
     at_start, at_best = (evaluator.totals(x) for x in (start, best))
     gain = {name: float(at_start[k] - at_best[k]) for k, name in enumerate(goals)}
-    worst_at_start, worst = (
-        min(found, key=lambda one: WORST.index(one.verdict)) for found in (checked_at_start, checked)
-    )
+    runs = (checked_at_start, checked)
+    worst_at_start, worst = (min(some, key=lambda one: WORST.index(one.verdict)) for some in runs)
     return Trust(
         errors=dict(zip([*goals, *evaluator.spec.subject_to], errors.tolist(), strict=True)),
         gain=gain,
@@ -211,6 +209,5 @@ def _errors(
     if evaluator.spec.sums_squares:  # the error of r^2 is (r + e)^2 - r^2
         values = np.abs(evaluator.values(x[None])[0][:, :count])
         of_goals = np.sum(of_goals * (2 * values + of_goals), axis=1, keepdims=True)
-    return np.concatenate([product(of_goals.T, weights), np.max(table[:, count:], axis=0, initial=-np.inf)]), tuple(
-        unknown
-    )
+    errors = [product(of_goals.T, weights), np.max(table[:, count:], axis=0, initial=-np.inf)]
+    return np.concatenate(errors), tuple(unknown)

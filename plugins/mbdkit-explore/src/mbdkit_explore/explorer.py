@@ -43,7 +43,7 @@ class Explorer:
     def __init__(self, spec: RunSpec | InverseSpec, names: Sequence[str] | None = None):
         self._prepared = PreparedRun(spec) if isinstance(spec, RunSpec) else None
         every = sliders(spec, names)
-        within = [self._in_range(slider) for slider in every]
+        within = [replace(one, low=self._reached(one, one.low), high=self._reached(one, one.high)) for one in every]
         free = [slider for slider in within if slider.low < slider.high]  # others are held, such as by a driver
         self.spec, self.sliders = spec, every if names and len(free) < len(every) else free or every
         self._by_key = {slider.key: slider for slider in self.sliders}
@@ -70,14 +70,10 @@ class Explorer:
         except MbdkitError as error:
             return {"error": shown(str(error)), "spec": yaml_text(data)}
 
-    def _in_range(self, slider: Slider) -> Slider:
-        """Return a slider whose ends are valid and can be assembled; of an end that is not, the place nearest to it on
-        the way to the value of the spec, found by bisection.
-        """
-        ends = [self._reached(slider, end) for end in (slider.low, slider.high)]
-        return replace(slider, low=ends[0], high=ends[1])
-
     def _reached(self, slider: Slider, end: float) -> float:
+        """Return an end of a slider if it is valid and can be assembled; otherwise, the place nearest to it on the way
+        to the value of the spec, found by bisection.
+        """
         if self._prepared is None or self._starts(slider, end):
             return end
         valid, wrong = slider.value, end

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 from mbdkit.base.errors import MbdkitError
@@ -87,9 +86,7 @@ class Exploration:
     def __enter__(self) -> Exploration:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _repr_html_(self) -> str:
@@ -200,10 +197,9 @@ def values_in(body: bytes) -> dict[str, float] | None:
         values = json.loads(body, parse_int=float) if len(body) <= LARGEST else None
     except (ValueError, RecursionError):
         return None
-    are_numbers = isinstance(values, dict) and all(
-        isinstance(value, float) and math.isfinite(value) for value in values.values()
-    )
-    return values if are_numbers else None
+    if not isinstance(values, dict):
+        return None
+    return values if all(isinstance(one, float) and math.isfinite(one) for one in values.values()) else None
 
 
 def _in_thread(explorer: Explorer, values: Mapping[str, float]) -> asyncio.Future[dict[str, object]]:

@@ -77,11 +77,11 @@ def passed(**figures: Figure) -> Result:
     return Result("pass", "", figures)
 
 
-def at_most(limit: float, cause: str, **figures: Figure) -> Result:
-    """Return a pass if all figures are within the limit, else a failure with this cause."""
-    if not all(isinstance(figure, int | float) and figure <= limit for figure in figures.values()):
-        return failed(cause, **figures)
-    return passed(**figures).within(dict.fromkeys(figures, limit))
+def at_most(limit: float | Mapping[str, float], cause: str, **figures: float) -> Result:
+    """Return a pass if all figures, or those named in a mapping, are within their limit; else a failure for a cause."""
+    limits = limit if isinstance(limit, Mapping) else dict.fromkeys(figures, limit)
+    is_within = all(figures[name] <= most for name, most in limits.items())
+    return passed(**figures).within(limits) if is_within else failed(cause, **figures)
 
 
 def failed(cause: str, **figures: Figure) -> Result:

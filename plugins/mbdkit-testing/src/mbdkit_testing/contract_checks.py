@@ -15,7 +15,7 @@ from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.methods.kinds import Method
 from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
-from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
+from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state, require_complete
 from mbdkit_testing.options_under_test import options_result, validated, variants
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
@@ -226,9 +226,7 @@ def states(integrator: IntegratorUnderTest) -> Result:
             require_complete(run, "with a first-order state a run", MbdkitError)
             errors.append(abs(float(run.array("states/value")[-1, 0]) - LAG_AT_1))
     limit = STATE_ADAPTIVE if integrator.claims.adaptive else max(errors[0] / 2, SAME)
-    if errors[1] > limit:
-        return failed("its first-order states do not converge", coarse=errors[0], fine=errors[1])
-    return passed(coarse=errors[0], fine=errors[1]).within({"fine": limit})
+    return at_most({"fine": limit}, "its first-order states do not converge", coarse=errors[0], fine=errors[1])
 
 
 @check("contract.other-options")

@@ -121,12 +121,11 @@ def page(item: Registered) -> str:
 
 def diagnosis(installed: Registry) -> dict[str, object]:
     """Return the listing with the entry point of each item and its loading time [s]."""
-    reports = _shown(installed)
     return {
         "plugin_api": {name: family.version for name, family in FAMILIES.items()},
         "plugins": [
             {**_entry(report, installed), "entry_point": report.origin.entry_point, "load_s": round(report.seconds, 6)}
-            for report in reports
+            for report in _shown(installed)
         ],
     }
 
@@ -163,9 +162,7 @@ def _shown(installed: Registry) -> list[Report]:
 
 
 def _entry(report: Report, installed: Registry) -> dict[str, object]:
-    item = None
-    if report.status != "error" and (names := installed.of_kind(report.kind or "")):
-        item = next((item for item in names if item.id == report.id), None)
+    items = installed.of_kind(report.kind) if report.kind is not None and report.status != "error" else ()
     return {
         "id": report.id,
         "kind": report.kind,
@@ -173,7 +170,7 @@ def _entry(report: Report, installed: Registry) -> dict[str, object]:
         "version": report.origin.version,
         "status": report.status,
         "error": report.error,
-        "evidence": "" if item is None else status_of(item),
+        "evidence": next((status_of(item) for item in items if item.id == report.id), ""),
     }
 
 
@@ -246,14 +243,11 @@ def _inside(info: Schema, definitions: Schema) -> list[tuple[str, Schema]]:
     for tag, ref in choice.get("mapping", {}).items():
         tags.setdefault(ref.rpartition("/")[2], []).append(tag)
     if tags:
-        return [
-            (f" ({' | '.join(names)})", _without(definitions[name], choice["propertyName"]))
-            for name, names in tags.items()
-        ]
+        key = choice["propertyName"]
+        return [(f" ({' | '.join(own)})", _without(definitions[name], key)) for name, own in tags.items()]
     named = info.get("additionalProperties")
-    if not isinstance(named, dict):
-        return []
-    return [(f".NAME{label}", inner) for label, inner in _inside(named, definitions)]
+    inner = _inside(named, definitions) if isinstance(named, dict) else []
+    return [(f".NAME{label}", schema) for label, schema in inner]
 
 
 def _without(schema: Schema, key: str) -> Schema:
@@ -289,6 +283,5 @@ def _type(info: Schema, definitions: Schema) -> str:
         case "object":
             return "mapping"
         case word:
-            return {"string": "text", "boolean": "true | false", "integer": "whole number"}.get(
-                str(word), str(word or "any")
-            )
+            shown = {"string": "text", "boolean": "true | false", "integer": "whole number"}
+            return shown.get(str(word), str(word or "any"))

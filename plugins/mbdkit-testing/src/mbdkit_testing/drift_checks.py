@@ -175,7 +175,7 @@ def projection(integrator: IntegratorUnderTest) -> Result:
     time = {"end": 2.0} | ({} if integrator.claims.adaptive else {"step": coarse_step(integrator) / 4})
     with integrator.run(DRIVEN_PENDULUM, time, stabilization="projection") as run:
         require_complete(run, "with projection a run", MbdkitError)
-        figures: dict[str, Figure] = {level: _worst(run, level) for level in ("position", "velocity")}
+        figures = {level: _worst(run, level) for level in ("position", "velocity")}
     return at_most(EXACT, "it claims projection, but the constraints do not hold", **figures)
 
 

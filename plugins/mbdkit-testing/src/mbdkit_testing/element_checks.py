@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from copy import deepcopy
 from functools import cached_property
 from typing import Any, cast
 
@@ -29,7 +28,7 @@ from mbdkit_statics.equilibrium import equilibrium
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed, skipped
 from mbdkit_testing.example_checks import SAME, TINY, balance, checkpoint, tangents, without_plugin
-from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed
+from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, completed, with_units
 
 #: Columns that the equations also contain, by their index in `mbdkit.kernels.Observed.forces`.
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
@@ -58,11 +57,6 @@ class ElementUnderTest(ExampleUnderTest):
         return spec.mechanism().elements.get(self.key, {})
 
     @cached_property
-    def elements(self) -> dict[str, Any]:
-        """The elements of the example by name."""
-        return dict(self.members(self.spec))
-
-    @cached_property
     def groups(self) -> list[Kind]:
         """The groups of archives that belong to the kind."""
         items: list[Any] = [item.plugin for item in self.installed.of_kind("quantity")]
@@ -76,16 +70,13 @@ def spec(kind: ElementUnderTest) -> Result:
     if Mechanism.from_spec(data).to_spec() != data:
         return failed("its elements change in a round trip through a spec")
     again = Mechanism.from_spec({name: value for name, value in data.items() if name != kind.key})
-    with_units = deepcopy(data)
+    model, stated = cast("type[Element]", kind.kind.model()), dict[str, Any]()
     for name, one in data[kind.key].items():
         again.add(kind.key, name, **one)
-        for option, value in one.items():
-            units = described_units(description(cast("type[Element]", kind.kind.model()), option))
-            if isinstance(value, float) and len(units) == 1:
-                with_units[kind.key][name][option] = f"{value!r} {units[0]}"
+        stated[name] = with_units(model, one)
     if again.to_spec()[kind.key] != data[kind.key]:
         return failed(f"elements that are added by `Mechanism.add('{kind.key}', ...)` differ from those of a spec")
-    if kind.changed(with_units).mechanism().to_spec() != data:
+    if kind.changed(data | {kind.key: stated}).mechanism().to_spec() != data:
         return failed("its numbers change if they are written with units")
     return passed(elements=len(kind.elements))
 

@@ -9,9 +9,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
+from mbdkit.base.strict_model import description
+from mbdkit.base.units import described_units
 from mbdkit.engine.workspace import Workspace
 from mbdkit.registry.element_items import ElementKind, JointKind
 from mbdkit.runs.preparation import build
@@ -53,6 +56,11 @@ class ExampleUnderTest(ItemUnderTest):
         return spec
 
     @cached_property
+    def elements(self) -> dict[str, Any]:
+        """The elements or joints of the example, by name."""
+        return dict(self.members(self.spec))
+
+    @cached_property
     def workspace(self) -> Workspace:
         """The compiled mechanism of the example at its start."""
         return build(self.spec)[0].with_own_pivots()
@@ -81,6 +89,15 @@ class ExampleUnderTest(ItemUnderTest):
         data.pop("parameters", None)  # whose values the mechanism contains
         model = {"name": "mechanism", **(mechanism or self.spec.mechanism().to_spec())}
         return load_spec({**data, "model": model, **sections})
+
+
+def with_units(model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options of an element or a joint, whose numbers have the unit of their key if it has one."""
+    units = {option: described_units(description(model, option)) for option in options}
+    return {
+        option: f"{value!r} {units[option][0]}" if isinstance(value, float) and len(units[option]) == 1 else value
+        for option, value in options.items()
+    }
 
 
 def completed(spec: RunSpec) -> Run:

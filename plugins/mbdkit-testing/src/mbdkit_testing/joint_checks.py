@@ -5,7 +5,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,7 @@ import numpy as np
 
 from mbdkit.archive.reader import load
 from mbdkit.base.errors import MbdkitError, SpecError
-from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
-from mbdkit.base.units import described_units
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.joint_base import FunctionJoint
 from mbdkit.mechanism.mechanism import Mechanism
@@ -23,7 +20,7 @@ from mbdkit.runs.simulation import simulate
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.example_checks import balance, checkpoint, tangents, without_plugin
-from mbdkit_testing.example_under_test import completed
+from mbdkit_testing.example_under_test import completed, with_units
 from mbdkit_testing.item_checks import relative_difference
 from mbdkit_testing.joint_under_test import SMOOTH, JointUnderTest, Pair, recorded, slope
 
@@ -54,7 +51,7 @@ def own_class(kind: JointUnderTest) -> Result:
         return failed(
             f"the `type` of its class is {default!r} by default, not the name of the kind, '{kind.kind.name}'"
         )
-    for joint in kind.joints.values() if kind.kind.example or "spec" in vars(kind) else ():
+    for joint in kind.elements.values() if kind.kind.example or "spec" in vars(kind) else ():
         if cause := _wrong_rows(joint.rows, joint.units):
             return failed(cause)
     return passed()
@@ -78,7 +75,7 @@ def functions(kind: JointUnderTest) -> Result:
     A function of a place does not depend on where the pair lies.
     """
     number, mechanism = 0, kind.spec.mechanism()
-    for name, joint in kind.joints.items():
+    for name, joint in kind.elements.items():
         start = mechanism.relative_pose(joint)
         first, second = list(joint.functions(start)), list(joint.functions(start))
         if len(first) != len(joint.rows):
@@ -93,19 +90,18 @@ def functions(kind: JointUnderTest) -> Result:
                     f"the function of row '{row}' is another one when it is called again; it may depend on `pose` and "
                     "`p` only, not on counters, clocks, random numbers or variables that change"
                 )
-            if terms.of("first") and (terms.of("x") or terms.of("y")):
+            if "first" in terms.variables and terms.variables & {"x", "y"}:
                 return failed(
                     f"row '{row}' of '{name}' is a function of a place and of `pose.first`, so that its curve lies in "
                     "the global frame, and its reaction has a torque on the pair that no body exerts; `x` and `y` are "
                     "those of a's frame already, and `first` is for couplings of angles alone"
                 )
         try:
-            are_equal = [(one.function, hash(one.function)) for one in first] == [
-                (one.function, hash(one.function)) for one in second
-            ]
-        except TypeError:
+            mine, others = ([(x.function, hash(x.function), x.parameters) for x in some] for some in (first, second))
+            are_equal = mine == others
+        except TypeError:  # a function cannot be hashed
             are_equal = False
-        if not are_equal or [one.parameters for one in first] != [one.parameters for one in second]:
+        if not are_equal:
             return failed(
                 "equal joints have different functions, which cannot share a program: use a function of a module, or "
                 "an object of a frozen dataclass"
@@ -118,7 +114,7 @@ def functions(kind: JointUnderTest) -> Result:
 @check("joint.start")
 def start(kind: JointUnderTest) -> Result:
     """Joints of the example are closed at the start, and stay finite next to it; assembly closes what is displaced."""
-    mechanism, most = kind.spec.mechanism(), 0.0
+    mechanism = kind.spec.mechanism()
     given = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
     size = kind.workspace.mechanism.length
     bodies = [kind.workspace.mechanism.bodies.index(name) for name in mechanism.bodies]
@@ -324,22 +320,17 @@ def spec(kind: JointUnderTest) -> Result:
     data = kind.spec.mechanism().to_spec()
     if Mechanism.from_spec(data).to_spec() != data:
         return failed("its joints change in a round trip through a spec")
-    others = {name: joint for name, joint in data["joints"].items() if name not in kind.joints}
-    again, with_units = Mechanism.from_spec({**data, "joints": others}), deepcopy(data)
-    for name in kind.joints:
-        one = dict(data["joints"][name])
-        add = getattr(again, kind.kind.builder)
-        a, b = one.pop("bodies")
-        add(name, a, b, **{key: value for key, value in one.items() if key != "type"})
-        for option, value in one.items():
-            units = described_units(description(kind.model, option))
-            if isinstance(value, float) and len(units) == 1:
-                with_units["joints"][name][option] = f"{value!r} {units[0]}"
-    if {name: again.to_spec()["joints"][name] for name in kind.joints} != {
-        name: data["joints"][name] for name in kind.joints
-    }:
+    others = {name: joint for name, joint in data["joints"].items() if name not in kind.elements}
+    again, stated = Mechanism.from_spec({**data, "joints": others}), dict(data["joints"])
+    for name in kind.elements:
+        one = data["joints"][name]
+        options = {key: value for key, value in one.items() if key not in ("type", "bodies")}
+        getattr(again, kind.kind.builder)(name, *one["bodies"], **options)
+        stated[name] = one | with_units(kind.model, options)
+    added = again.to_spec()["joints"]
+    if any(added[name] != data["joints"][name] for name in kind.elements):
         return failed(f"joints that are added by `Mechanism.{kind.kind.builder}` differ from those of a spec")
-    if kind.changed(with_units).mechanism().to_spec() != data:
+    if kind.changed(data | {"joints": stated}).mechanism().to_spec() != data:
         return failed("its numbers change if they are written with units")
     with tempfile.TemporaryDirectory(prefix="mbdkit-joint-") as folder:
         path = Path(folder) / "run.h5"
@@ -347,7 +338,7 @@ def spec(kind: JointUnderTest) -> Result:
         with load(path) as run:
             if run.mechanism.to_spec()["joints"] != data["joints"]:
                 return failed("its joints change in a round trip through an archive")
-    return passed(joints=len(kind.joints))
+    return passed(joints=len(kind.elements))
 
 
 def _short(kind: JointUnderTest, factor: float = 1.0, **sections: Any) -> Any:
@@ -393,7 +384,7 @@ def methods(kind: JointUnderTest) -> Result:
 def drawing(kind: JointUnderTest) -> Result:
     """Lines with which joints are drawn have finite points, each on the first or the second body."""
     lines, mechanism = 0, kind.spec.mechanism()
-    for name, joint in kind.joints.items():
+    for name, joint in kind.elements.items():
         for line in joint.lines(mechanism.relative_pose(joint)):
             lines += 1
             for body, point in line:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -57,18 +57,13 @@ class JointUnderTest(ExampleUnderTest):
         return {name: joint for name, joint in spec.mechanism().joints.items() if isinstance(joint, self.model)}
 
     @cached_property
-    def joints(self) -> dict[str, FunctionJoint]:
-        """The joints of the example by name."""
-        return dict(self.members(self.spec))
-
-    @cached_property
     def pairs(self) -> dict[str, Pair]:
         """Each joint of the example alone, by name."""
         compiled, places = self.workspace.mechanism, self.workspace.q0.reshape(-1, 3).tolist()
         at = dict(zip(compiled.bodies, places, strict=False))
         data = self.spec.mechanism().to_spec()["joints"]
         length, start = compiled.length, self.spec.time.start
-        return {name: Pair.of(name, joint, data[name], at, length, start) for name, joint in self.joints.items()}
+        return {name: Pair.of(name, joint, data[name], at, length, start) for name, joint in self.elements.items()}
 
 
 @dataclass(frozen=True)
@@ -101,11 +96,7 @@ class Pair:
         """Return a joint with its bodies at given places; `length` is that of the mechanism."""
         pair = cls(name, joint, data, {body: tuple(at[body]) for body in joint.bodies if body != GROUND}, length, time)
         apart = float(np.hypot(pair.start.x, pair.start.y))
-        return pair.changed(size=apart) if apart > 1e-3 * length else pair
-
-    def changed(self, **fields: Any) -> Pair:
-        """Return the pair with other fields."""
-        return replace(self, **fields)
+        return replace(pair, size=apart) if apart > 1e-3 * length else pair
 
     @cached_property
     def mechanism(self) -> Mechanism:
@@ -124,11 +115,7 @@ class Pair:
     @property
     def start(self) -> Pose:
         """The relative pose at the start."""
-        bodies = {
-            body: {"mass": 1.0, "inertia": 1.0, "position": [x, y], "angle": angle}
-            for body, (x, y, angle) in self.places.items()
-        }
-        return Mechanism.from_spec({"bodies": bodies}).relative_pose(self.joint)
+        return self.mechanism.relative_pose(self.joint)
 
     @property
     def q(self) -> np.ndarray:
@@ -148,7 +135,7 @@ class Pair:
     @cached_property
     def of_first(self) -> bool:
         """Whether a function depends on the absolute angle of the first body."""
-        return any(recorded(function).of("first") for function in self.joint.functions(self.start))
+        return any("first" in recorded(function).variables for function in self.joint.functions(self.start))
 
     def rows_at(self, q: np.ndarray) -> np.ndarray:
         """Return the values of the rows, (m,); NaN where they are not finite numbers."""
@@ -236,7 +223,7 @@ class Pair:
         place = (x + float(c * by[0] - s * by[1]), y + float(s * by[0] + c * by[1]), angle)
         data = {**self.data, "points": points}
         joint = self.joint.model_copy(update={"points": tuple(map(tuple, points))})
-        return self.changed(joint=joint, data=data, places={**self.places, body: place})
+        return replace(self, joint=joint, data=data, places={**self.places, body: place})
 
     def enlarged(self, factor: float) -> Pair | None:
         """Return the joint with all lengths times a factor; None if its keys do not tell which numbers are lengths."""
@@ -252,9 +239,9 @@ class Pair:
             if len(powers) == 1 and not any((power := powers.pop())[1:]):
                 data[key] = _times(value, factor ** int(power[0]))
         places = {body: (factor * x, factor * y, angle) for body, (x, y, angle) in self.places.items()}
-        again = self.changed(data=data, places=places, size=factor * self.size)
-        joint = again.mechanism.joints[self.name]
-        return again.changed(joint=joint)
+        again = replace(self, data=data, places=places, size=factor * self.size)
+        joint: Any = again.mechanism.joints[self.name]
+        return replace(again, joint=joint)
 
 
 def _is_choice(model: type[FunctionJoint], key: str) -> bool:
@@ -280,16 +267,13 @@ def slope(function: Callable[[float], np.ndarray]) -> np.ndarray:
     return values
 
 
-@dataclass(frozen=True)
-class Record:
-    """A recorded function: its terms, tables and value, which are equal for equal functions, and its variables."""
+class Record(NamedTuple):
+    """A recorded function: its terms, tables and value, which are equal for equal functions, and those entries of
+    `Pose` on which the value depends.
+    """
 
     terms: tuple[Any, ...]
     variables: frozenset[str]
-
-    def of(self, variable: str) -> bool:
-        """Return whether the value depends on an entry of `Pose`."""
-        return variable in self.variables
 
 
 def recorded(function: PoseFunction) -> Record:

@@ -176,19 +176,11 @@ def verify(
 def report_of(kind: Kind, under_test: Any, results: Iterable[Result]) -> Report:
     """Return the report of the results of checks of a plugin."""
     item: Registered = under_test.item
-    return Report(
-        id=item.id,
-        kind=kind,
-        version=item.origin.version,
-        options=under_test.options,
-        claims=_claims(kind, under_test),
-        results=tuple(results),
-    )
+    claims = _claims(kind, under_test)
+    return Report(item.id, kind, item.origin.version, under_test.options, claims, tuple(results))
 
 
 def _claims(kind: Kind, under_test: Any) -> dict[str, Any]:
-    if kind == "model":
-        return {}
     try:
         return asdict(under_test.claims) if kind == "integrator" else dict(under_test.claims)
     except (Exception, SystemExit):  # a check reports it

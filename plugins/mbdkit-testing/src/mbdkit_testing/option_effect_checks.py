@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -40,10 +41,10 @@ def option_effects(law: ForceLawUnderTest) -> Result:
             f"{'its symbol' if len(absent) == 1 else 'their symbols'}; use or remove {_pronoun(absent)}"
         )
 
-    def differ(chosen: dict[str, object], other: dict[str, object]) -> bool:
-        return _differ(_at(law, chosen), _at(law, other))
+    def at(options: dict[str, Any]) -> ForceLawUnderTest:
+        return replace(law, options=options, random=RANDOM_OF_VARIANTS)
 
-    if idle := _idle(law.item, law.options, names, effective, differ):
+    if idle := _idle(law.item, law.options, names, effective, lambda chosen, other: _differ(at(chosen), at(other))):
         return warned(
             f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove "
             f"{_pronoun(idle)}, unless {_pronoun(idle)} should act in rare cases only"
@@ -103,10 +104,6 @@ def _choices(item: Registered, chosen: dict[str, object]) -> Iterator[dict[str, 
         yield chosen
 
 
-def _at(law: ForceLawUnderTest, options: dict[str, object]) -> ForceLawUnderTest:
-    return ForceLawUnderTest(law.item, options, law.installed, RANDOM_OF_VARIANTS)
-
-
 def _differ(first: ForceLawUnderTest, second: ForceLawUnderTest) -> bool:
     """Whether two sets of options give different values at the samples of either, or different valid ranges."""
     if not np.array_equal(first.span, second.span):
@@ -146,13 +143,11 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
                 ends[key] = final_state(run).tobytes() + counts.encode()
         return ends[key]
 
-    def differ(chosen: dict[str, object], other: dict[str, Any]) -> bool:
-        return end(chosen) != end(other)
-
-    if idle := _idle(integrator.item, integrator.options, names, set(), differ):
-        return failed(
-            f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove {_pronoun(idle)}"
-        )
+    if idle := _idle(
+        integrator.item, integrator.options, names, set(), lambda chosen, other: end(chosen) != end(other)
+    ):
+        cause = f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove {_pronoun(idle)}"
+        return failed(cause)
     return passed(options=len(names))
 
 

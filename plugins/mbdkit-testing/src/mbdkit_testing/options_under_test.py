@@ -61,16 +61,9 @@ def plain_options(item: Registered, given: Mapping[str, object]) -> dict[str, ob
     """
     model: type[BaseModel] = item.plugin.options
     schema = model.model_json_schema() if model.model_fields else {}  # BaseModel itself has no schema
-    chosen = dict(given)
-    missing = []
-    for name in schema.get("required", ()):
-        if name not in chosen:
-            example = _example(schema["properties"][name])
-            if example is None:
-                missing.append(name)
-            else:
-                chosen[name] = example
-    if missing:
+    examples = {name: _example(schema["properties"][name]) for name in schema.get("required", ()) if name not in given}
+    chosen = {**given, **examples}
+    if missing := [name for name, example in examples.items() if example is None]:
         raise SpecError(
             f"{item.id} has no default and no example for {listed(missing, 'and')}; "
             f"give {'it' if len(missing) == 1 else 'them'} with --set {missing[0]}=VALUE"
@@ -119,9 +112,7 @@ def _others(schema: Mapping[str, Any], now: Any) -> list[object]:
         return []
     limits = kinds[0]
     size = abs(now) if isinstance(now, int | float) and now else 1
-    if (
-        limits["type"] == "number"
-    ):  # the bounds themselves are not tried, because they may be special cases, such as a tolerance of 0
+    if limits["type"] == "number":  # the bounds are not tried: they may be special cases, such as a tolerance of 0
         results = [-size, size / 2, 2 * size]
     else:
         results = [-size, size - 1, size + 1, *(limits[key] for key in ("minimum", "maximum") if key in limits)]

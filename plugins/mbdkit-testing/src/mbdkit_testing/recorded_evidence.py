@@ -142,14 +142,8 @@ def _lines(record: Mapping[str, Any]) -> str:
     """Return a record as JSON with a line for each entry and each check, whose differences are easy to read."""
     lines = [f'   "{key}": {json.dumps(value)}' for key, value in record.items() if key not in ("checks", "sha256")]
     checks = ",\n".join(f'    "{name}": {json.dumps(entry)}' for name, entry in record["checks"].items())
-    return ",\n".join(
-        [
-            "  {\n" + lines[0],
-            *lines[1:],
-            f'   "checks": {{\n{checks}\n   }}',
-            f'   "sha256": "{record["sha256"]}"\n  }}',
-        ]
-    )
+    lines += [f'   "checks": {{\n{checks}\n   }}', f'   "sha256": "{record["sha256"]}"']
+    return "  {\n" + ",\n".join(lines) + "\n  }"
 
 
 def status_of(item: Registered) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbdkit.methods.tableau import ButcherTableau, TableauError
 from mbdkit_testing.check import check
-from mbdkit_testing.check_result import Result, failed, passed, unclaimed, warned
+from mbdkit_testing.check_result import Result, at_most, failed, passed, unclaimed, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 
 
@@ -15,10 +15,7 @@ from mbdkit_testing.integrator_under_test import IntegratorUnderTest
 def row_sums(integrator: IntegratorUnderTest) -> Result:
     """Each row of the method's matrix sums to the node of this row."""
     a, _, c = integrator.tableau.floats()
-    defect = float(np.max(np.abs(a.sum(axis=1) - c)))
-    if defect > 1e-12:
-        return failed("a row does not sum to its node", defect=defect)
-    return passed(defect=defect).within({"defect": 1e-12})
+    return at_most(1e-12, "a row does not sum to its node", defect=float(np.max(np.abs(a.sum(axis=1) - c))))
 
 
 @check("tableau.trees")

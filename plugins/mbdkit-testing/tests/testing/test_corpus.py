@@ -10,6 +10,7 @@ import pytest
 from tests.testing.corpus_of_wrong_plugins import RIGHT, RK4, WRONG, outcome
 
 import mbdkit
+from mbdkit.base.errors import PluginError
 from mbdkit_testing import verify
 from mbdkit_testing.check import Check
 from mbdkit_testing.check_result import Result
@@ -130,6 +131,16 @@ def test_waiting_does_not_count_against_a_check(monkeypatch: pytest.MonkeyPatch)
     found = Check("state.slow", wait).run("a method")
     assert found.outcome == "pass"
     assert found.seconds < 0.2
+
+
+def test_claims_that_cannot_be_read_fail_the_checks_that_use_them() -> None:
+    class Unclaimed:
+        @property
+        def claims(self) -> object:
+            raise PluginError("it returned no claims")
+
+    found = Check("contract.method", lambda under_test: Result("pass", str(under_test.claims))).run(Unclaimed())
+    assert (found.outcome, found.cause) == ("fail", "it returned no claims")
 
 
 def test_an_under_claim_is_a_warning_and_no_failure() -> None:

@@ -186,15 +186,8 @@ def _closed(touches: Sequence[Touched]) -> Claim:
     rigid = [touch for touch in touches if touch.step]
     overlap, name = _worst(rigid, lambda touch: touch.penetration)
     creep, creeping = _worst([touch for touch in rigid if touch.method == FINEST], lambda touch: touch.creep)
-    values = {
-        "limit": EXACT,
-        "overlap": overlap,
-        "run": name,
-        "creep": creep,
-        "creeping": creeping,
-        "count": len(rigid),
-    }
-    return WORDS.claim("closed", exceeds(EXACT, max(overlap, creep)), **values)
+    values = {"limit": EXACT, "overlap": overlap, "creep": creep, "count": len(rigid)}
+    return WORDS.claim("closed", exceeds(EXACT, max(overlap, creep)), run=name, creeping=creeping, **values)
 
 
 def _softer(touches: Sequence[Touched]) -> Claim:

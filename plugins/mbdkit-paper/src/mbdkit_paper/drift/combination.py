@@ -88,19 +88,11 @@ class Combination:
         orders = [self.position_order, self.velocity_order, self.multiplier_order]
         known = not isinstance(self.multiplier_order, str)
         sure = abs(self.trend) / self.trend_error if not isinstance(self.trend, str) and self.trend_error else None
-        return (
-            *(order if isinstance(order, str) else f"{order:.2f}" for order in orders),
-            ("own" if self.own else "index-1") if known else None,
-            two(self.position_drift),
-            two(self.velocity_drift),
-            two(self.trend),
-            two(sure),
-            two(self.oscillation),
-            two(self.reversal),
-            two(self.evaluations),
-            two(self.factorizations),
-            two(self.microseconds),
-        )
+        drift = (self.position_drift, self.velocity_drift, self.trend, sure, self.oscillation, self.reversal)
+        costs = (self.evaluations, self.factorizations, self.microseconds)
+        source = ("own" if self.own else "index-1") if known else None
+        shown = (order if isinstance(order, str) else f"{order:.2f}" for order in orders)
+        return (*shown, source, *map(two, (*drift, *costs)))
 
 
 def two(value: float | Undetermined | None) -> Cell:
@@ -136,7 +128,6 @@ def combinations(study: Study) -> list[Combination]:
 def _combination(mechanism: str, method: str, short: Points, long: Points) -> Combination:
     size, scale = (_largest(long, column) for column in ("mechanism_size", "energy_scale"))
     size = _largest(short, "mechanism_size") if math.isnan(size) else size
-    own = _largest(short, "own_multipliers") == 1
     steps, errors = short.along(STEP, "trajectory_error")
     slope, error, oscillation = (_number(long, f"energy_{name}") for name in ("trend", "trend_error", "oscillation"))
     defect = _number(long, "reversibility_defect")
@@ -155,7 +146,7 @@ def _combination(mechanism: str, method: str, short: Points, long: Points) -> Co
         position_order=_order(short, "trajectory_error", size),
         velocity_order=_order(short, "velocity_error", size),
         multiplier_order=_order(short, "multiplier_error", 1.0),
-        own=own,
+        own=_largest(short, "own_multipliers") == 1,
         position_drift=share(_number(long, "misalignment_max"), size),
         velocity_drift=share(_number(long, "velocity_misalignment_max"), size),
         trend=_trend(slope, error, scale, _largest(long, "duration")),
@@ -198,8 +189,7 @@ def _order(points: Points, column: str, scale: float) -> float | Undetermined:
         return "adaptive"
     floor = max(observed_order(steps, errors).floor, EPSILON * scale)
     for agree in CLOSE:
-        found = _finest(steps, errors, floor, agree)
-        if not math.isnan(found):
+        if not math.isnan(found := _finest(steps, errors, floor, agree)):
             return found
     finite = errors[np.isfinite(errors)]
     if len(finite) and np.min(finite) <= ROUND_OFF * scale:

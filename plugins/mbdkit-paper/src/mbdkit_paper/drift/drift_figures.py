@@ -24,11 +24,8 @@ def errors(results: Sequence[Combination], added: Collection[str] = ()) -> tuple
         for result in results:
             group = result.method.partition(",")[0]
             if result.mechanism == mechanism and result.errors and (group in DRAWN or result.method in added):
-                steps = sorted(result.errors)
-                seen = np.array([result.errors[step] for step in steps])
-                lines.append(
-                    Line(result.method, np.array(steps), np.where(seen > 0, seen, np.nan), "both", result.method)
-                )
+                steps, seen = np.array(sorted(result.errors.items())).T
+                lines.append(Line(result.method, steps, np.where(seen > 0, seen, np.nan), "both", result.method))
         figures.append(WORDS.figure("error", lines, f"error-{mechanism}", mechanism=mechanism))
     return tuple(figures)
 

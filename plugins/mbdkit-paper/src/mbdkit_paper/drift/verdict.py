@@ -90,10 +90,7 @@ def order_meets(results: float | Undetermined, expected: float) -> Answer:
 
 def all_of(answers: Sequence[Answer]) -> Answer:
     """Return whether all conditions hold: the first of no, partly and open that is among the answers, else yes."""
-    for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN):
-        if answer in answers:
-            return answer
-    return Answer.YES
+    return next((answer for answer in (Answer.NO, Answer.PARTLY, Answer.OPEN) if answer in answers), Answer.YES)
 
 
 def _known(answers: Mapping[str, Answer]) -> Answer:
@@ -118,10 +115,9 @@ def _orders(
     answers, computed = {}, []
     for mechanism, result in _by(results, label).items():
         seen = (result.position_order, result.velocity_order, result.multiplier_order)
-        asked = [order_meets(order, wanted) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
-        answers[mechanism] = all_of(asked)
-        shown = [_figure(order) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
-        computed.append(f"{'/'.join(shown)} ({mechanism})")
+        asked = [(order, wanted) for order, wanted in zip(seen, expected, strict=True) if wanted is not None]
+        answers[mechanism] = all_of([order_meets(order, wanted) for order, wanted in asked])
+        computed.append(f"{'/'.join(_figure(order) for order, _ in asked)} ({mechanism})")
     wanted = "/".join(f"{order:g}" for order in expected if order is not None)
     of = ", ".join(letter for letter, order in zip(NAMES, expected, strict=True) if order is not None)
     values = {"label": label, "wanted": wanted, "of": of, "source": source, "computed": ", ".join(computed)}
@@ -149,9 +145,8 @@ def _projection_keeps_the_order(results: Sequence[Combination]) -> Claim:
             answer = Answer.OPEN if isinstance(before, str) else order_meets(after, before)
             answers[f"{result.method}, {result.mechanism}, {letter}"] = answer
             if answer in (Answer.NO, Answer.PARTLY):
-                computed.append(
-                    f"{letter} from {_figure(before)} to {_figure(after)} ({result.method}, {result.mechanism})"
-                )
+                where = f"({result.method}, {result.mechanism})"
+                computed.append(f"{letter} from {_figure(before)} to {_figure(after)} {where}")
     decided = [answer for answer in answers.values() if answer is not Answer.OPEN]
     kept = sum(answer is Answer.YES for answer in decided)
     exceptions = f"; {', '.join(computed)}" if computed else ""
@@ -200,11 +195,9 @@ def _energy(results: Sequence[Combination]) -> Claim:
     for mechanism, result in ordinary.items():
         other = symmetric.get(mechanism)
         has = [result.has_trend, None if other is None else other.has_trend]
+        pairs = zip(has, (True, False), strict=True)
         answers[mechanism] = all_of(
-            [
-                Answer.OPEN if results is None else Answer.YES if results is wanted else Answer.NO
-                for results, wanted in zip(has, (True, False), strict=True)
-            ]
+            [Answer.OPEN if trend is None else Answer.YES if trend is wanted else Answer.NO for trend, wanted in pairs]
         )
         shown = [_figure(which.trend, ".0e") if which is not None else "missing" for which in (result, other)]
         computed.append(f"{shown[0]}, {shown[1]} ({mechanism})")

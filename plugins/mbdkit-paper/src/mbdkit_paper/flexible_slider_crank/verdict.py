@@ -87,12 +87,10 @@ def _runs(study: Study) -> tuple[list[str], list[CrankRun]]:
             with run:
                 joints, crank = _with_forces(run, crank)
         cranks.append(crank)
-    exact = next(
-        (crank.forces for crank in cranks if (crank.method, crank.step) == REFERENCE and not crank.state), None
-    )
-    return joints, [
-        crank if crank.state or exact is None else replace(crank, errors=_errors(crank, exact)) for crank in cranks
-    ]
+    exact = next((one.forces for one in cranks if (one.method, one.step) == REFERENCE and not one.state), None)
+    if exact is not None:
+        cranks = [crank if crank.state else replace(crank, errors=_errors(crank, exact)) for crank in cranks]
+    return joints, cranks
 
 
 def _with_forces(run: Run, crank: CrankRun) -> tuple[list[str], CrankRun]:
@@ -135,9 +133,7 @@ def _stable(cranks: Sequence[CrankRun]) -> Claim:
 
 def _agree(cranks: Sequence[CrankRun]) -> Claim:
     methods = dict.fromkeys(crank.method for crank in cranks)
-    finest = [
-        min((crank for crank in cranks if crank.method == method), key=lambda crank: crank.step) for method in methods
-    ]
+    finest = [min((one for one in cranks if one.method == method), key=lambda one: one.step) for method in methods]
     worst = max((crank.error for crank in finest), default=math.nan)
     answer = exceeds(SMALL, worst) if all(math.isfinite(crank.error) for crank in finest) else Answer.OPEN
     return WORDS.claim("agree", answer, percent=100 * SMALL, worst=100 * worst, count=len(finest))

@@ -72,10 +72,8 @@ class Method:
     @property
     def has_tolerance(self) -> bool:
         """Whether the tolerance varies in place of the step."""
-        return (
-            self.claims.adaptive
-            and "rtol" in named_options(registry().get("integrator", self.integrator["name"])).model_fields
-        )
+        options = named_options(registry().get("integrator", self.integrator["name"])).model_fields
+        return self.claims.adaptive and "rtol" in options
 
 
 def installed() -> Iterator[Method]:

@@ -114,16 +114,15 @@ def verdict(study: Study) -> Verdict:
         name: [result for result in results if result.problem == name]
         for name in dict.fromkeys(result.problem for result in results)
     }
-    claims = reported([_published(name, found) for name, found in by_problem.items() if _prints(problems()[name])])
+    claims = reported([_published(name, found) for name, found in by_problem.items() if _meeting(name, found)])
     reached = sum(claim.answer is Answer.YES for claim in claims)
     failures = sum(len(result.failed) for result in results)
     sentence = (
         f"Several families of integrators reach the published results of {reached} of {len(claims)} problems with "
         f"such results. {failures} of {len(study.points)} runs failed or reached the limit of wall time."
     )
-    bases = [json.loads(study.family(name)[0].planned.grid.base_json) for name in study.families]
-    limits = sorted({base["limits"]["wall_time"] for base in bases})
-    limit = " or ".join(f"{limit:g}" for limit in limits)
+    bases = [json.loads(study.grid(name).base_json) for name in study.families]
+    limit = " or ".join(f"{limit:g}" for limit in sorted({base["limits"]["wall_time"] for base in bases}))
     return Verdict(
         "methods",
         study.spec.title,
@@ -161,10 +160,6 @@ def _target(problem: str) -> float:
     return max(TARGET, *(known.reference_error for known in problems()[problem].quantities.values()))
 
 
-def _prints(problem: Problem) -> bool:
-    return any(quantity.published is not None for quantity in problem.quantities.values())
-
-
 def _meeting(name: str, results: Sequence[Result], share: float = 1.0) -> dict[str, list[str]]:
     """Return the integrators that reach each published result of a problem to a share of its error."""
     return {
@@ -189,12 +184,9 @@ def _reached(name: str, results: Sequence[Result]) -> Iterator[tuple[Cell, ...]]
     closer = _meeting(name, results, SHARE)
     for key, found in _meeting(name, results).items():
         quantity = problems()[name].quantities[key]
-        others = [integrator for integrator in closer[key] if integrator.startswith(OTHERS)]
+        others = ", ".join(integrator for integrator in closer[key] if integrator.startswith(OTHERS))
         families = len({family_of(integrator) for integrator in found})
-        yield (
-            name, key, repr(quantity.published), quantity.published_error, families, ", ".join(found),
-            ", ".join(others),
-        )  # fmt: skip
+        yield name, key, repr(quantity.published), quantity.published_error, families, ", ".join(found), others
 
 
 def _least(costs: Iterable[tuple[float, str]], form: str) -> str | None:

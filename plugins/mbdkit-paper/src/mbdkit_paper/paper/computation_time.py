@@ -33,7 +33,8 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     curves = {method: own.along("model.n", SECONDS) for method, own in points.items()}
     counts = {m: np.sum([own.along("model.n", name)[1] for name in OPERATIONS], axis=0) for m, own in points.items()}
     numbers = curves[GILL][0]
-    spans = {m: _exponents(*curves[m], points[m].along("model.n", SLOW_SECONDS)[1]) for m in METHODS}
+    slow = {method: own.along("model.n", SLOW_SECONDS)[1] for method, own in points.items()}
+    spans = {m: _exponents(*curves[m], slow[m]) for m in METHODS}
     least, most = np.max(list(spans.values()), axis=0)
     at_least, at_most = exceeds(least, STEEP), exceeds(most, STEEP)
     grown = ", ".join(f"n^{low:.1f} to n^{high:.1f} ({method})" for method, (low, high) in spans.items())
@@ -43,13 +44,10 @@ def times(study: Study) -> tuple[Claim, Table, Figure]:
     cells = np.column_stack([cell for method in curves for cell in (1e3 * curves[method][1], counts[method])])
     rows = [(int(number), *row) for number, row in zip(numbers, cells.tolist(), strict=True)]
     columns = (Column("bodies"), *(Column(*label) for m in curves for label in ((m, "ms"), (f"{m}: operations",))))
-    slow = {method: own.along("model.n", SLOW_SECONDS)[1] for method, own in points.items()}
-    lines = [
-        Line(
-            method, n, 1e3 * fast, "both", method, np.vstack([np.c_[n, 1e3 * fast], np.c_[n, 1e3 * slow[method]][::-1]])
-        )
-        for method, (n, fast) in curves.items()
-    ]
+    lines = []
+    for method, (n, fast) in curves.items():
+        band = np.vstack([np.c_[n, 1e3 * fast], np.c_[n, 1e3 * slow[method]][::-1]])
+        lines.append(Line(method, n, 1e3 * fast, "both", method, band))
     return claim, WORDS.table("time-bodies", rows, columns), WORDS.figure("time-bodies", lines)
 
 
@@ -75,9 +73,8 @@ def substitution(study: Study) -> tuple[Claim, Table, Figure]:
     points = {int(point.axes["model.n"]): point for point in family(study, "bodies").at({METHOD: GILL})}
     chosen = [number for number in SYMBOLIC_BODIES if number in points]
     symbolic = measured(study.folder, [points[number].spec for number in chosen])
-    compiled = [
-        value(points[number], SECONDS) / max(value(points[number], "rhs_evaluations"), 1.0) for number in chosen
-    ]
+    runs = [points[number] for number in chosen]
+    compiled = [value(run, SECONDS) / max(value(run, "rhs_evaluations"), 1.0) for run in runs]
     pairs = list(zip(chosen, symbolic, compiled, strict=True))
     gains = {number: substituted / seconds for number, substituted, seconds in pairs}
     rows = [(n, 1e3 * slow, 1e6 * fast, gains[n], 1500 * 4 * slow) for n, slow, fast in pairs]

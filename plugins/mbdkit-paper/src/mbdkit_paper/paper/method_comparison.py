@@ -69,10 +69,8 @@ def growth(study: Study) -> tuple[Claim, Table]:
             last = np.searchsorted(time, time[-1] / share * (1 + 1e-9))
             law = growth_law(time[:last], history[:last])
             laws[model, method, share] = " or ".join(law.candidates)
-            duration = float(time[last - 1])
-            rows.append(
-                (model, method, duration, laws[model, method, share], law.exponent, float(history[:last].max()))
-            )
+            duration, largest = float(time[last - 1]), float(history[:last].max())
+            rows.append((model, method, duration, laws[model, method, share], law.exponent, largest))
     gill = [law for (_, method, share), law in laws.items() if method == GILL and share == 1]
     single = [laws.get(("single", method, 10), "") for method in (GAUSS2, GAUSS3)]
     answers = [Answer.YES if law == "quadratic" else Answer.NO for law in gill]
@@ -98,17 +96,15 @@ def work(study: Study) -> tuple[tuple[Claim, ...], Table, tuple[Figure, ...]]:
             setting = point.axes.get(STEP, point.axes.get("integrator.rtol"))
             numbers = (value(point, column) for column in (EVALUATIONS, "factorizations", ERROR, DRIFT, "wall_s"))
             rows.append((method, "step" if STEP in point.axes else "tolerance", setting, *numbers))
-    figures = tuple(
-        WORDS.figure(name, _lines(lines, column)) for name, column in (("work-precision", ERROR), ("work-drift", DRIFT))
-    )
+    shown = {"work-precision": ERROR, "work-drift": DRIFT}
+    figures = tuple(WORDS.figure(name, _lines(lines, column)) for name, column in shown.items())
     return (_adaptive_claim(lines), _stages_claim(lines)), WORDS.table("work-precision", rows), figures
 
 
 def _lines(lines: dict[str, Points], column: str) -> tuple[Line, ...]:
     drawn = []
     for method, points in lines.items():
-        pairs = sorted((value(point, EVALUATIONS), value(point, column)) for point in points)
-        x, y = np.array(pairs).T
+        x, y = np.array(sorted((value(point, EVALUATIONS), value(point, column)) for point in points)).T
         drawn.append(Line(method, x, np.where(y > 0, y, np.nan), "both", method))
     return tuple(drawn)
 
@@ -149,19 +145,17 @@ def _adaptive_claim(lines: dict[str, Points]) -> Claim:
 
 
 def _stages_claim(lines: dict[str, Points]) -> Claim:
-    gains: list[float] = []
+    gains, drift = list[float](), math.nan
     if "Gauss 6" in lines and GAUSS3 in lines:
         three, six = _curve(lines[GAUSS3]), _curve(lines["Gauss 6"])
         gains = [work_for(*three, target) / work_for(*six, target) for target in TARGETS]
         at = max((w for w, d in zip(*six, strict=True) if d > 1e-12), default=math.nan)
         drift = at_equal_work(*three, at) / at_equal_work(*six, at)
-    else:
-        drift = math.nan
     answers = [_saves_work(1 / gain) for gain in gains]
     text = ", ".join(f"{gain:.2f} at {target:.0e} m" for gain, target in zip(gains, TARGETS, strict=False))
     extra = (
         f" At equal work, the misalignment is {drift:.0f} times smaller with six stages."
-        if math.isfinite(drift) and drift > 1
+        if 1 < drift < math.inf
         else ""
     )
     return WORDS.claim("stages", together(answers), computed=text, work=least_most([1 / g for g in gains]), extra=extra)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, METHODS, PAPER_STEP, methods_of
+from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, PAPER_STEP, methods_of
 from mbdkit_paper.wording import Words, least_most
 from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
 from mbdkit_studies import METHOD, STEP, family
@@ -73,12 +73,10 @@ def knee(study: Study) -> tuple[tuple[Claim, ...], Table, Figure]:
             curves[springs, method] = steps, 1e3 * values
             if method in PREDICTED:
                 spans[springs, method] = steps_within(steps, 1e3 * values, PREDICTED[method])
-    for springs in (SPRING, FREE):
         for k, step in enumerate(curves[springs, GAUSS2][0]):
-            found = [float(curves[springs, method][1][k]) for method in methods]
-            rows.append(
-                (springs, float(step), *found, *(str(PREDICTED[m].holds(found[METHODS.index(m)])) for m in PREDICTED))
-            )
+            found = {method: float(curves[springs, method][1][k]) for method in methods}
+            held = [str(wanted.holds(found[method])) for method, wanted in PREDICTED.items()]
+            rows.append((springs, float(step), *found.values(), *held))
     period = swing(study)
     claims = [_knee_claim(method, curves, spans, period) for method in PREDICTED]
     claims.append(_both_claim(spans))

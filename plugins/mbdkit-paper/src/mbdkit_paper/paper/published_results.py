@@ -22,6 +22,7 @@ METHODS = (GILL, GAUSS2, GAUSS3)
 #: Misalignment stated in the paper [m], by model and method.
 PUBLISHED = {("single", GAUSS2): 1e-6, ("double", GAUSS2): 1e-5, ("single", GAUSS3): 1e-10, ("double", GAUSS3): 1e-8}
 FACTOR = 3.0
+OVERFLOWED = ("fell-apart", "not-finite")  #: Codes of failure of runs whose joints fell apart or numbers overflowed.
 PAPER_STEP = 0.1
 
 VISIBLE = 0.01
@@ -66,7 +67,7 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
             values = [value(cell[method], "misalignment_max") if method in cell else math.nan for method in METHODS]
             gill, two, three = values
             is_worst = together([exceeds(gill, two), exceeds(gill, three)])
-            if method_overflowed(cell.get(GILL)) and not math.isnan(max(two, three)):
+            if GILL in cell and cell[GILL].reason.startswith(OVERFLOWED) and not math.isnan(max(two, three)):
                 is_worst = Answer.YES
             worst.append(is_worst)
             best.append(exceeds(two, three))
@@ -88,11 +89,6 @@ def _counted(name: str, answers: list[Answer], **values: object) -> Claim:
     rest = f" ({len(answers) - decided} more are undecided because runs failed)" if decided < len(answers) else ""
     answer = together([answer for answer in answers if answer is not Answer.OPEN])
     return WORDS.claim(name, answer, yes=yes, decided=decided, undecided=rest, **values)
-
-
-def method_overflowed(point: StudyPoint | None) -> bool:
-    """Return whether the run of a point failed because its joints fell apart or its numbers overflowed."""
-    return point is not None and point.status == "failed" and point.reason.startswith(("fell-apart", "not-finite"))
 
 
 def _model(point: StudyPoint) -> str:
@@ -126,10 +122,8 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
             run = study.run(point)
             if run is not None:
                 with run:
-                    path[str(point.axes[METHOD])] = end_point(run)
-                    histories[str(point.axes[METHOD])] = {
-                        joint: drift.misalignment for joint, drift in run.joints.items()
-                    }
+                    method, joints = str(point.axes[METHOD]), run.joints.items()
+                    path[method], histories[method] = end_point(run), {name: one.misalignment for name, one in joints}
         size = 1.0 if name == "one-metre" else 20.0
         size *= 2 if model == "double" else 1
         apart[f"{name} {model}"] = _apart({method: path[method] for method in METHODS if method in path}) / size
@@ -137,7 +131,7 @@ def trajectories(study: Study) -> tuple[Claim, tuple[Figure, ...], tuple[Figure,
         paths.append(_path_figure(label, path, size))
         if name == "published":
             drifts.append(_drift_figure(model, histories))
-    single, double, metre = (apart[f"{name}"] for name in ("published single", "published double", "one-metre double"))
+    single, double, metre = apart.values()
     answers = [exceeds(double, VISIBLE), exceeds(metre, VISIBLE)]
     claim = WORDS.claim("paths", together(answers), double=double, metre=metre, single=single)
     return claim, tuple(paths), tuple(drifts)
@@ -161,9 +155,7 @@ def _apart(path: dict[str, np.ndarray]) -> float:
 def _path_figure(label: str, path: dict[str, np.ndarray], size: float) -> Figure:
     lines = []
     for method, points in path.items():
-        shown = np.where(
-            np.abs(points) <= 1.5 * size, points, np.nan
-        )  # points outside the reach of the pendulum are not drawn
+        shown = np.where(np.abs(points) <= 1.5 * size, points, np.nan)  # points out of reach are not drawn
         lines.append(Line(method, shown[:, 0], shown[:, 1], "line", method))
     model = label.removesuffix("-one-metre")
     what = (

@@ -36,18 +36,8 @@ def verdict(study: Study) -> Verdict:
     choice, choice_table = coordinates(study)
     work_claims, work_table, work_figures = work(study)
     claims = reported((size, gill, gauss, path, law, order, time, speed, *knee_claims, joint, choice, *work_claims))
-    tables = (
-        size_table,
-        rank_table,
-        knee_table,
-        joint_table,
-        order_table,
-        law_table,
-        choice_table,
-        work_table,
-        time_table,
-        speed_table,
-    )
+    beyond = (order_table, law_table, choice_table, work_table, time_table, speed_table)
+    tables = (size_table, rank_table, knee_table, joint_table, *beyond)
     figures = (*path_figures, *drift_figures, knee_figure, joint_figure, *work_figures, time_figure, speed_figure)
     top = reported((size, gill, knee_claims[-1], joint, speed))
     sentence = " ".join(claim.sentence for claim in top if claim.answer is not Answer.OPEN)

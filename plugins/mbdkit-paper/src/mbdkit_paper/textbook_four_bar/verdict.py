@@ -28,6 +28,7 @@ DAE = 0.008
 DAE_FINE = 5e-10
 DRAWN_STEP = 0.025
 WORDS = Words(__file__)
+Curves = dict[str, tuple[list[float], list[float]]]  #: Evaluations and residuals [m] of the runs of each method.
 NAMES = {
     STANDARD: "8 cm, the book's ODE solver at 1e-3",
     DAE: "8 mm, its DAE solver at 1e-3",
@@ -59,7 +60,7 @@ def verdict(study: Study) -> Verdict:
     book, fine = integrate(1e-3, 1e-6), integrate(1e-10, 1e-10)
     shifted = [integrate(1e-3, 1e-6, shift) for shift in (1e-15, 1e-13, 1e-11)]
     rows: list[tuple[Cell, ...]] = []
-    curves: dict[str, list[tuple[float, float, float]]] = {}
+    curves: Curves = {}
     drifts: list[Line] = []
     for name in ("fixed", "tolerance"):
         for point in family(study, name):
@@ -74,7 +75,9 @@ def verdict(study: Study) -> Verdict:
             setting = point.axes.get(STEP, point.axes.get("integrator.rtol"))
             rows.append((method, "step" if STEP in point.axes else "tolerance", setting, work, residual, 1e3 * seconds))
             if run is not None:
-                curves.setdefault(method, []).append((work, residual, seconds))
+                works, residuals = curves.setdefault(method, ([], []))
+                works.append(work)
+                residuals.append(residual)
                 if point.axes.get(STEP) == DRAWN_STEP:
                     gaps = np.linalg.norm(opening, axis=1)
                     drifts.append(Line(method, instants, np.where(gaps > 0, gaps, np.nan), "line", method))
@@ -93,15 +96,12 @@ def _repeated(book: LoopRun, fine: LoopRun, shifted: list[LoopRun]) -> Claim:
     return WORDS.claim("standard-solver", answer, **values)
 
 
-def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
+def _same_cost(book: LoopRun, curves: Curves) -> Claim:
     told = []
     best: dict[int, float] = {}
     for times in (1, 2.5, 10):
         work = times * book.evaluations
-        results = {
-            method: at_equal_work([w for w, _, _ in curve], [r for _, r, _ in curve], work)
-            for method, curve in curves.items()
-        }
+        results = {method: at_equal_work(*curve, work) for method, curve in curves.items()}
         known = {method: residual for method, residual in results.items() if math.isfinite(residual)}
         name = min(known, key=lambda method: known[method]) if known else ""
         best[int(times)] = known[name] if name else math.nan
@@ -113,10 +113,8 @@ def _same_cost(book: LoopRun, curves: dict[str, list[tuple[float, float, float]]
     return WORDS.claim("same-cost", answer, equal=best[1], tenfold=best[10], **values)
 
 
-def _reached(target: float, curves: dict[str, list[tuple[float, float, float]]]) -> Claim:
-    needed = {
-        method: work_for([w for w, _, _ in curve], [r for _, r, _ in curve], target) for method, curve in curves.items()
-    }
+def _reached(target: float, curves: Curves) -> Claim:
+    needed = {method: work_for(*curve, target) for method, curve in curves.items()}
     known = sorted((work, method) for method, work in needed.items() if math.isfinite(work))
     text = f"{target * 1e3:.0f} mm" if target == DAE else f"{target:.0e} m"
     least = f"{known[0][1]} ({two_digits(known[0][0])} evaluations)" if known else "none"
@@ -139,19 +137,19 @@ def _residuals(rows: list[tuple[Cell, ...]], book: LoopRun, fine: LoopRun) -> Ta
     return WORDS.table("residuals", (*published, *rows))
 
 
-def _needed(curves: dict[str, list[tuple[float, float, float]]]) -> Table:
+def _needed(curves: Curves) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for method, curve in curves.items():
-        works = [work_for([w for w, _, _ in curve], [r for _, r, _ in curve], target) for target in NAMES]
+        works = [work_for(*curve, target) for target in NAMES]
         rows.append((method, *(work if math.isfinite(work) else None for work in works)))
     columns = (Column("method"), *(Column(f"evaluations for {name}") for name in NAMES.values()))
     return WORDS.table("same-cost", rows, columns)
 
 
-def _work_figure(curves: dict[str, list[tuple[float, float, float]]], book: LoopRun, fine: LoopRun) -> Figure:
+def _work_figure(curves: Curves, book: LoopRun, fine: LoopRun) -> Figure:
     lines = []
     for method, curve in curves.items():
-        x, y, _ = np.array(sorted(curve)).T
+        x, y = np.array(sorted(zip(*curve, strict=True))).T
         lines.append(Line(method, x, np.where(y > 0, y, np.nan), "both", method))
     x, y = np.array([(run.evaluations, run.residual) for run in (book, fine)]).T
     lines.append(Line("textbook's equations, RK45", x, y, "both", "textbook"))

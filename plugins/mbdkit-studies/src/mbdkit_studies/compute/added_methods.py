@@ -333,9 +333,8 @@ class _Attempt:
         shared = chosen
         if sets_method(place.grid.reference or ()):
             shared = {key: value for key, value in chosen.items() if key not in HOW}
-        for number, (data, referred) in enumerate(
-            zip(place.data(chosen, without), place.data(shared, without), strict=True)
-        ):
+        both = zip(place.data(chosen, without), place.data(shared, without), strict=True)
+        for number, (data, referred) in enumerate(both):
             spec = RunSpec(**data)
             spec.mechanism()
             if number == 0:

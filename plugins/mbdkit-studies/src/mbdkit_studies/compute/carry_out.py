@@ -175,9 +175,8 @@ def study(
     """
     engine = Engine.of(workers, executor)
     if overwrite and shard is not None:
-        raise SpecError(
-            "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
-        )
+        message = "--overwrite cannot be combined with --shard: it would remove the results of calls for other parts"
+        raise SpecError(message)
     spec = with_methods(load_study_spec(source, assignments, quick=quick), with_, notify)
     spec = spec if store is None else spec.stored_as(store)
     with calls_allowed(call):

@@ -299,9 +299,8 @@ def _varied_runs(
             notify(f"warning: {warning}")
         hashes, base = varied.hashes(done), varied.base
         for number, place in enumerate(done):
-            if place not in twice:
-                continue
-            _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], plan)
+            if place in twice:
+                _compare(place, varied.spec(place), results.run(number), [texts[number] for texts in hashes], plan)
         plugins = _plugins_json(tuple(plugins_of(base).items()))
         yield _block_runs(plan, [place + 1 for place in done], results, varied.specs(done), hashes, plugins=plugins)
 

@@ -234,9 +234,8 @@ class RunFiles(RunStore[str]):
             return MISSING
         with run:
             if run.run_id != key or run.spec_sha256 != self._runs[key].sha256():
-                raise SpecError(
-                    "this archive contains another run than its name says; move it to another folder", file=path
-                )
+                message = "this archive contains another run than its name says; move it to another folder"
+                raise SpecError(message, file=path)
             try:
                 sound = bool(run.file)  # all arrays are verified
             except ArchiveError:

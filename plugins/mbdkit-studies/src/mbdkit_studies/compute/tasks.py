@@ -130,9 +130,8 @@ class Outcome:
     @property
     def is_final(self) -> bool:
         """Whether the task is not to be tried again, because a second attempt would have the same result."""
-        return self.status in ("complete", "left-out") or (
-            self.status == "failed" and not self.reason.startswith(TRIED_AGAIN)
-        )
+        has_failed_for_good = self.status == "failed" and not self.reason.startswith(TRIED_AGAIN)
+        return self.status in ("complete", "left-out") or has_failed_for_good
 
 
 def died(how: str) -> str:

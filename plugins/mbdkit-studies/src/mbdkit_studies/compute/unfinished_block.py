@@ -81,9 +81,8 @@ class UnfinishedBlock:
     def add(self, runs: Sequence[BlockRuns]) -> None:
         """Add runs, and save all that have not been saved if enough time has passed since the last file."""
         self._unsaved += runs
-        self._bytes += sum(
-            array.nbytes for some in runs if some.results is not None for array in some.results.arrays.values()
-        )
+        results = (some.results for some in runs if some.results is not None)
+        self._bytes += sum(array.nbytes for result in results for array in result.arrays.values())
         processor, wall = self._begin
         passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
         if passed < INTERVAL or self._bytes > LARGEST_RATE * passed:

@@ -143,10 +143,8 @@ def _work(task: Message, notify: Callable[[str], None]) -> Message:
             with simulate(spec) as run:
                 answer = {"status": "complete", "reason": "", "seconds": [float(run.stats["wall_s"])]}
         return answer
-    path = Path(task["path"])
-    with _continued(path, task["measures"]) or simulate(
-        spec, path=path, overwrite=True, measures=task["measures"]
-    ) as run:
+    path, measures = Path(task["path"]), task["measures"]
+    with _continued(path, measures) or simulate(spec, path=path, overwrite=True, measures=measures) as run:
         for warning in run.warnings:
             notify(f"warning: {warning}")
         return {"status": run.status, "reason": run.status_reason}

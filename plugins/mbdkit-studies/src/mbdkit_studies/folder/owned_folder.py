@@ -90,14 +90,11 @@ class OwnedFolder(ABC, Generic[Spec]):
             else:
                 self.check_same(spec)
         elif has_others:
-            raise SpecError(
-                f"this folder contains other files and no {self.spec.name}; choose another folder with -o", file=path
-            )
-        for file in self.files:
-            if os.path.isdir(file):
-                raise SpecError(
-                    f"this is a folder, but the {kind} writes a file of this name; rename or remove it", file=file
-                )
+            message = f"this folder contains other files and no {self.spec.name}; choose another folder with -o"
+            raise SpecError(message, file=path)
+        for file in filter(os.path.isdir, self.files):
+            message = f"this is a folder, but the {kind} writes a file of this name; rename or remove it"
+            raise SpecError(message, file=file)
 
     def check_same(self, spec: Spec) -> None:
         """Raise SpecError unless the spec in the folder is equal to `spec`."""

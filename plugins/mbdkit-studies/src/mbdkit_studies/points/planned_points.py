@@ -225,9 +225,8 @@ def _check_size(spec: StudySpec) -> None:
         raise spec.placed(SpecError(f"makes {number} runs; a study has at most {most}", key=key))
     values = sum(size(values) for axes in _axes(spec) for axis in axes for values in axis.values())
     if values > MOST_SETTINGS:
-        raise spec.placed(
-            SpecError(f"lists {values} values; the axes of a study list at most {MOST_SETTINGS}", key=key)
-        )
+        message = f"lists {values} values; the axes of a study list at most {MOST_SETTINGS}"
+        raise spec.placed(SpecError(message, key=key))
     if is_in_files and sum(count * sum(map(len, axes)) for count, axes in families) > MOST_SETTINGS:
         message = f"sets more than {MOST_SETTINGS} values in {runs} runs, the limit for a study with a file for each"
         raise spec.placed(SpecError(message, key=key))

@@ -171,9 +171,9 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
     body, column = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[body, column] > KEPT:
         return []
-    first, last = (int(np.argmin(np.array(kept)[:, body, column])), int(np.argmax(np.array(kept)[:, body, column])))
-    a, b = (kept[place][body, column] for place in (first, last))
-    moved = [kept[place][body, column] + changes[place][body, column] for place in (first, last)]
+    values, moves = (np.array(some)[:, body, column] for some in (kept, changes))
+    ends = [int(np.argmin(values)), int(np.argmax(values))]
+    (a, b), moved = values[ends], (values + moves)[ends]
     key = path_text(("model", "bodies", list(free[0].mechanism().bodies)[body], *KEYS[column]))
     linked = "the joints connect it with other initial values; vary all that belong together, by one parameter"
     fixed = "joints and drivers leave the mechanism no freedom; vary its dimensions or the motions of its drivers"
@@ -186,9 +186,5 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
 
 def _given(spec: RunSpec) -> np.ndarray:
     """Return the given initial coordinates and velocities of all bodies, (B, 6)."""
-    return np.array(
-        [
-            (*body.position, body.angle, *body.velocity, body.angular_velocity)
-            for body in spec.mechanism().bodies.values()
-        ]
-    )
+    bodies = spec.mechanism().bodies.values()
+    return np.array([(*body.position, body.angle, *body.velocity, body.angular_velocity) for body in bodies])

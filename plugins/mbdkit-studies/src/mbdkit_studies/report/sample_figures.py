@@ -48,11 +48,6 @@ class _Measured:
         """Axis of the measure; logarithmic if the values cover about a decade or more."""
         return replace(self.quantity.axis, log=is_wide(self.values))
 
-    @property
-    def told(self) -> str:
-        """See `_told`."""
-        return _told(self.group)
-
     def slug(self, *words: str) -> str:
         """Return a name for a chart of this measure, for use in file names."""
         return slug(*words, self.name, self.group.words)
@@ -104,7 +99,6 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
         cells: tuple[Cell, ...] = (group.runs, *(number.text() for number in numbers), least, most)
         spreads.append((*runs, measure.quantity.axis.label, measure.quantity.axis.unit, *cells))
         if (sobol := measure.sensitivity()) is not None:
-            ends = sobol.indices
             how = (
                 f"Estimates of Saltelli et al. (2010), table 2, (b) and (f), from {sobol.members} members, with "
                 f"{100 * sobol.confidence:g} % intervals by the bootstrap. First order: share of the variance "
@@ -112,25 +106,20 @@ def sample_tables(study: Study) -> tuple[Table, ...]:
             )
             notes |= dict.fromkeys(filter(None, (how, sobol.reason, sobol.note)))
             for index, key in enumerate(sobol.variables):
-                columns = (ends.first, ends.first_low, ends.first_high, ends.total, ends.total_low, ends.total_high)
-                shares = [float(f"{column[index]:.3g}") for column in columns]
+                ends = (column[index] for both in sobol.indices.with_intervals for column in both)
+                shares = [float(f"{end:.3g}") for end in ends]
                 indices.append((*runs, measure.quantity.axis.label, key_words(key), *shares))
     first = (Column("runs"),) if several else ()
     tables = []
     if indices:
-        shown = ("measure", "variable", "first order", "from", "to", "total", "from", "to")
-        tables.append(
-            Table(
-                "sobol", "Sobol indices", (*first, *map(Column, shown)), tuple(indices), " ".join(notes), headline=True
-            )
-        )
+        shown = map(Column, ("measure", "variable", "first order", "from", "to", "total", "from", "to"))
+        note = " ".join(notes)
+        tables.append(Table("sobol", "Sobol indices", (*first, *shown), tuple(indices), note, headline=True))
     if spreads:
-        headings = ("measure", "unit", "values", "mean", "standard deviation", "5 %", "median", "95 %", "smallest",
-                    "largest")  # fmt: skip
+        shown = map(Column, ("measure", "unit", "values", "mean", "standard deviation", "5 %", "median", "95 %"))
+        columns = (*first, *shown, Column("smallest"), Column("largest"))
         note = f"With {100 * CONFIDENCE:g} % intervals. Runs that failed or are rated bad are left out."
-        tables.append(
-            Table("spread", "Distributions of the measures", (*first, *map(Column, headings)), tuple(spreads), note)
-        )
+        tables.append(Table("spread", "Distributions of the measures", columns, tuple(spreads), note))
     return tuple(tables)
 
 
@@ -161,7 +150,7 @@ def _histogram(one: _Measured) -> Figure:
     counts, _ = np.histogram(known, edges)
     x, y = np.repeat(edges, 2), np.concatenate([[0], np.repeat(counts, 2), [0]]).astype(float)
     line = Line("runs", x, y, "line", band=np.stack([x, y], axis=1))
-    caption = f"{one.quantity.caption} {len(known)} runs in {bins} classes of equal width.{one.told}"
+    caption = f"{one.quantity.caption} {len(known)} runs in {bins} classes of equal width.{_told(one.group)}"
     if axis.log:
         caption = caption.replace("equal width", "equal width on the logarithmic axis")
     title = f"{one.quantity.title}: histogram of the runs"
@@ -173,8 +162,7 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
     table = one.study.grid(one.group.family).table
     known = np.flatnonzero(np.isfinite(one.values))
     keys = [key for key, column in table.items() if column.dtype.kind in "fi" and np.ptp(column[known]) > 0]
-    sobol = one.sensitivity(resamples=1)
-    if sobol is not None:
+    if (sobol := one.sensitivity(resamples=1)) is not None:
         weight = dict(zip(sobol.variables, np.nan_to_num(sobol.total), strict=True))
     else:
         weight = {key: abs(float(np.corrcoef(table[key][known], one.values[known])[0, 1])) for key in keys}
@@ -185,7 +173,7 @@ def _scatters(one: _Measured) -> Iterator[Figure]:
         axis = Axis(key_words(key), axis_unit(key, one.study.points[:1]), _is_logarithmic(one.study, key))
         line = Line(one.quantity.title, table[key][dots].astype(float), one.values[dots], "points")
         title = f"{one.quantity.title} against {axis.label}"
-        caption = f"{one.quantity.caption}{some}{one.told}"
+        caption = f"{one.quantity.caption}{some}{_told(one.group)}"
         yield Figure(one.slug("over", key), title, caption, axis, one.axis, (line,))
 
 
@@ -218,11 +206,9 @@ def _convergence(one: _Measured) -> list[Figure]:
             band = np.concatenate([np.stack([x, low], axis=1), np.stack([x, high], axis=1)[::-1]])
             lines.append(Line(key_words(whole.variables[place]), x, middle, "both", band=band))
         title = f"{words} of {one.quantity.axis.label} against the members of the sample"
-        caption = f"Sobol indices from the first members of the sample, with 95 % intervals by the bootstrap.{one.told}"
-        members = Axis("members of the sample", log=True)
-        figures.append(
-            Figure(one.slug("sobol", kind), title, caption, members, Axis("share of the variance"), tuple(lines))
-        )
+        caption = "Sobol indices from the first members of the sample, with 95 % intervals by the bootstrap."
+        axes = Axis("members of the sample", log=True), Axis("share of the variance")
+        figures.append(Figure(one.slug("sobol", kind), title, caption + _told(one.group), *axes, tuple(lines)))
     return figures
 
 

@@ -212,16 +212,14 @@ def _sobol_words(sobol: Sensitivity) -> str:
             f"the sample is too small to tell which variables explain it: from {count} members, the intervals of the "
             f"shares are up to {100 * widest:.0f} % wide; about sample.n={more} makes them {100 * WANTED:.0f} % wide"
         )
-    totals = map(Estimate, sobol.total.tolist(), indices.total_low.tolist(), indices.total_high.tolist())
-    firsts = map(Estimate, sobol.first.tolist(), indices.first_low.tolist(), indices.first_high.tolist())
+    firsts, totals = (map(Estimate, *(ends.tolist() for ends in some)) for some in indices.with_intervals)
     rows = {
         key_words(key): (first, total)
         for key, first, total in zip(sobol.variables, firsts, totals, strict=True)
         if total.value >= LEAST_SHARE
     }
-    told = _ranked(
-        {key: _shares(key, first, total) for key, (first, total) in rows.items()}, [total for _, total in rows.values()]
-    )
+    words = {key: _shares(key, first, total) for key, (first, total) in rows.items()}
+    told = _ranked(words, [total for _, total in rows.values()])
     left = f" (without {sobol.left_out} of {count + sobol.left_out} members)" if sobol.left_out and told else ""
     return told + left
 

@@ -208,24 +208,14 @@ def runs_table(study: Study) -> Table:
         units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
     usual = [*_COLUMNS, *(_TIMED if is_timed(points) else _TIMED_ONCE)]
     asked = [entry for entry in measure_columns(study) if entry[1] not in {name for _, name in usual}]
-    shown = [
-        (column, name)
-        for column, name in (*asked, *usual)
-        if any(not math.isnan(value(point, name)) for point in points)
-    ]
-    rows: list[tuple[Cell, ...]] = [
-        (
-            point.number,
-            point.family,
-            point_words(point, units),
-            point.status,
-            point.verdict,
-            *(_cell(point, name) for _, name in shown),
-        )
-        for point in points
-    ]
-    named = columns_of("run; family; values; status; verdict")
-    columns = (*named, *(column for column, _ in shown))
+    shown = {
+        name: column for column, name in (*asked, *usual) if any(not math.isnan(value(point, name)) for point in points)
+    }
+    rows: list[tuple[Cell, ...]] = []
+    for point in points:
+        named = point.number, point.family, point_words(point, units), point.status, point.verdict
+        rows.append((*named, *(_cell(point, name) for name in shown)))
+    columns = (*columns_of("run; family; values; status; verdict"), *shown.values())
     if len(study.families) == 1:
         rows, columns = [(row[0], *row[2:]) for row in rows], (columns[0], *columns[2:])
     if len(points) < len(study.points):
@@ -266,9 +256,8 @@ def _films(study: Study) -> Iterable[dict[str, object]]:
                 if len(run.time) <= 2:
                     break  # the start and the end are no animation
                 if run.misalignment_max <= MISALIGNMENT.bad * mechanism_size(run) or point is ranked[-1]:
-                    yield film_of(
-                        run, _NUMBERS, ": ".join(filter(None, [f"run {point.number}", name, point_words(point)]))
-                    )
+                    words = ": ".join(filter(None, [f"run {point.number}", name, point_words(point)]))
+                    yield film_of(run, _NUMBERS, words)
                     break
 
 

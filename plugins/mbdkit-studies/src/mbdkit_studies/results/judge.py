@@ -48,19 +48,15 @@ def judge(study: Study) -> Verdict:
     try:
         verdict: object = function(study)
     except (LookupError, ValueError) as error:
-        wrong = (
-            f"the verdict '{name}' requires the families and axes of the packaged study '{name}'; this one has others"
-        )
-        raise study.spec.placed(SpecError(wrong, key="verdict")) from error
+        wrong = f"the verdict '{name}' requires the families and axes of the packaged study '{name}'"
+        raise study.spec.placed(SpecError(f"{wrong}; this one has others", key="verdict")) from error
     except (Exception, SystemExit) as error:
         if item.origin.distribution == "mbdkit":
             raise
         raise PluginError(f"the verdict of '{item.id}' raised {with_place(error)}") from error
     if not isinstance(verdict, Verdict):
-        what = type(verdict).__name__
-        raise PluginError(
-            f"the verdict of '{item.id}' is an object of type {what}, not an mbdkit_report.analysis.verdict.Verdict"
-        )
+        what = f"an object of type {type(verdict).__name__}, not an mbdkit_report.analysis.verdict.Verdict"
+        raise PluginError(f"the verdict of '{item.id}' is {what}")
     return with_added_methods(verdict, study)
 
 

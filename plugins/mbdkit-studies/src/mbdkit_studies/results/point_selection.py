@@ -32,9 +32,7 @@ class Points:
 
     def at(self, axes: dict[str, int | float | str]) -> Points:
         """Return the points that have the given labels on the given axes."""
-        return Points(
-            point for point in self.points if all(point.axes.get(key) == label for key, label in axes.items())
-        )
+        return Points(point for point in self.points if axes.items() <= point.axes.items())
 
     def labels(self, axis: str) -> list[int | float | str]:
         """Return the labels that occur on an axis, in the order of the study."""
@@ -51,7 +49,7 @@ class Points:
         complete. Points that lack the axis are left out.
         """
         pairs = sorted((float(point.axes[axis]), value(point, column)) for point in self.points if axis in point.axes)
-        return np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+        return np.array([label for label, _ in pairs]), np.array([number for _, number in pairs])
 
 
 def value(point: StudyPoint, column: str) -> float:

@@ -226,12 +226,12 @@ def _packaged_document(name: str, *, quick: bool = False) -> tuple[Document, Fil
 def _holders(data: dict[str, Any]) -> dict[Path, dict[str, object]]:
     """Return the mappings that may have `base`, `overrides` and `axes`, by key path: the study and its families."""
     families = data.get("families")
-    if isinstance(families, dict):  # copied, because several may be one object in YAML
-        data["families"] = families = {
-            name: dict(one) if isinstance(one, dict) else one for name, one in families.items()
-        }
-    known = families.items() if isinstance(families, dict) else ()
-    return {(): data} | {("families", name): one for name, one in known if isinstance(one, dict)}
+    if not isinstance(families, dict):
+        return {(): data}
+    # copied, because several may be one object in YAML
+    copies = {name: dict(family) for name, family in families.items() if isinstance(family, dict)}
+    data["families"] = families | copies
+    return {(): data} | {("families", name): family for name, family in copies.items()}
 
 
 def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Document]:
@@ -249,9 +249,8 @@ def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Do
             continue
         documents[*path, "base"] = document
         if (kind := kind_of(document.data)).run_kind not in ("forward", ""):
-            raise document.place(
-                SpecError(f"this is {kind.phrase}; the base of a study is a run spec", key=kind.marker)
-            )
+            message = f"this is {kind.phrase}; the base of a study is a run spec"
+            raise document.place(SpecError(message, key=kind.marker))
     return documents
 
 

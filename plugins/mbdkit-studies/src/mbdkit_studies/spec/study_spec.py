@@ -228,9 +228,7 @@ class StudySpec(StrictSpec):
 
     _bases: dict[Path, Document] = PrivateAttr(default_factory=dict)
     _folder: FilePath = PrivateAttr(default_factory=FilePath)
-    _columns: dict[str, np.ndarray] | None = PrivateAttr(
-        default=None
-    )  # folder of the table of members, after it has been read
+    _columns: dict[str, np.ndarray] | None = PrivateAttr(default=None)  #: The table of members, after it has been read.
 
     @model_validator(mode="after")
     def _consistent(self) -> StudySpec:
@@ -258,8 +256,7 @@ class StudySpec(StrictSpec):
                 )
         if not self.families and self.base is None:
             raise SpecError("is missing: the run spec to vary (a packaged example, a file or a mapping)", key="base")
-        references = [self.reference, *(family.reference for family in self.families.values())]
-        if isinstance(self.measures, list) and all(reference in ("none", None) for reference in references):
+        if isinstance(self.measures, list) and not self.has_references:
             for index, measure in enumerate(self.measures):
                 if isinstance(measure, str) and built_in_measures().get(measure) == REFERENCE:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
@@ -267,13 +264,11 @@ class StudySpec(StrictSpec):
             which = "tolerances" if self.tolerances else "a table of members" if self.sample is None else "a sample"
             raise SpecError(f"a study with {which} is stored in blocks, not in files", key="store")
         if (self.sample is not None or self.tolerances) and self.needs_files:
-            raise SpecError(
-                f"cannot be combined with {self.needs_files}", key="tolerances" if self.tolerances else "sample"
-            )
+            key = "tolerances" if self.tolerances else "sample"
+            raise SpecError(f"cannot be combined with {self.needs_files}", key=key)
         if (self.in_blocks or self.members is not None) and self.needs_files:
-            raise SpecError(
-                f"blocks cannot be combined with {self.needs_files}, which needs `store: files`", key="store"
-            )
+            message = f"blocks cannot be combined with {self.needs_files}, which needs `store: files`"
+            raise SpecError(message, key="store")
         return self
 
     def _check_sample(self) -> None:
@@ -305,15 +300,17 @@ class StudySpec(StrictSpec):
         return self.store not in (None, "files")
 
     @property
+    def has_references(self) -> bool:
+        """Whether the runs of the study, or of a family, are compared with reference runs."""
+        given = (self.reference, *(family.reference for family in self.families.values()))
+        return any(reference not in ("none", None) for reference in given)
+
+    @property
     def needs_files(self) -> str:
         """A phrase that names a key or measure for which each run needs a file; empty if there is none."""
-        families = self.families.values()
-        if any(
-            reference not in ("none", None)
-            for reference in (self.reference, *(family.reference for family in families))
-        ):
+        if self.has_references:
             return "`reference`"
-        if any((repeats or 1) > 1 for repeats in (self.repeats, *(family.repeats for family in families))):
+        if any((repeats or 1) > 1 for repeats in (self.repeats, *(one.repeats for one in self.families.values()))):
             return "`repeats`"
         return f"the measure {self.second_run_measures[0]}" if self.second_run_measures else ""
 
@@ -339,9 +336,9 @@ class StudySpec(StrictSpec):
     @property
     def built_in_measures(self) -> tuple[str, ...] | None:
         """Names of the built-in measures to compute; None for all that are computed from the archive."""
-        if isinstance(self.measures, list):
-            return tuple(entry for entry in self.measures if isinstance(entry, str) and entry in built_in_measures())
-        return None
+        if not isinstance(self.measures, list):
+            return None
+        return tuple(entry for entry in self.measures if isinstance(entry, str) and entry in built_in_measures())
 
     @property
     def second_run_measures(self) -> tuple[str, ...]:

@@ -184,9 +184,8 @@ class _Grid:
         known = np.isfinite(values) & (np.diff(time, prepend=-np.inf) > 0)
         if np.sum(known) < 3:
             return line
-        return np.where(
-            np.isnan(line), np.nan, Akima1DInterpolator(time[known], values[known], method="makima")(self.time)
-        )
+        curve = Akima1DInterpolator(time[known], values[known], method="makima")
+        return np.where(np.isnan(line), np.nan, curve(self.time))
 
 
 def _quantiles(values: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -44,8 +44,7 @@ class SampleGroup:
 
 def sample_groups(study: StudyRuns) -> list[SampleGroup]:
     """Return the groups of a study in the order of its points; a study without axes has a single group."""
-    groups: list[SampleGroup] = []
-    start = 0
+    groups, start = list[SampleGroup](), 0
     for grid in map(study.grid, study.families):
         for combination in range(grid.count // grid.rows):
             labels, _, _ = grid.point(combination * grid.rows)
@@ -92,10 +91,8 @@ def one_group(study: StudyRuns, where: Mapping[str, Label] | None) -> SampleGrou
     """
     groups = groups_where(study, where)
     if len(groups) > 1:
-        example = f"where={groups[0].where!r}"
-        raise MbdkitError(
-            f"the study has {len(groups)} samples; choose one by `where`, such as {example}: {_told(groups)}"
-        )
+        choice = f"choose one by `where`, such as where={groups[0].where!r}: {_told(groups)}"
+        raise MbdkitError(f"the study has {len(groups)} samples; {choice}")
     return groups[0]
 
 

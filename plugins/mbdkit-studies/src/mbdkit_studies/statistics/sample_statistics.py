@@ -244,9 +244,8 @@ def statistics(
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
     group = statistics_of_group(study, one_group(study, where), measure, confidence)
     if group is None:
-        raise MbdkitError(
-            f"statistics need values of '{measure}' from at least {FEWEST} complete runs that are not rated bad"
-        )
+        needed = f"at least {FEWEST} complete runs that are not rated bad"
+        raise MbdkitError(f"statistics need values of '{measure}' from {needed}")
     return group
 
 

@@ -49,15 +49,14 @@ class SobolIndices:
     total_low: np.ndarray
     total_high: np.ndarray
 
+    @property
+    def with_intervals(self) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]:
+        """First-order and total indices, each with the lower and the upper ends of their intervals."""
+        return (self.first, self.first_low, self.first_high), (self.total, self.total_low, self.total_high)
+
     def informative(self) -> SobolIndices:
         """Return the indices with nan for those whose intervals cover 0 to 1, and so contain no information."""
-        first, total = (
-            np.where((low <= 0.0) & (high >= 1.0), np.nan, value)
-            for value, low, high in (
-                (self.first, self.first_low, self.first_high),
-                (self.total, self.total_low, self.total_high),
-            )
-        )
+        first, total = (np.where((low <= 0) & (high >= 1), np.nan, value) for value, low, high in self.with_intervals)
         return replace(self, first=first, total=total)
 
 
@@ -268,15 +267,11 @@ class Sensitivity:
 
     def __str__(self) -> str:
         width = max(map(len, ("variable", *self.variables)))
-        indices = self.indices
         lines = [f"{'variable':<{width}}  {'first order':<26}  total"]
         for index, name in enumerate(self.variables):
             first, total = (
                 f"{_shown(value[index])} ({low[index]:.3f} to {high[index]:.3f})"
-                for value, low, high in (
-                    (indices.first, indices.first_low, indices.first_high),
-                    (indices.total, indices.total_low, indices.total_high),
-                )
+                for value, low, high in self.indices.with_intervals
             )
             lines.append(f"{name:<{width}}  {first:<26}  {total}")
         return "\n".join([*lines, *filter(None, [self.reason, self.note])])
@@ -317,9 +312,8 @@ def sensitivity(
     reason = _within_errors(study, measure, group.places, known)
     if reason:
         indices = sobol_indices(np.zeros_like(known))
-    return Sensitivity(
-        measure, tuple(sample.variables), indices, confidence, len(known), len(values) - len(known), reason
-    )
+    left_out = len(values) - len(known)
+    return Sensitivity(measure, tuple(sample.variables), indices, confidence, len(known), left_out, reason)
 
 
 def _within_errors(study: StudyRuns, measure: str, places: range, values: np.ndarray) -> str:

@@ -277,23 +277,19 @@ class _Writer:
     def measures(self) -> None:
         """Write the value of each measure for each run; nan where a run has none."""
         for name, measure in self.heading.measures.items():
-            parts = [
-                (part.measures[name], rows)
-                for part, rows in zip(self.runs, self.rows, strict=True)
-                if name in part.measures
-            ]
+            placed = zip(self.runs, self.rows, strict=True)
+            parts = [(part.measures[name], rows) for part, rows in placed if name in part.measures]
             self.add(f"measures/{name}", self.column(parts), FLOAT, measure.units, measure.long_name)
 
     def names_of_structures(self) -> None:
         """Write the names of bodies and joints, the recorded arrays, and the redundant joints of each structure."""
         self.scale("", "structures", "structure", range(1, len(self.structures) + 1), "number of the structure")
-        for index, (name, what) in enumerate(
-            (
-                ("names", "names of bodies, joints and other elements, JSON"),
-                ("recorded", "paths of the arrays that the runs recorded, JSON"),
-                ("shared", "redundant joints, JSON"),
-            )
-        ):
+        described = {
+            "names": "names of bodies, joints and other elements, JSON",
+            "recorded": "paths of the arrays that the runs recorded, JSON",
+            "shared": "redundant joints, JSON",
+        }
+        for index, (name, what) in enumerate(described.items()):
             array = Array(f"structures/{name}", ("structure",), "1", what, TEXT)
             create(self.file, array, np.array([key[index] for key in self.structures], object))
 
@@ -322,9 +318,8 @@ class _Writer:
                 create(self.file, one, np.array(texts[one.path], object), under=under)
         for one in first.layout:
             if one.grows and (not one.is_scale or one.path in ("trajectory/time",)):
-                self.array(
-                    under, one, results, (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:]))
-                )
+                shape = (count, max(lengths[one.dims[0]]), *(sizes[dim] for dim in one.dims[1:]))
+                self.array(under, one, results, shape)
         if not self.has_summary:
             return
         for dim, group in GROUPS.items():
@@ -333,9 +328,8 @@ class _Writer:
                 tables.write_column(self.file, counted, lengths[dim], under=under)
         of_joints = [(some.misalignment_max, places) for some, places in results]
         largest = _scattered((count, first.misalignment_max.shape[1]), of_joints)
-        array = Array(
-            "joints/misalignment_max", ("run", "joint"), "m", "largest misalignment of the joint over every step"
-        )
+        what = "largest misalignment of the joint over every step"
+        array = Array("joints/misalignment_max", ("run", "joint"), "m", what)
         tables.write_column(self.file, array, largest, compress=self.heading.compress, under=under)
         if first.shared is not None:
             known = [(some.shared.length, places) for some, places in results if some.shared]

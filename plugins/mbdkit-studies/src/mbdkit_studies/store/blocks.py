@@ -249,9 +249,8 @@ class Block:
     def _results(self, row: int) -> FinishedRun:
         runs, place = self.runs, int(self.runs["place"][row]) - 1
         number = int(runs["structure"][row]) - 1
-        names, recorded, shared = (
-            json.loads(str(self.file[f"structures/{name}"].asstr()[number])) for name in ("names", "recorded", "shared")
-        )
+        texts = (self.file[f"structures/{name}"].asstr()[number] for name in ("names", "recorded", "shared"))
+        names, recorded, shared = map(json.loads, map(str, texts))
         under = prefix(number)
         arrays, present = {}, []
         for array in (kind_of_group(path.partition("/")[0]).by_path[path] for path in recorded):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -215,13 +216,10 @@ class StudyBlocks:
         if spec.block is not None:
             return cls(len(points), min(spec.block, LARGEST_TABLE))
         for point in points[:10]:
-            if point.lacking:
-                continue
-            try:
-                row = _bytes(point.spec, stored(spec))
-            except MbdkitError:
-                continue
-            return cls(len(points), max(1, min(_most_runs(len(points)), BYTES // max(1, row))))
+            with suppress(MbdkitError):
+                if not point.lacking:
+                    row = _bytes(point.spec, stored(spec))
+                    return cls(len(points), max(1, min(_most_runs(len(points)), BYTES // max(1, row))))
         return cls(len(points), _most_runs(len(points)))
 
     @property

@@ -48,10 +48,7 @@ NUMBERS: Mapping[str, Description] = {
     **SECOND,
     **{name: Description("1", f"counter of the run: {name.replace('_', ' ')}") for name in (*COUNTERS, *SOME_COUNTERS)},
     **{name: Description("s", f"time of the run: {name.removesuffix('_s')}") for name in TIMINGS},
-    **{
-        name: Description("s", f"wall time of the steps, {name.split('_')[1]} of the serial timings")
-        for name in QUARTILES
-    },
+    **{q: Description("s", f"wall time of the steps, {q.split('_')[1]} of the serial timings") for q in QUARTILES},
 }
 
 HASHES = ("run_id", "data_sha256")  #: Columns of hashes.

@@ -116,8 +116,7 @@ def value_words(key: str, point: StudyPoint, unit: str | None = None) -> str:
     """Return the value of a point on an axis as text: a label unchanged, a number with the words and the unit of the
     key.
     """
-    label = point.axes[key]
-    if isinstance(label, str):
+    if isinstance(label := point.axes[key], str):
         return label
     return " ".join(filter(None, (key_words(key), f"{label:.6g}", axis_unit(key, [point]) if unit is None else unit)))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -168,10 +168,7 @@ class StudyRuns:
     def _add_measures(self, run: Run, point: StudyPoint) -> None:
         """Add to a run the measures that the study defines and that the spec of the run does not define."""
         known, values = run.measures, point.values
-        own = [
-            measure.name for measure in self.spec.defined_measures() if not measure.of_base and measure.name in values
-        ]
-        if own:
+        if own := [one.name for one in self.spec.defined_measures() if not one.of_base and one.name in values]:
             run.measures = MeasuredValues(
                 {**known, **{name: values[name] for name in own}},
                 {**known.units, **{name: self.measures[name].units for name in own}},
@@ -209,26 +206,19 @@ class StudyRuns:
         """
         chosen = self._point(point, number)
         if not chosen.data_sha256:
-            raise MbdkitError(
-                f"run {chosen.number} has no results, so that it cannot be computed again: {chosen.status}"
-            )
+            message = f"run {chosen.number} has no results, so that it cannot be computed again"
+            raise MbdkitError(f"{message}: {chosen.status}")
         (written, read), now = self._written_by(chosen), own_version()
         why = f"; mbdkit {written} wrote it, this is {now}" if written not in (now, "unknown") else ""
-        reference = self.reference(chosen)
-        try:
-            with only_known(read, allowed=files), calls_allowed(call):
-                run = _remake(self.spec, chosen, reference, why)
-        finally:
-            if reference is not None:
-                reference.close()
+        with self.reference(chosen) or nullcontext() as reference, only_known(read, allowed=files), calls_allowed(call):
+            run = _remake(self.spec, chosen, reference, why)
         self._add_measures(run, chosen)
         return run
 
     def _point(self, point: StudyPoint | int | None, number: int | None) -> StudyPoint:
         if (point is None) == (number is None):
-            raise MbdkitError(
-                "give a run by its index from 0, as in study.run(4), or by its number, study.run(number=5)"
-            )
+            message = "give a run by its index from 0, as in study.run(4), or by its number, study.run(number=5)"
+            raise MbdkitError(message)
         if isinstance(point, StudyPoint):
             return point
         count = len(self.points)
@@ -322,8 +312,7 @@ def _remake(study: StudySpec, point: StudyPoint, reference: Run | None, why: str
     """
     run = simulate(point.spec, measures=expressions_of(study.defined_measures()))
     if run.data_sha256 != point.data_sha256:
-        message = f"run {point.number}, computed again, has other data than the stored run"
-        raise MbdkitError(f"{message}{why}")
+        raise MbdkitError(f"run {point.number}, computed again, has other data than the stored run{why}")
     known = point.values
     names = [name for name, one in MEASURES.items() if name in known and (reference is not None or not one.needs)]
     numbers = numbers_of(run, reference, run.run_spec, names, study.defined_measures())
