@@ -44,6 +44,9 @@ UNCERTAIN_SAMPLES = 60  #: Number of samples of the person and its muscles, each
 
 HIDDEN_SAMPLES = 8  #: Number of samples of what long gaps may hide.
 
+#: Number of results whose samples are kept: designs ask twice for those of the start and of the best point.
+MOST_KEPT = 4
+
 FACTOR = float(quantile(1.0))  #: Ratio of the squared bound of a Gaussian variable to its mean square.
 
 #: Ratio of the bias that the noise of the data causes to the mean change that further noise causes.
@@ -52,6 +55,9 @@ FACTOR = float(quantile(1.0))  #: Ratio of the squared bound of a Gaussian varia
 #: standard deviation, which the samples increase by a factor of sqrt(2). If noise is small, the ratio is 1 or so; the
 #: bias is then small compared with the scatter.
 FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
+
+
+_latest: dict[tuple[object, ...], SampledMeasures] = {}
 
 
 class SampledMeasures(NamedTuple):
@@ -137,6 +143,16 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     data = NoisyData.of(result)
     if data is None:
         return None
+    value = _measured(result, measures)
+    parts = result.problem.spec.canonical_json(), *measures, result.motion.q.tobytes(), value.tobytes()
+    if parts not in _latest:
+        if len(_latest) == MOST_KEPT:
+            _latest.clear()
+        _latest[parts] = _samples_of(result, measures, data, value)
+    return _latest[parts]
+
+
+def _samples_of(result: Inverse, measures: Sequence[str], data: NoisyData, value: np.ndarray) -> SampledMeasures:
     own, gaps = result.problem.loads, long_gaps(result)
 
     def measured(series: Smoothed, loads: dict[str, LoadSeries]) -> np.ndarray:
@@ -146,7 +162,6 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     of_lines = changes_of_lines(result, data.path)
     straight = [measured(_added(data.series, of_lines, one), own) for one in np.eye(of_lines.value.shape[2])]
     others = [measured(series, own) for _, _, series in data.other_cutoffs()]
-    value = _measured(result, measures)
     changed = [*_uncertain(result, measures, data.random)]
     samples = noisy, others, changed, straight
     found = SampledMeasures(value, *(np.array(sample).reshape(len(sample), len(value)) for sample in samples))
