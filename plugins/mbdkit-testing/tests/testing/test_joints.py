@@ -128,7 +128,7 @@ def example(x: float, y: float, pins: dict[str, Any], **joint: Any) -> dict[str,
 
 RIGHT = {
     "gear": example(0.3, 0.0, PINS, type="gear", radii=[0.1, 0.2]),
-    "belt": example(0.3, 0.0, PINS, type="belt", radii=[0.1, 0.2], crossed=False),
+    "belt": example(0.5, 0.0, PINS, type="belt", radii=[0.1, 0.2], crossed=False),
     "rolling": example(0.0, -0.3, FREE, type="rolling", radius=0.1, on_radius=0.2),
     "cam": example(0.0, 0.15, GUIDED, type="cam", profile="0.1 - 0.02*cos(2*angle)", follower={"roller": 0.03}),
     "slot": example(0.05, 0.0025, FREE, type="slot", curve={"y": "x**2"}),
