@@ -6,6 +6,7 @@ Public names are imported on first use, which keeps ``import mbdkit`` fast.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from mbdkit.base import higher_layers
@@ -70,6 +71,8 @@ else:
             from mbdkit.base.distributions import own_version
 
             return own_version()
+        if name in ("kernels", "plugin", "testing"):  # public modules
+            return import_module(f"mbdkit.{name}")
         return _names(name)
 
     def __dir__():

@@ -72,6 +72,12 @@ def imported_by(code: str) -> set[str]:
     return set(json.loads(result.stdout.splitlines()[-1]))
 
 
+def test_the_modules_for_authors_are_attributes_that_are_imported_when_they_are_used():
+    assert imported_by("import mbdkit; mbdkit.plugin.hookimpl") >= {"mbdkit.plugin"}
+    assert imported_by("import mbdkit; mbdkit.testing") >= {"mbdkit.testing"}
+    assert not {"mbdkit.kernels", "mbdkit.plugin", "mbdkit.testing"} & imported_by("import mbdkit")
+
+
 HEAVY = {"numpy", "scipy", "sympy", "numba", "h5py", "matplotlib", "pydantic", "typer", "rich", "yaml", "pluggy"}
 
 

@@ -378,3 +378,13 @@ def test_a_path_that_becomes_shorter_than_its_tendon_makes_the_run_doubtful() ->
     run = mbdkit.run(short, integrator={"name": "rk4"}, time={"end": 0.1, "step": 0.005})
     assert run.verdict == "doubtful"
     assert "the length of muscle 'm' leaves the range" in " ".join(run.warnings)
+
+
+def test_moment_arms_of_a_forward_run_are_derivatives_of_the_length_of_the_path() -> None:
+    run = mbdkit.run("elbow-curl", time={"end": 0.3, "step": 0.001}, output={"every": 1})
+    angle = run.joints["elbow"].angle
+    rates = np.gradient(run.muscles["biceps"].length, run.time), np.gradient(angle, run.time)
+    moving = np.abs(rates[1]) > 0.3
+    assert np.count_nonzero(moving) > 50
+    arms = run.moment_arms("biceps", "elbow.angle")
+    assert_within((arms + rates[0] / rates[1])[moving][1:-1], 1e-5)  # differences of the recorded rows

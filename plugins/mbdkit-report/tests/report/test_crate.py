@@ -10,11 +10,12 @@ import platform
 from pathlib import Path
 from typing import Any
 
+import h5py
 import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit_report.crate import METADATA, write_crate
 
 META = {"description": "A rod swings.", "creator": "Ada Lovelace <https://orcid.org/0000-0001>", "license": "CC0-1.0"}
@@ -50,6 +51,15 @@ def test_a_crate_says_who_made_what_from_what_by_which_software(tmp_path: Path) 
         assert entities["swing.h5"]["identifier"] == before.data_sha256 == after.data_sha256
     referenced = [one["@id"] for one in _references([*entities.values()]) if not one["@id"].startswith("https://w3id")]
     assert set(referenced) <= entities.keys()
+
+
+def test_a_damaged_archive_is_refused_because_its_copy_would_have_hashes_of_its_own(tmp_path: Path) -> None:
+    mbdkit.run(SPEC, archive=tmp_path / "swing.h5").close()
+    with h5py.File(tmp_path / "swing.h5", "r+") as file:
+        file["trajectory/position"][5, 0, 0] = 99.0
+    with pytest.raises(ArchiveError, match=r"damaged: .*trajectory/position has changed"):
+        write_crate([tmp_path / "swing.h5"], tmp_path / "crate")
+    assert not (tmp_path / "crate").exists()
 
 
 def _references(value: Any) -> list[dict[str, str]]:

@@ -55,7 +55,8 @@ def moment_arms(run: Run, muscle: str, coordinate: str) -> np.ndarray:
     q = np.asarray(run.array("trajectory/position")).reshape(len(time), -1)
     path = MusclePath(muscle, names.mechanism.muscles[muscle], names).at(time, q)
     geometry = copy(run.mechanism)
-    geometry.forces = {}  # moment arms do not depend on them
+    for forces in ("forces", "muscles", "states", "controllers"):  # moment arms do not depend on them
+        setattr(geometry, forces, {})
     manifold = Manifold(AssembledMechanism.at(GivenMechanism(geometry), float(time[0]), float(time[-1])))
     free = manifold.directions_at(time, q).free * manifold.scale[:, None]
     joints = [names.joint(name, "coordinate") for name in names.mechanism.joints]
