@@ -76,6 +76,8 @@ class Mesh:
     #: Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points.
     slopes: Mapping[str, np.ndarray] | None = None
     size: float = 1.0  #: Natural size of the objective.
+    #: Whether the optimizer stayed at a guess, here or on a coarser mesh, and no second solution tells its curvature.
+    is_unexamined: bool = False
 
     @property
     def times(self) -> np.ndarray:
@@ -344,7 +346,7 @@ class Transcription:
         `chosen` (N,), only these are divided, into as many parts.
         """
         finer = self.moved(mesh, self, self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1))
-        return replace(finer, slopes=self._refined_slopes(mesh, finer.grid))
+        return replace(finer, slopes=self._refined_slopes(mesh, finer.grid), is_unexamined=mesh.is_unexamined)
 
     def moved(self, mesh: Mesh, other: Transcription, divided: np.ndarray) -> Mesh:
         """Return the motion of a solution as a guess for another number of collocation points, with intervals that are
@@ -446,6 +448,7 @@ class Transcription:
 
         values, slopes = guess.values, guess.slopes
         found = program.solve(values, stop, lambda best: report(mesh(best)), most_iterations, slopes)
+        found = replace(found, is_strict=found.is_strict and not guess.is_unexamined)
         is_first = slopes is None and self._stays(values, found.values)
         if not found.is_optimum or stop.now or not (is_first or found.iterations == 0):
             return mesh(found)
@@ -456,7 +459,8 @@ class Transcription:
         change, same = other.objective - found.objective, ROUNDING * abs(found.objective) + NOTHING * guess.size
         if change < -same and (other.is_optimum or other.is_unbounded):
             return mesh(other)
-        return mesh(replace(found, is_strict=other.is_strict and change <= same))
+        is_strict = other.is_strict and change <= same and not guess.is_unexamined
+        return replace(mesh(replace(found, is_strict=is_strict)), is_unexamined=not is_strict)
 
     def _stays(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> bool:
         """Return whether controls, numbers and durations are those before."""

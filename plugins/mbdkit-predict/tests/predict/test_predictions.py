@@ -424,6 +424,18 @@ def test_a_stationary_motion_without_curvature_is_doubtful(speed: float) -> None
     assert "second-order" in run.verdict_reasons[0]
 
 
+def test_a_stationary_point_whose_curvature_is_not_examined_is_no_minimum_on_finer_meshes_either() -> None:
+    # 20 iterations are too few for the search from the guess nearby
+    spec = load_predict_spec(block(controls={PUSH: {"bounds": [-3, 3]}}, minimize=f"-{EFFORT}", final={}))
+    method = transcribed(spec)
+    mesh = method.solved(method.guess(), Stop(), 20)
+    for _ in range(2):
+        solution = mesh.solution
+        assert solution is not None
+        assert (solution.is_optimum, solution.objective, solution.is_strict) == (True, 0.0, False)
+        mesh = method.solved(method.refined(mesh), Stop())
+
+
 @pytest.mark.parametrize(("sign", "optimum"), [(1.0, 0.0), (-1.0, -4.0)])
 def test_a_free_start_leaves_a_stationary_point(sign: float, optimum: float) -> None:
     free = {"block.x": 0, "block.vx": [-2.0, 2.0]}
