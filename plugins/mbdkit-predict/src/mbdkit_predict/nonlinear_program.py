@@ -29,7 +29,7 @@ ACTIVE = 1e-6  #: Relative distance from a bound up to which it is active.
 #: Violation of the conditions of optimality up to which an optimizer that cannot reduce it further has succeeded.
 ACCEPTABLE = 1e-8
 SUCCESSES = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
-STOPPED, LIMITED = "User_Requested_Stop", "Maximum_Iterations_Exceeded"
+STOPPED, LIMITED, DIVERGING = "User_Requested_Stop", "Maximum_Iterations_Exceeded", "Diverging_Iterates"
 REPORTING = 0.1  #: Least time between two reports of iterates [s].
 ROUNDED = "Search_Direction_Becomes_Too_Small"  #: Reports of the optimizer.
 
@@ -89,13 +89,18 @@ class Solution:
     #: Whether the second-order condition holds: the Hessian of the Lagrangian is positive definite on the null space of
     #: the active conditions. The optimizer knows this from the inertia of its matrix (A. Waechter and L. T. Biegler,
     #: Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it
-    #: did not in its last step.
+    #: did not in its last step. Without any step, it is not known.
     is_strict: bool = False
 
     @property
     def is_optimum(self) -> bool:
         """Whether the optimizer reports success."""
         return self.status in SUCCESSES
+
+    @property
+    def is_unbounded(self) -> bool:
+        """Whether unknowns grow without limit."""
+        return self.status == DIVERGING
 
 
 class NonlinearProgram:
@@ -207,7 +212,7 @@ class NonlinearProgram:
             for row in groups
         )
         gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
-        is_strict = status in SUCCESSES and found["iterations"]["regularization_size"][-1] == 0.0
+        is_strict = status in SUCCESSES and count > 0 and found["iterations"]["regularization_size"][-1] == 0.0
         solution = self._iterate(x, g, float(result["f"]))
         return replace(
             solution, status=status, iterations=count, slopes=slopes, gap=gap, is_smooth=is_smooth, is_strict=is_strict
@@ -326,7 +331,7 @@ STATUSES: Mapping[str, tuple[str, str]] = {
     "Restoration_Failed": _INFEASIBLE,
     "Not_Enough_Degrees_Of_Freedom": ("infeasible", "there are more conditions than unknowns"),
     LIMITED: ("iteration-limit", f"no optimum was found in {MOST_ITERATIONS} iterations"),
-    "Diverging_Iterates": ("unbounded", "unknowns grow without limit; give bounds to what is free"),
+    DIVERGING: ("unbounded", "unknowns grow without limit; give bounds to what is free"),
     "Invalid_Number_Detected": ("not-solved", "an expression is not defined, or infinite, along the motion"),
     ROUNDED: ("not-solved", "the optimizer makes no progress, although conditions of optimality are violated"),
     STOPPED: ("not-solved", "the process of the optimizer ended, perhaps because the memory is too small"),

@@ -15,14 +15,11 @@ from mbdkit_predict.between_points import FEW, NODES, Residual, change_by_held, 
 from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.point_functions import OF_POINTS
-from mbdkit_predict.predict_spec import SAME, PredictSpec
+from mbdkit_predict.predict_spec import NOTHING, ROUNDING, SAME, PredictSpec
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.switching import switching_of
 from mbdkit_predict.transcription import MOST_UNEVEN, Mesh, Switching, Transcription, solved_meshes
 
-#: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
-ROUNDING = 1e-8
-NOTHING = 1e-9  #: Changes of the objective below this, relative to its natural size, count as zero.
 #: A start from the optimum on a coarser mesh wanders if it takes so many iterations, or if it takes `FEW_STEPS` and the
 #: objective changes by a share of `ELSEWHERE`. Of about 200 such starts in 60 drawn problems, one does, rightly. Where
 #: the optimum on the coarser mesh is an artefact, they take a hundred iterations, and lead anywhere.

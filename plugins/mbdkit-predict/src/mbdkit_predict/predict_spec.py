@@ -33,6 +33,9 @@ from mbdkit_predict.chosen_numbers import ChosenNumbers
 from mbdkit_predict.exported_elements import equilibria, unknown_keys
 
 SAME = 1e-4  #: Optima on one mesh whose relative difference is below this count as one.
+#: Smallest error of the objective, relative to its size, due to the tolerance of the optimizer.
+ROUNDING = 1e-8
+NOTHING = 1e-9  #: Changes of the objective below this, relative to its natural size, count as zero.
 STAGES = {"radau": (2, 3, 5, 7), "gauss": (1, 2, 3, 4, 5, 6)}  #: Numbers of collocation points of each method.
 
 

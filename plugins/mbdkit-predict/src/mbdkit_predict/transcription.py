@@ -38,7 +38,7 @@ from mbdkit_predict.nonlinear_program import MOST_ITERATIONS, NonlinearProgram, 
 from mbdkit_predict.objective import Objective
 from mbdkit_predict.point_functions import OF_POINTS, OF_STATE, Held, PointFunctions, at_node
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
-from mbdkit_predict.predict_spec import PathCondition, PredictSpec, Variable
+from mbdkit_predict.predict_spec import NOTHING, ROUNDING, PathCondition, PredictSpec, Variable
 from mbdkit_predict.processes import Stop, results_of
 
 #: Parts into which intervals are divided, and those in which controls or accelerations are discontinuous.
@@ -47,6 +47,7 @@ CUTS = 2, 8
 UNEVEN = 10.0
 MOTION, COLLOCATION, ENDS = "the equations of motion", "the collocation", "the collocation at the ends of intervals"
 JOINTS = "the joints at the ends of intervals"  #: Names of conditions.
+OF_SPEC = "u", "p", "duration"  #: Unknowns that a spec asks for.
 #: Weight of violations of conditions at the start, which others hardly are to blame for; see `nearest_violations`.
 WEIGHT_OF_START = 10.0
 MANY_POINTS = {"radau": 7, "gauss": 5}  #: Collocation points of meshes on which the search begins anew.
@@ -55,6 +56,8 @@ SHORTEST = 1e-6  #: Shortest part, as a share of the longest duration of its pha
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
+UNMOVED = 1e-9  #: Change of controls and numbers, relative to their natural sizes, with which they count as unchanged.
+NEARBY = 0.01  #: Distance of a second guess from a stationary one, relative to natural sizes.
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,8 @@ class Mesh:
     #: Of a guess from a coarser mesh: estimates of `Solution.slopes`, with columns for all points.
     slopes: Mapping[str, np.ndarray] | None = None
     size: float = 1.0  #: Natural size of the objective.
+    #: Whether the optimizer stayed at a guess, here or on a coarser mesh, and no second solution tells its curvature.
+    is_unexamined: bool = False
 
     @property
     def times(self) -> np.ndarray:
@@ -341,7 +346,7 @@ class Transcription:
         `chosen` (N,), only these are divided, into as many parts.
         """
         finer = self.moved(mesh, self, self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1))
-        return replace(finer, slopes=self._refined_slopes(mesh, finer.grid))
+        return replace(finer, slopes=self._refined_slopes(mesh, finer.grid), is_unexamined=mesh.is_unexamined)
 
     def moved(self, mesh: Mesh, other: Transcription, divided: np.ndarray) -> Mesh:
         """Return the motion of a solution as a guess for another number of collocation points, with intervals that are
@@ -428,7 +433,11 @@ class Transcription:
         most_iterations: int = MOST_ITERATIONS,
         report: Callable[[Mesh], None] = lambda mesh: None,
     ) -> Mesh:
-        """Return the optimum on the grid of a guess; `report` is called with the best iterates in between."""
+        """Return the optimum on the grid of a guess; `report` is called with the best iterates in between.
+
+        The optimizer stays at any stationary guess, also at a saddle or a maximum, and knows its curvature only after a
+        step. Where it stays, the problem is thus solved again from a guess nearby.
+        """
         unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
         program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, jacobian, hessian, guess.size)
@@ -438,7 +447,39 @@ class Transcription:
             return replace(guess, values=solution.values, iterations=done, solution=solution, conditions=program.points)
 
         values, slopes = guess.values, guess.slopes
-        return mesh(program.solve(values, stop, lambda best: report(mesh(best)), most_iterations, slopes))
+        found = program.solve(values, stop, lambda best: report(mesh(best)), most_iterations, slopes)
+        found = replace(found, is_strict=found.is_strict and not guess.is_unexamined)
+        is_first = slopes is None and self._stays(values, found.values)
+        if not found.is_optimum or stop.now or not (is_first or found.iterations == 0):
+            return mesh(found)
+        found = replace(found, is_strict=False)
+        report(mesh(found))
+        nearby = self._nearby(guess, bounds)
+        other = program.solve(nearby, stop, lambda best: None, most_iterations, slopes)
+        change, same = other.objective - found.objective, ROUNDING * abs(found.objective) + NOTHING * guess.size
+        if change < -same and (other.is_optimum or other.is_unbounded):
+            return mesh(other)
+        is_strict = other.is_strict and change <= same and not guess.is_unexamined
+        return replace(mesh(replace(found, is_strict=is_strict)), is_unexamined=not is_strict)
+
+    def _stays(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> bool:
+        """Return whether controls, numbers and durations are those before."""
+        changes = ((abs(after[x] - before[x]).T / self._sizes.get(x, 1.0)).max(initial=0.0) for x in OF_SPEC)
+        return bool(max(changes) <= UNMOVED)
+
+    def _nearby(self, guess: Mesh, bounds: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, np.ndarray]:
+        """Return the values of a guess nearby: what determines the motion is changed in ways without symmetries, and
+        which conditions do not undo.
+        """
+        values, growth = dict(guess.values), np.exp(guess.times / guess.values["duration"].sum())
+        way = np.where(self.system.is_angle, 1.0, self._length)
+        of_start = np.concatenate([way, way, np.ones(len(self.system.z0))])
+        sizes = self._sizes | {"q": way, "start": of_start, "duration": values["duration"]}
+        for name in (*OF_SPEC, "q", "start"):
+            change = NEARBY * sizes[name] / np.arange(1, len(sizes[name]) + 1)
+            change = np.outer(change, growth) if values[name].ndim > 1 else change
+            values[name] = np.clip(values[name] + change, *bounds[name])
+        return values
 
     def nearest_violations(self, guess: Mesh, stop: Stop) -> Mapping[str, float]:
         """Return the violations, by name, of the motion whose conditions of the user have the smallest sum of

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 from typer.testing import CliRunner
 
 import mbdkit
@@ -380,16 +380,84 @@ def test_an_element_whose_name_begins_that_of_a_control_can_be_compared() -> Non
     assert compared_spec(load_predict_spec(spec)).mechanism().forces["pus"].stiffness == 0.0
 
 
-@pytest.mark.parametrize(("frequency", "verdict"), [(3.0, "good"), (3.3, "doubtful")])
-def test_a_stationary_motion_that_is_no_minimum_is_doubtful(frequency: float, verdict: str) -> None:
-    # x = 0 is stationary for the integral of x'^2 - w^2 x^2, x = 0 at both ends, and a minimum if w < pi (Jacobi)
+@pytest.mark.parametrize("w", [3.0, 3.3])
+def test_a_search_that_begins_at_a_saddle_leaves_it(w: float) -> None:
+    # x = 0 is stationary for the integral of x'^2 - w^2 x^2, x = 0 at both ends, and a minimum if w < pi (Jacobi);
+    # else, with |x'| <= 10, x' = 10 up to the time s, then x'' = -w^2 x, symmetric about the middle; x' is continuous
     spec = of_states({"x": {"rate": "states.turn"}, "turn": {"rate": "0"}}, {"x": 0}, [-10.0, 10.0])
     spec["controls"]["states.turn"]["start"] = 0.0
-    square = f'integral(controls["states.turn"]**2 - {frequency**2}*states.x.value**2)'
+    square = f'integral(controls["states.turn"]**2 - {w**2}*states.x.value**2)'
     run = mbdkit.predict(spec, duration=1.0, minimize=square)
-    assert (run.status, run.verdict) == ("complete", verdict)
+    s = 0.0 if w < np.pi else brentq(lambda s: w * s * np.tan(w * (0.5 - s)) - 1.0, 0.1, 0.3)
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert_within(run.objective + 200.0 * w**2 * s**3 / 3.0, run.objective_error + 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "minimize", "optimum"),
+    [
+        ([-3.0, 3.0], f"-{EFFORT}", -9.0),
+        ([-3.0, 3.0], "-final(block.x)**2", -2.25),
+        ("none", f"-{EFFORT}", None),  # unbounded
+        ([-3.0, 3.0], EFFORT, 0.0),
+        ("none", EFFORT, 0.0),
+    ],
+)
+def test_a_search_that_begins_at_a_stationary_point_ends_at_a_minimum(
+    bounds: Any, minimize: str, optimum: float | None
+) -> None:
+    run = mbdkit.predict(block(controls={PUSH: {"bounds": bounds}}, minimize=minimize, final={}))
+    if optimum is None:
+        assert (run.status, run.verdict, run.status_reason.partition(":")[0]) == ("failed", "bad", "unbounded")
+    else:
+        assert (run.status, run.verdict) == ("complete", "good")
+        assert run.objective == pytest.approx(optimum, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_a_stationary_motion_without_curvature_is_doubtful(speed: float) -> None:
+    # many controls lead to x = 0; at rest, the search ends at its guess without a step
+    control, initial = {PUSH: {"bounds": "none"}}, {"block.x": 0, "block.vx": speed}
+    run = mbdkit.predict(block(controls=control, initial=initial, minimize="final(block.x)**2", final={}))
+    assert (run.status, run.verdict) == ("complete", "doubtful")
     assert_within(run.objective, 1e-9)
-    assert ("second-order" in run.verdict_reasons[0]) == (verdict == "doubtful")
+    assert "second-order" in run.verdict_reasons[0]
+
+
+def test_a_stationary_point_whose_curvature_is_not_examined_is_no_minimum_on_finer_meshes_either() -> None:
+    # 20 iterations are too few for the search from the guess nearby
+    spec = load_predict_spec(block(controls={PUSH: {"bounds": [-3, 3]}}, minimize=f"-{EFFORT}", final={}))
+    method = transcribed(spec)
+    mesh = method.solved(method.guess(), Stop(), 20)
+    for _ in range(2):
+        solution = mesh.solution
+        assert solution is not None
+        assert (solution.is_optimum, solution.objective, solution.is_strict) == (True, 0.0, False)
+        mesh = method.solved(method.refined(mesh), Stop())
+
+
+@pytest.mark.parametrize(("sign", "optimum"), [(1.0, 0.0), (-1.0, -4.0)])
+def test_a_free_start_leaves_a_stationary_point(sign: float, optimum: float) -> None:
+    free = {"block.x": 0, "block.vx": [-2.0, 2.0]}
+    still = {PUSH: {"bounds": [0.0, 0.0]}}
+    run = mbdkit.predict(block(controls=still, minimize=f"{sign}*final(block.x)**2", initial=free, final={}))
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert run.objective == pytest.approx(optimum, abs=1e-6)
+
+
+def test_opposed_controls_leave_a_stationary_point() -> None:
+    # the sum of two forces is zero, and the integral of the square of their difference is largest
+    pull = {"pull": {"type": "force", "body": "block", "value": [0.0, 0.0]}}
+    other = PUSH.replace("push", "pull")
+    run = mbdkit.predict(
+        block(
+            forces=pull, controls={name: {"bounds": [-3, 3]} for name in (PUSH, other)}, final={},
+            subject_to={"still": {"value": "block.vx", "min": 0, "max": 0}},
+            minimize=f'-integral((controls["{PUSH}"] - controls["{other}"])**2)',
+        )
+    )  # fmt: skip
+    assert (run.status, run.verdict) == ("complete", "good")
+    assert run.objective == pytest.approx(-36.0, rel=1e-6)
 
 
 def test_a_forward_run_tells_an_unstable_motion() -> None:
