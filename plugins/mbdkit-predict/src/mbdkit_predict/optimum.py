@@ -337,7 +337,7 @@ class _MeshSearch:
 
     def _refine(self, mesh: Mesh, chosen: np.ndarray | None, which: str) -> _Solving:
         """Solve on a finer mesh from the optimum on a coarser one, or anew if that wanders."""
-        method, guess = self.transcription, self.transcription.refined(mesh, chosen)
+        first, method, guess = self.first, self.transcription, self.transcription.refined(mesh, chosen)
         why = "all intervals divided" if chosen is None else f"{chosen.sum()} divided, {which}"
         if self._can_begin:
             (finer,) = yield [(method, guess, WANDERING)]
@@ -349,7 +349,7 @@ class _MeshSearch:
             if _solution(anew).is_optimum or self.stop.now:
                 self.wandered = True
                 return anew
-            self.transcription = method
+            self.transcription, self.first = method, first
         (finer,) = yield [(method, guess, MOST_ITERATIONS)]
         self._note(finer, why)
         return finer
