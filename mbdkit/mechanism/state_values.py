@@ -58,9 +58,17 @@ Value = Annotated[Number | str | Table, BeforeValidator(_value)]
 ValuePair = Annotated[tuple[Value, Value], BeforeValidator(pair("two numbers, expressions or tables [x, y]"))]
 
 
-def _rate(given: object) -> object:
+class _WithParameters(StateSyntax):
+    """Also accepts any name, which is checked later, with the parameters of the spec."""
+
+    def operand(self, node: ast.expr) -> Code:
+        """Accept any quantity and any name."""
+        return [("get", 0.0)] if isinstance(node, ast.Name) else super().operand(node)
+
+
+def _rate(given: object, syntax: type[StateSyntax] = StateSyntax) -> object:
     if isinstance(given, str):
-        StateSyntax(given).program()
+        syntax(given).program()
         return given
     if isinstance(given, bool) or not isinstance(given, int | float):
         raise SpecError(f'should be a number or an expression such as "(u - states.i)/0.01", not {given!r}')
@@ -69,6 +77,10 @@ def _rate(given: object) -> object:
 
 #: An expression of the state, or a number.
 Expression = Annotated[str, BeforeValidator(_rate, json_schema_input_type=str | float)]
+#: An expression of the state outside the model, which keeps the names of parameters; or a number.
+OuterExpression = Annotated[
+    str, BeforeValidator(lambda given: _rate(given, _WithParameters), json_schema_input_type=str | float)
+]
 
 
 class FirstOrderState(StrictModel):

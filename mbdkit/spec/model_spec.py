@@ -8,28 +8,38 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, SerializerFunctionWrapHandler, model_serializer
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
 from mbdkit.base.strict_model import FormatVersion
-from mbdkit.mechanism.law_element import Law
+from mbdkit.mechanism.law_element import Law, PluginLookup
 from mbdkit.mechanism.mechanism_seams import model_extension
 from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
+from mbdkit.mechanism.validation_errors import walk
 from mbdkit.registry.catalogue import Registered
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.model_keys import model_keys
 from mbdkit.spec.choices import Choice, RegistryLookup, registry_of
 from mbdkit.spec.estimates import Estimated, Estimates
-from mbdkit.spec.reading import Document
+from mbdkit.spec.reading import Document, are_items, put
 from mbdkit.spec.sections import QUANTITIES, Meta, Section
 from mbdkit.spec.spec_kinds import kind_of
 
@@ -58,7 +68,12 @@ class StrictSpec(Section):
         def validate(values: object) -> None:
             # Every source is validated as JSON, because pydantic's strict mode accepts a list for a tuple only in JSON.
             text = json.dumps(values, allow_nan=False)
-            self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
+            try:
+                self.__pydantic_validator__.validate_json(text, self_instance=self, context={"plugins": plugins})
+            except ValidationError as error:
+                if not _ITEMS.search(text) or not _complete_lists(values, error, type(self), plugins):
+                    raise
+                validate(values)
 
         try:
             values = plain(data)
@@ -117,6 +132,34 @@ class StrictSpec(Section):
     def sha256(self) -> str:
         """Return the SHA-256 digest of the canonical JSON in UTF-8, in hexadecimal."""
         return hashlib.sha256(self.canonical_json().encode()).hexdigest()
+
+
+#: JSON of items of a list that is left at its default, by index, such as ``{"0": 0.1}``; see `reading.put`.
+_ITEMS = re.compile(r'\{"\d{1,9}": ')
+
+
+def _complete_lists(data: Any, error: ValidationError, root: type[BaseModel], plugins: PluginLookup) -> bool:
+    """Replace items of lists that are left at their defaults by the whole lists, in place.
+
+    `error`: the error of the validation of the data, for which these items are mappings. Returns whether there are any.
+    """
+    is_changed = False
+    for details in error.errors(include_url=False):
+        items = details["input"]
+        path, owner = walk(details["loc"], root, plugins) if items and are_items(items) else ((), None)
+        fields = {} if owner is None else {info.alias or name: info for name, info in owner.model_fields.items()}
+        if owner is None or path[-1] not in fields:
+            continue
+        default = canonical(fields[str(path[-1])].get_default(call_default_factory=True))
+        holder = data
+        for part in path[:-1]:
+            holder = holder[part]
+        if isinstance(default, list) and holder[path[-1]] == items:  # the location within a union is not known
+            holder[path[-1]] = default
+            for index, value in items.items():
+                put(data, (*path, index), value)
+            is_changed = True
+    return is_changed
 
 
 class ModelSpec(StrictSpec):

@@ -247,6 +247,9 @@ def read_assignment(assignment: str) -> tuple[Path, object]:
 def put(data: dict[str, Any], path: Path, value: object) -> None:
     """Set the value at `path` in plain data; missing mappings along the path are created, except elements.
 
+    Items of a list that is missing become a mapping such as ``{"0": 0.1}``, which validation replaces by the default
+    list with these items.
+
     Raises SpecError if a value along the path is not a mapping or list with the next key, or if it is a mapping of
     other elements.
     """
@@ -255,12 +258,14 @@ def put(data: dict[str, Any], path: Path, value: object) -> None:
         last = index == len(path) - 1
         if isinstance(holder, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
             part = int(part)  # as in `model.angles.0`
+        elif isinstance(part, int) and holder is not data and are_items(holder):
+            part = str(part)
         if isinstance(holder, list) and isinstance(part, int):
             if part >= len(holder):
                 here = path_text(path[:index]) or "the spec"
                 raise SpecError(f"{here} has {len(holder)} items, counted from 0", key=path_text(path))
         elif isinstance(holder, dict) and isinstance(part, str):
-            if not last and holder.get(part) is None and isinstance(path[index + 1], str):
+            if not last and holder.get(part) is None:
                 _refuse_other_element(holder, path, index)
                 holder[part] = {}
         else:
@@ -270,6 +275,11 @@ def put(data: dict[str, Any], path: Path, value: object) -> None:
             holder[part] = value
         else:
             holder = holder.get(part) if isinstance(holder, dict) else holder[part]
+
+
+def are_items(data: object) -> bool:
+    """Return whether data are a mapping that contains nothing but items of a list by index."""
+    return isinstance(data, dict) and all(re.fullmatch(r"\d{1,9}", key) for key in data)
 
 
 def _refuse_other_element(elements: Mapping[str, object], path: Path, index: int) -> None:

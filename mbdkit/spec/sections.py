@@ -18,7 +18,7 @@ from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.mechanism.checks import check_name
-from mbdkit.mechanism.state_values import Expression
+from mbdkit.mechanism.state_values import OuterExpression
 from mbdkit.quantities.entries import ChosenGroup
 from mbdkit.quantities.table import quantities_of_events
 
@@ -153,10 +153,10 @@ class Event(Section):
     """Crossings to detect: `rising` (negative to positive), `falling` (positive to negative), or `any`."""
     action: Literal["note", "stop"] = "note"
     """`note` records the crossing; `stop` also ends the run, which then counts as complete."""
-    set: dict[str, Expression] = Field(default_factory=dict)
+    set: dict[str, OuterExpression] = Field(default_factory=dict)
     """New values of first-order states at the crossing, by name, as numbers or expressions of the state before the
-    crossing, such as `{i: 0}` or `{w: "-0.8*states.w"}`. The key of a state of an element or controller, or of an
-    output of a controller, is "NAME.STATE" or "NAME.OUTPUT"."""
+    crossing and of named parameters, such as `{i: 0}` or `{w: "-0.8*states.w"}`. The key of a state of an element or
+    controller, or of an output of a controller, is "NAME.STATE" or "NAME.OUTPUT"."""
 
     @model_validator(mode="after")
     def _goes_on(self) -> Event:

@@ -239,3 +239,40 @@ def test_measures_of_states_end_with_the_event_that_stops_the_run() -> None:
     values = mbdkit.run(spec | {"measures": measures}).measures
     assert values["largest"] == pytest.approx(0.55**2, abs=1e-13)
     assert values["sum"] == pytest.approx(0.55**3 / 3, abs=1e-13)
+
+
+def test_new_values_of_states_may_contain_named_parameters(tmp_path: Path) -> None:
+    def spec(k: float, text: str = "0.1*k + half*states.charge - k*rotor.angle") -> dict[str, Any]:
+        fires = FIRES["fires"] | {"set": {"charge": text}}
+        time = {"end": 1.0, "step": 0.04}
+        return spec_of(RK4, parameters={"k": k, "half": "k/2"}, events={"fires": fires}, time=time)
+
+    run = mbdkit.run(spec(0.3))
+    same = mbdkit.run(spec(0.3, "0.1*0.3 + 0.15*states.charge - 0.3*rotor.angle"))
+    np.testing.assert_array_equal(run.states["charge"].value, same.states["charge"].value)
+    prepared = mbdkit.prepare(mbdkit.load_spec(spec(0.2)))
+    hashes = {k: mbdkit.run(mbdkit.load_spec(spec(0.5), [f"parameters.k={k}"])).data_sha256 for k in (0.3, 0.2, 0.4)}
+    assert len({*hashes.values()}) == 3
+    assert hashes[0.3] == run.data_sha256
+    assert [prepared.run({"k": k}).data_sha256 for k in hashes] == [*hashes.values()]
+    assert [mbdkit.run(spec(k)).data_sha256 for k in hashes] == [*hashes.values()]
+    run.save(tmp_path / "run.h5")
+    with mbdkit.load(tmp_path / "run.h5") as stored:
+        assert mbdkit.run(stored.spec).data_sha256 == run.data_sha256
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("2*gian", r"unknown name 'gian' \(did you mean 'gain'\?\)"),
+        ("2*q", "unknown name 'q'; known: t, pi, gain and functions"),
+        ("gain - states.charg", "no state 'charg'"),
+        ("gain*rotor", "'rotor' is a body, not a number"),
+        ("gain charge", r"write \* between factors"),
+    ],
+)
+def test_a_wrong_new_value_is_refused_at_its_key(text: str, words: str) -> None:
+    spec = spec_of(RK4, 0.04, parameters={"gain": 1.0}, events={"fires": FIRES["fires"] | {"set": {"charge": text}}})
+    with pytest.raises(SpecError, match=words) as caught:
+        mbdkit.load_spec(spec)
+    assert caught.value.key == "events.fires.set.charge"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import math
 import random
 from typing import Any
 
@@ -75,6 +76,63 @@ def test_values_of_the_model_do_not_validate_the_whole_spec(monkeypatch: pytest.
         varied.spec([(("model", "angle"), 0.25)]).canonical_json()
         == RunSpec(**base | {"model": {"name": "single-pendulum", "angle": 0.25}}).canonical_json()
     )
+
+
+PENDULUM: dict[str, Any] = {
+    "mbdkit": 1,
+    "model": {"name": "double-pendulum"},
+    "integrator": {"name": "rk4"},
+    "time": {"end": 0.5, "step": 0.01},
+}
+
+
+def test_items_are_set_in_lists_that_the_base_leaves_at_their_defaults() -> None:
+    def whole(**model: Any) -> str:
+        return load_spec(PENDULUM | {"model": PENDULUM["model"] | model}).canonical_json()
+
+    first, second, gravity = ("model", "angles", "0"), ("model", "angles", 1), ("model", "gravity", "1")
+    varied = VariedSpecs(json.dumps(PENDULUM))
+    for values, model in [
+        ([(first, 0.1)], {"angles": [0.1, 0.0]}),
+        ([(first, 0.2)], {"angles": [0.2, 0.0]}),
+        ([(second, 0.3)], {"angles": [0.0, 0.3]}),  # without the value of a spec before
+        ([(second, "30 deg"), (gravity, -1.0)], {"angles": [0.0, math.radians(30)], "gravity": [0.0, -1.0]}),
+        ([(first, 0.1), (second, 0.3)], {"angles": [0.1, 0.3]}),
+    ]:
+        assert varied.spec(values).canonical_json() == whole(**model)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "key", "words"),
+    [
+        ("model.angles.2=1", "model.angles.2", "model.angles has 2 items, counted from 0"),
+        ("model.angels.0=1", "model.angels", "did you mean 'angles'?"),
+        ("model.angles.x=1", "model.angles", r"should be two numbers \[first rod, second rod\], not {'x': 1}"),
+        ("model.angles.0=[1]", "model.angles[0]", "should be a number"),
+        ("model.name.0=1", "model.name.0", "model.name is the text 'double-pendulum', so it has no '0'"),
+        ("output.quantity.0=energy", "output.quantity", "did you mean 'quantities'?"),
+    ],
+)
+def test_a_wrong_key_of_an_item_is_named(assignment: str, key: str, words: str) -> None:
+    with pytest.raises(SpecError, match=words) as caught:
+        load_spec(PENDULUM, [assignment])
+    assert caught.value.key == key
+
+
+def test_items_of_elements_and_expressions_are_set_by_assignments() -> None:
+    model = {
+        "name": "mechanism",
+        "bodies": {"rod": {"mass": 1.0, "inertia": 0.1}},
+        "forces": {"f": {"type": "force", "body": "rod", "value": [0, 1]}},
+    }
+    base = PENDULUM | {"parameters": {"k": 0.5}, "model": model}
+    keys = ["model.bodies.rod.velocity[1]=2*k", "model.bodies.rod.position.0=k", "model.forces.f.point.1=0.2"]
+    spec = load_spec(base, keys)
+    rod_path = ("model", "bodies", "rod")
+    assert spec.written == {(*rod_path, "velocity", 1): "2*k", (*rod_path, "position", 0): "k"}
+    rod = spec.mechanism().bodies["rod"]
+    assert (rod.position, rod.velocity, spec.mechanism().forces["f"].point) == ((0.5, 0.0), (0.0, 1.0), (0.0, 0.2))
+    assert load_spec(json.loads(spec.canonical_json())).sha256() == spec.sha256()
 
 
 def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:

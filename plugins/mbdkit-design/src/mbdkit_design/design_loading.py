@@ -234,8 +234,8 @@ def _check_variable(name: str, data: Mapping[str, object]) -> None:
         if part in place:
             place = place[part]
             continue
-        if depth == len(path) - 1 and path[0] != "parameters":
-            return  # an option that an element of the base does not set; validation of the spec checks the name
+        if path[0] != "parameters" and all(str(index).isdigit() for index in path[depth + 1 :]):
+            return  # an option, or an item of one, that the base does not set; validation of the spec checks the name
         known = [str(key) for key in place]
         hint = did_you_mean(str(part), known) or (f"; there are {listed(known)}" if known else "")
         what = f"parameter '{part}'" if path[0] == "parameters" else f"'{path_text(path[: depth + 1])}'"
@@ -249,7 +249,7 @@ def _located(error: SpecError, given: Given, document: Document, place: str) -> 
     """
     path = parse_path(error.key)
     for where, (key, _) in given.items():
-        if path[: len(key)] == key:
+        if path[: len(key)] == key or (path == key[:-1] and str(key[-1]).isdigit()):  # an item of an unknown list
             return SpecError(f"{error.key}: {error.message}", key=where)
     return document.place(error) if os.path.basename(document.file) else error.located(prefix=place)
 

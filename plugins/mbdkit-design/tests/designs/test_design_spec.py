@@ -11,7 +11,7 @@ from mbdkit import SpecError
 from mbdkit.cli import app
 from mbdkit.spec import load_spec
 from mbdkit_design.design_loading import load_design_spec
-from mbdkit_design.evaluation import Evaluator
+from mbdkit_design.evaluation import Evaluator, ScenarioRuns
 from mbdkit_studies.spec.study_loading import load_study_spec
 
 TEXT = """mbdkit_design: 1
@@ -46,6 +46,19 @@ def test_variables_are_parameters_or_keys(tmp_path: Path) -> None:
     Evaluator(spec)
 
 
+def test_a_variable_may_be_an_item_of_a_list_that_the_base_leaves_at_its_default(tmp_path: Path) -> None:
+    text = TEXT.replace(
+        "model.mass: {bounds: [0.5, 2.0], start: 1.0}", "model.gravity.1: {bounds: [-9, -1], start: -3}"
+    )
+    spec = load_design_spec(written(tmp_path, text))
+    assert spec.specs[""].mechanism().gravity == (0.0, -3.0)
+    at = ScenarioRuns(spec.specs[""]).at
+    assert [at([(("model", "gravity", "1"), y)]).mechanism().gravity for y in (-2.0, -1.0)] == [
+        (0.0, -2.0),
+        (0.0, -1.0),
+    ]
+
+
 WRONG = {
     "unknown key": ("minimize:", "minimise:", 11, "minimise", "did you mean 'minimize'?"),
     "no variable": ("variables:\n  long: {bounds: [1.0, 2.0]}\n  model.mass: {bounds: [0.5, 2.0], start: 1.0}\n",
@@ -54,6 +67,7 @@ WRONG = {
     "start outside": ("start: 1.0", "start: 3.0", 10, 'variables."model.mass".start', "within the bounds 0.5 and 2"),
     "unknown parameter": ("  long: {b", "  lang: {b", 9, "variables.lang", "the base has no parameter 'lang' (did you"),
     "unknown option": ("model.mass", "model.mas", 10, 'variables."model.mas"', "did you mean 'mass'?"),
+    "unknown list": ("model.mass", "model.gravty.1", 10, 'variables."model.gravty.1"', "did you mean 'gravity'?"),
     "unknown element": ("model.mass", "model.forces.s.stiffness", 10, 'variables."model.forces.s.stiffness"',
                         "the base has no 'model.forces'"),
     "value refused": ("[0.5, 2.0], start: 1.0", "[-2.0, 2.0], start: -1.0", 10, 'variables."model.mass"', "greater"),

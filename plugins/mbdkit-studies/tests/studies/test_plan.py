@@ -63,6 +63,24 @@ def test_a_list_in_the_base_is_changed_item_by_item(small):
     assert small["base"]["model"]["lengths"] == [1.0, 2.0]
 
 
+@pytest.mark.parametrize(
+    "points",
+    [
+        {"axes": [{"model.angles.0": [0.1, 0.2]}]},
+        {"axes": [{"model.angles[0]": [0.1, 0.2]}], "store": "hashes"},
+        {"sample": {"n": 2, "method": "random", "variables": {"model.angles.0": {"uniform": [0.2, 0.2000001]}}}},
+    ],
+)
+def test_items_of_a_list_that_the_base_leaves_at_its_default_are_set(points):
+    model, base = {"name": "double-pendulum"}, {"mbdkit": 1, "integrator": {"name": "rk4"}}
+    base |= {"time": {"end": 0.02, "step": 0.01}, "model": model}
+    done = mbdkit.study({"mbdkit_study": 1, "base": base, "overrides": {"model.gravity.1": -5.0}, **points})
+    assert [point.status for point in done.points] == ["complete"] * 2
+    (angle,) = done.points[1].axes.values()
+    whole = mbdkit.run(base | {"model": model | {"angles": [angle, 0.0], "gravity": [0.0, -5.0]}})
+    assert done.remake(1).data_sha256 == whole.data_sha256
+
+
 def test_there_is_one_reference_for_all_points_that_it_fits(small):
     small["axes"] = [{"model": [{"name": "single-pendulum"}, {"name": "double-pendulum"}]}, *small["axes"]]
     found = points(small)
