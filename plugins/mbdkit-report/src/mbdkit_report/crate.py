@@ -21,7 +21,7 @@ from mbdkit.archive.layout import EVIDENCE
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.skeleton import memory_file
-from mbdkit.base.errors import ArchiveError, SpecError
+from mbdkit.base.errors import SpecError
 from mbdkit.base.files import check_output
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import shown
@@ -61,9 +61,7 @@ def write_crate(archives: Sequence[Path], folder: Path) -> None:
     Raises
     ------
     SpecError
-        If the folder exists, two archives have one name, or a run has not ended.
-    ArchiveError
-        If an archive is damaged.
+        If the folder exists, two archives have one name, an archive is damaged, or a run has not ended.
     """
     check_output(folder, overwrite=False)
     names = [path.stem for path in archives]
@@ -74,7 +72,7 @@ def write_crate(archives: Sequence[Path], folder: Path) -> None:
             if run.status == "running":
                 raise SpecError("this run did not end", file=path)
         if problems := check(path):  # a copy gets hashes of its own, which would hide changes
-            raise ArchiveError(f"it is damaged: {problems[0]}", file=path)
+            raise SpecError(f"this archive is damaged: {problems[0]}", file=path)
     with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as work:
         crate = _Crate(Path(work) / folder.name)
         crate.folder.mkdir()
