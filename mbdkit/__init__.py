@@ -71,7 +71,7 @@ else:
             from mbdkit.base.distributions import own_version
 
             return own_version()
-        if name in ("kernels", "plugin", "testing"):  # public modules
+        if name in ("kernels", "plugin", "testing"):  # modules for authors, which `import *` does not import
             return import_module(f"mbdkit.{name}")
         return _names(name)
 

@@ -232,8 +232,8 @@ class _Checker:
         else:
             self.scales(array, dataset)
         unknown_is_nan = self.kinds[array.group].may_be_unknown
-        is_finite = self.status != "running" and dtype == FLOAT and not unknown_is_nan
-        if is_finite and (bad := sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))):
+        must_be_finite = self.status != "running" and dtype == FLOAT and not unknown_is_nan
+        if must_be_finite and (bad := sum(int(np.count_nonzero(~np.isfinite(block))) for block in blocks(dataset))):
             self.say(f"{path} has {bad} values that are not finite")
 
     def scales(self, array: Array, dataset: h5py.Dataset) -> None:

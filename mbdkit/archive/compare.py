@@ -31,8 +31,8 @@ class Comparison:
       either run. Infinite if only one run has the array, or if the shapes, the names or the positions of non-finite
       values differ.
     - `code`: plugins whose code differs.
-    - `versions`: provenance attributes that differ, except the command, with the values of the first and the second
-      run.
+    - `versions`: provenance attributes that differ, except the command, the evidence of the method and the assembly of
+      the start, with the values of the first and the second run.
     - `settings`: keys of the specs whose values differ, with those of the first and the second run as JSON, empty where
       a spec lacks the key.
     - `answers`: labels of the main numbers that differ, with those of the first and the second run as text.

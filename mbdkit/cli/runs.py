@@ -255,13 +255,14 @@ def validate_run(source: Document | str, name: str, assignments: list[str]) -> N
 
 def _slides(mechanism: Mechanism, start: AssembledState) -> list[tuple[str, ...]]:
     """Return a table row for each joint with a travel: its global direction and the travel at the start."""
+    from mbdkit.base.plain_data import quoted
     from mbdkit.mechanism.mechanism_quantities import Point, Travel
     from mbdkit.mechanism.quantity_names import QuantityNames
 
     rows: list[tuple[str, ...]] = []
     q, names = start.q.reshape(1, -1), QuantityNames(mechanism)
     for name, joint in mechanism.joints.items():
-        travel = names.joint(name, name)
+        travel = names.joint(name, f"model.joints.{quoted(name)}")
         if isinstance(travel, Travel):
             x, y = (
                 round(component.item(), 4) + 0.0 for component in Point(travel.first.body, *travel.direction).arm(q)

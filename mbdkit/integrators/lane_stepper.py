@@ -297,9 +297,10 @@ class _Collected:
 
 
 def _limits(mechanism: CompiledMechanism, guards: Sequence[Guards]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first two fields of `guard_limits` of R runs, (P, R) and (1, R)."""
-    of = {one: guard_limits(mechanism, one) for one in set(guards)}
-    return np.array([of[one][0] for one in guards]).T, np.array([of[one][1] for one in guards]).T
+    """Return the fields `squared_misalignment` and `energy_jump` of `guard_limits` of R runs, (P, R) and (1, R)."""
+    limits = {one: guard_limits(mechanism, one) for one in set(guards)}
+    squared = np.array([limits[one].squared_misalignment for one in guards])
+    return squared.T, np.array([limits[one].energy_jump for one in guards]).T
 
 
 _COUNTED = {

@@ -222,7 +222,10 @@ class SmoothTable(Table):
 
 #: Orders and values of the derivatives that are prescribed at the two ends of a quintic spline, by the name of the
 #: condition. SciPy knows the other conditions by name.
-QUINTIC_ENDS = {"natural": 2 * ([(3, 0.0), (4, 0.0)],), "clamped": 2 * ([(1, 0.0), (2, 0.0)],)}
+QUINTIC_ENDS = {
+    "natural": ([(3, 0.0), (4, 0.0)], [(3, 0.0), (4, 0.0)]),
+    "clamped": ([(1, 0.0), (2, 0.0)], [(1, 0.0), (2, 0.0)]),
+}
 
 
 @lru_cache(maxsize=64)

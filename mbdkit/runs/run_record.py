@@ -62,7 +62,7 @@ class Continuation:
         """The times in `TIMES` of the run up to the checkpoint [s]; 0 for entries that are missing or not numbers."""
         stored = self.state.get("times")
         known = stored if isinstance(stored, Mapping) else {}
-        return {name: seconds if isinstance(seconds := known.get(name), float) else 0.0 for name in TIMES}
+        return {name: seconds if isinstance(seconds, float) else 0.0 for name in TIMES for seconds in [known.get(name)]}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

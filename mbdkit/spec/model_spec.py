@@ -10,7 +10,7 @@ import hashlib
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
@@ -156,10 +156,19 @@ def _complete_lists(data: Any, error: ValidationError, root: type[BaseModel], pl
             holder = holder[part]
         if isinstance(default, list) and holder[path[-1]] == items:  # the location within a union is not known
             holder[path[-1]] = default
-            for index, value in items.items():
-                put(data, (*path, index), value)
+            for place, value in _leaves(items, path):
+                put(data, place, value)
             is_changed = True
     return is_changed
+
+
+def _leaves(items: Mapping[str, object], path: Path) -> Iterator[tuple[Path, object]]:
+    """Yield key paths and values of items of a list, and of items of these."""
+    for index, value in items.items():
+        if value and are_items(value):
+            yield from _leaves(cast(Mapping[str, object], value), (*path, index))
+        else:
+            yield (*path, index), value
 
 
 class ModelSpec(StrictSpec):

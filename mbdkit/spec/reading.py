@@ -57,9 +57,10 @@ class Document:
         if error.file is not None:
             return error
         path = parse_path(error.key)
+        assigned = {tuple(map(str, key)): text for key, text in self.overridden.items()}  # `angles.0` and `angles[0]`
         for length in range(len(path), 0, -1):
-            if path[:length] in self.overridden:
-                return error.located(file=f"--set {self.overridden[path[:length]]}")
+            if text := assigned.get(tuple(map(str, path[:length]))):
+                return error.located(file=f"--set {text}")
         if self.file and path and path[0] in self.keywords:
             return error.located(file=f"keyword {path[0]}")
         if not self.file or error.line is not None:
@@ -259,7 +260,7 @@ def put(data: dict[str, Any], path: Path, value: object) -> None:
         if isinstance(holder, list) and isinstance(part, str) and re.fullmatch(r"\d{1,9}", part):
             part = int(part)  # as in `model.angles.0`
         elif isinstance(part, int) and holder is not data and are_items(holder):
-            part = str(part)
+            part = str(part)  # of a list that is missing, which the spec itself is not
         if isinstance(holder, list) and isinstance(part, int):
             if part >= len(holder):
                 here = path_text(path[:index]) or "the spec"
@@ -279,7 +280,7 @@ def put(data: dict[str, Any], path: Path, value: object) -> None:
 
 def are_items(data: object) -> bool:
     """Return whether data are a mapping that contains nothing but items of a list by index."""
-    return isinstance(data, dict) and all(re.fullmatch(r"\d{1,9}", key) for key in data)
+    return isinstance(data, dict) and all(re.fullmatch(r"0|[1-9]\d{0,8}", key) for key in data)
 
 
 def _refuse_other_element(elements: Mapping[str, object], path: Path, index: int) -> None:

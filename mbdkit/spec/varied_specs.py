@@ -25,8 +25,8 @@ class VariedSpecs:
 
     If the values are options of the model, or numbers for named parameters, only the model is validated again, because
     no other section of a valid spec depends on them. The whole spec is validated for other values, if the model refuses
-    a value, if the spec has `accuracy`, and for options of the model if it has `parameters` or expressions. Errors are
-    raised by the validation of the whole spec.
+    a value, if the spec has `accuracy`, for items of lists that the base leaves at their defaults, and for options of
+    the model if it has `parameters` or expressions. Errors are raised by the validation of the whole spec.
 
     `base`: the spec before the values are set, as JSON. `alike`: the latest specs by their models as JSON, for bases
     that share them because they have equal models and parameters.

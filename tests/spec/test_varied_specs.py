@@ -135,6 +135,14 @@ def test_items_of_elements_and_expressions_are_set_by_assignments() -> None:
     assert load_spec(json.loads(spec.canonical_json())).sha256() == spec.sha256()
 
 
+def test_items_of_items_are_set_in_lists_at_their_defaults() -> None:
+    bodies = {name: {"mass": 1.0, "inertia": 0.1, "position": [x, 0]} for name, x in (("a", 0.0), ("b", 0.5))}
+    gear = {"type": "gear", "bodies": ["a", "b"], "radii": [0.25, 0.25]}
+    base = PENDULUM | {"model": {"name": "mechanism", "bodies": bodies, "joints": {"gear": gear}}}
+    for key in ("model.joints.gear.points.1.0", "model.joints.gear.points[1][0]"):
+        assert load_spec(base, [f"{key}=0.1"]).mechanism().joints["gear"].points == ((0.0, 0.0), (0.1, 0.0))
+
+
 def test_a_key_of_a_misspelt_element_does_not_add_an_element() -> None:
     data: dict[str, Any] = {"model": {"name": "mechanism", "bodies": {"shank": {"mass": 3.0}}, "limits": {"low": 1.0}}}
     with pytest.raises(SpecError, match=r"model\.bodies has no 'shnk' \(did you mean 'shank'\?\); to add it, give all"):

@@ -164,6 +164,7 @@ def assemble(
     reaction = of([wrench(run) for run in every], wrench(main), units.force)
     count = int(np.sum(position.known & velocity.known & reaction.known))
     quantities = {"positions": position, "velocities": velocity, "reactions": reaction}
+    # of the first row that is not known; none if all are
     unknown = tuple(word for word, quantity in quantities.items() if not quantity.known[count : count + 1].all())
     return ErrorEstimate(
         position.errors() / scale,

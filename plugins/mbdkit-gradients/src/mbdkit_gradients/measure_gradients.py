@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, Self, TypeVar
@@ -292,37 +292,27 @@ def gradient_of_run_spec(
 S = TypeVar("S", bound=ModelSpec)
 
 
-def gradients_at(
-    spec: RunSpec, measures: Measures, names: Sequence[str], settings: Iterable[Mapping[str, float]]
-) -> Iterator[Gradient | None]:
-    """Yield gradients, without their checks, of runs of a spec with other numbers, which share their preparation.
+def gradients_at(spec: RunSpec, measures: Measures, names: Sequence[str]) -> Callable[[Mapping[str, float]], Gradient]:
+    """Return a function that returns the gradient, without its check, of the run of a spec with other numbers, given
+    by name of a parameter or by key. The runs share their preparation.
 
-    Parameters
-    ----------
-    measures, names
-        See `gradient`.
-    settings
-        For each run, numbers by name of a parameter, or by key.
-
-    Yields
-    ------
-    Gradient or None
-        None for a run that stops early, or that has no value of a measure.
+    `measures`, `names`: see `gradient`. Raises SpecError if a measure, a name, or runs of the spec have no derivatives.
     """
     definitions, shared = definitions_of(spec, measures), SharedPreparation()
-    for setting in settings:
-        values = {variable_path(name): value for name, value in setting.items()}
-        preparation = RunPreparation(
-            spec, partial(numbers_of_run, definitions=definitions), values=values, shared=shared
-        )
-        problem = _RunProblem(preparation.spec, definitions, preparation)
-        try:
-            with one_thread_of_linear_algebra():
-                found = problem.gradient(resolved(problem.spec, names), check=False)
-        except RunError:
-            yield None
-        else:
-            yield found
+    _RunProblem(spec, definitions)
+    resolved(spec, names)
+    refuse(spec, make_method(spec))
+
+    def gradient_at(numbers: Mapping[str, float]) -> Gradient:
+        values = {variable_path(name): value for name, value in numbers.items()}
+        with one_thread_of_linear_algebra():
+            preparation = RunPreparation(
+                spec, partial(numbers_of_run, definitions=definitions), values=values, shared=shared
+            )
+            problem = _RunProblem(preparation.spec, definitions, preparation)
+            return problem.gradient(resolved(problem.spec, names), check=False)
+
+    return gradient_at
 
 
 class GradientProblem(ABC, Generic[S]):

@@ -184,7 +184,7 @@ def sensor_numbers(sensor: Sensor, numbers: Mapping[str, float]) -> tuple[float,
 def segments_of(
     spec: IdentifySpec, data: Sequence[ExperimentData]
 ) -> tuple[list[Unknown], dict[str, int], list[Segment]]:
-    """Return the unknowns of some experiments, their windows, and the places of the parameters.
+    """Return the unknowns of some experiments, the places of the parameters, and the windows.
 
     Parameters that only sensors of other experiments have are left out.
     """

@@ -56,7 +56,8 @@ SHORTEST = 1e-6  #: Shortest part, as a share of the longest duration of its pha
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
-UNMOVED = 1e-9  #: Change of controls and numbers, relative to their natural sizes, with which they count as unchanged.
+#: Change of controls and numbers, relative to their natural sizes, and of durations [s], which counts as none.
+UNMOVED = 1e-9
 NEARBY = 0.01  #: Distance of a second guess from a stationary one, relative to natural sizes.
 
 
@@ -458,9 +459,11 @@ class Transcription:
         other = program.solve(nearby, stop, lambda best: None, most_iterations, slopes)
         change, same = other.objective - found.objective, ROUNDING * abs(found.objective) + NOTHING * guess.size
         if change < -same and (other.is_optimum or other.is_unbounded):
-            return mesh(other)
+            moved, done = mesh(other), found.iterations
+            return replace(moved, iterations=moved.iterations + done, is_unexamined=False)
         is_strict = other.is_strict and change <= same and not guess.is_unexamined
-        return replace(mesh(replace(found, is_strict=is_strict)), is_unexamined=not is_strict)
+        stays = mesh(replace(found, is_strict=is_strict))
+        return replace(stays, iterations=stays.iterations + other.iterations, is_unexamined=not is_strict)
 
     def _stays(self, before: Mapping[str, np.ndarray], after: Mapping[str, np.ndarray]) -> bool:
         """Return whether controls, numbers and durations are those before."""

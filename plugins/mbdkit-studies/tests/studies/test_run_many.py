@@ -8,6 +8,7 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit_studies.lanes import run_batch
 from tests.margins import assert_within
 
 CRANK = {"model.bodies.crank.mass": [1.0, 2.0, -1.0, 3.0]}
@@ -60,6 +61,24 @@ def test_derivatives_are_those_of_gradients(prepared: Any) -> None:
         assert_within([runs.measures["high"][index] - expected.value[0]], 1e-3 * abs(expected.value[0]))
 
 
+def test_two_names_of_one_expression_have_the_same_derivatives(prepared: Any) -> None:
+    # expected: the third measure has the derivatives that it has alone
+    three = {"a": KINETIC, "b": KINETIC, "c": "swing"}
+    runs = prepared.run_many({"stiffness": [20.0, 45.0]}, three, "stiffness")
+    alone = prepared.run_many({"stiffness": [20.0, 45.0]}, "swing", "stiffness")
+    np.testing.assert_array_equal(runs.derivatives["a"], runs.derivatives["b"])
+    np.testing.assert_array_equal(runs.derivatives["c"], alone.derivatives["swing"])
+    runs.measures["a"][0] = 0.0
+    assert runs.measures["b"][0] != 0.0
+    assert runs.remake(0).data_sha256 == runs.hashes[0]
+
+
+def test_wrong_names_of_derivatives_are_refused_before_the_runs(prepared: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_batch, "ensemble", None)
+    with pytest.raises(SpecError, match="mass"):
+        prepared.run_many({"stiffness": [20.0]}, KINETIC, "mass")
+
+
 def test_measures_of_the_spec_are_among_all_and_a_folder_keeps_the_study(prepared: Any, tmp_path: Path) -> None:
     runs = prepared.run_many({"damping": [0.1, 0.2]}, store="summary", out=tmp_path / "runs")
     assert {"swing", "misalignment_max"} <= runs.measures.keys()
@@ -72,7 +91,8 @@ def test_measures_of_the_spec_are_among_all_and_a_folder_keeps_the_study(prepare
     [
         (({"stifness": [1.0]},), "no parameter 'stifness' .did you mean 'stiffness'"),
         (({"stiffness": [1.0], "damping": [1.0, 2.0]},), "stiffness has 1, .*damping has 2"),
-        (({"stiffness": 1.0},), r"needs an array \(N,\)"),
+        (({"stiffness": 1.0},), r"parameters: parameters.stiffness: needs an array \(N,\)"),
+        (({"stiffness": [1.0], "parameters.stiffness": [1.0]},), "two names stand for one key"),
         (({"stiffness": [1.0]}, "max(rod.angel)"), r"measures: .*rod\.angel"),
         (({"stiffness": [1.0]}, [2.0]), "an expression or a name, not 2.0"),
         (({"stiffness": [1.0]}, "misalignment_max", ["stiffness"]), "'misalignment_max' has no derivatives"),

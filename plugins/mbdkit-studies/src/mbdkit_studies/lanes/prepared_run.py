@@ -201,6 +201,8 @@ class PreparedRun:
         True
         """
         columns = {path_text(self._path_of(name)): np.asarray(values) for name, values in parameters.items()}
+        if len(columns) < len(parameters):
+            raise SpecError("two names stand for one key", key="parameters")
         by = [derivatives] if isinstance(derivatives, str) else [*derivatives]
         return batch(self.spec, columns, measures, by, store, out, workers)
 
@@ -243,7 +245,7 @@ def prepare(source: RunSource, **sections: Unpack[Sections]) -> PreparedRun:
     """Prepare a spec for many runs with other numbers, one after another, as in optimisation.
 
     A small run of the prepared spec then takes about a millisecond in addition to its steps. If all numbers are known
-    in advance, `mbdkit.ensemble` is faster.
+    in advance, `PreparedRun.run_many` and `mbdkit.ensemble` are faster.
 
     Parameters
     ----------

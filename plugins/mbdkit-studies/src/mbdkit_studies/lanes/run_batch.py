@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import RunError, SpecError
 from mbdkit.base.plain_data import value_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import built_in_measures
@@ -87,13 +88,18 @@ def batch(
         raise SpecError(f"the measure '{min(names.keys() - texts.keys())}' has no derivatives", key="derivatives")
     if derivatives and not texts:
         raise SpecError("built-in measures have no derivatives; give `measures`", key="derivatives")
+    of_texts = [*dict.fromkeys(texts.values())]
+    gradient_at = gradients_at(spec, of_texts, derivatives) if derivatives else None
     notes = list[str]()
     executor = _InThisProcess() if workers == 1 else None
     asked: dict[str, Any] = {"measures": entries, "store": store, "out": out, "workers": workers}
     try:
         study = ensemble(spec, columns, executor=executor, notify=notes.append, **asked)
     except SpecError as error:
-        if error.key and error.key.startswith("measures["):  # the names of columns tell the user nothing
+        place, _, rest = error.key.partition(":")
+        if place == "variables":
+            raise SpecError(error.message, key=f"parameters:{rest}") from None
+        if place.startswith("measures["):  # the names of columns tell the user nothing
             raise SpecError(error.message, key="measures") from None
         raise
     table = study.columns()
@@ -101,15 +107,18 @@ def batch(
         names = {name: name for name in (*built_in_measures(), *texts) if name in table}
     units = {name: study.described(column)[0] for name, column in names.items()}
     statuses = study.statuses()
-    slopes = dict[str, np.ndarray]()
-    if derivatives:
-        slopes = {name: np.full((len(statuses), len(derivatives)), np.nan) for name in texts}
-        complete = np.flatnonzero([status == "complete" for status in statuses]).tolist()
-        settings = ({name: values[run].item() for name, values in columns.items()} for run in complete)
-        for run, found in zip(complete, gradients_at(spec, [*texts.values()], derivatives, settings), strict=True):
-            for name, row in zip(texts, [] if found is None else found.jacobian, strict=False):
-                slopes[name][run] = row
-    values = {name: table[column] for name, column in names.items()}
+    slopes = {name: np.full((len(statuses), len(derivatives)), np.nan) for name in (texts if derivatives else ())}
+    if gradient_at is not None:
+        for run in np.flatnonzero([status == "complete" for status in statuses]).tolist():
+            try:
+                found = gradient_at({key: values[run].item() for key, values in columns.items()})
+            except (RunError, SpecError) as error:
+                notes.append(f"run {run + 1} has no derivatives: {error}")
+                continue
+            rows = dict(zip(of_texts, np.where(np.isnan(found.value)[:, None], np.nan, found.jacobian), strict=True))
+            for name, text in texts.items():
+                slopes[name][run] = rows[text]
+    values = {name: table[column].copy() for name, column in names.items()}
     hashes = [*table["data_sha256"]]
     return RunBatch(values, units, statuses, study.verdicts(), hashes, slopes, tuple(dict.fromkeys(notes)), study)
 
@@ -131,7 +140,7 @@ def _entries(spec: RunSpec, measures: Measures) -> tuple[list[object], dict[str,
     expressions of those that have derivatives.
     """
     known, entries = {one.name for one in spec.defined_measures()}, list[object]()
-    names, texts = dict[str, str](), dict[str, str]()
+    names, texts, taken = dict[str, str](), dict[str, str](), {*known}
     given = dict.fromkeys([measures] if isinstance(measures, str) else measures)
     for number, name in enumerate(given, 1):
         if not isinstance(name, str):
@@ -143,6 +152,7 @@ def _entries(spec: RunSpec, measures: Measures) -> tuple[list[object], dict[str,
             continue
         texts[name] = text
         if text not in known:  # measures of the spec are computed anyway
-            names[name] = f"measure{number}"
+            names[name] = next(f"measure{k}" for k in range(number, sys.maxsize) if f"measure{k}" not in taken)
+            taken.add(names[name])
             entries.append({names[name]: text})
     return entries, names, texts

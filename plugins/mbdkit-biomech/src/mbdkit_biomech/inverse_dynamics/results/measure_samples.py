@@ -57,7 +57,7 @@ FACTOR = float(quantile(1.0))  #: Ratio of the squared bound of a Gaussian varia
 FIRST_NOISE = 1.0 / (np.sqrt(2.0) - 1.0)
 
 
-_latest: dict[tuple[object, ...], SampledMeasures] = {}
+_latest: dict[tuple[object, ...], SampledMeasures] = {}  #: Latest samples by all that determines them.
 
 
 class SampledMeasures(NamedTuple):
@@ -144,12 +144,14 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
     if data is None:
         return None
     value = _measured(result, measures)
-    parts = result.problem.spec.canonical_json(), *measures, result.motion.q.tobytes(), value.tobytes()
-    if parts not in _latest:
-        if len(_latest) == MOST_KEPT:
+    numbers, spec = (SAMPLES, UNCERTAIN_SAMPLES, HIDDEN_SAMPLES), result.problem.spec.canonical_json()
+    key = numbers, spec, *measures, result.motion.q.tobytes(), value.tobytes()
+    if (found := _latest.get(key)) is None:
+        found = _samples_of(result, measures, data, value)
+        if len(_latest) >= MOST_KEPT:
             _latest.clear()
-        _latest[parts] = _samples_of(result, measures, data, value)
-    return _latest[parts]
+        _latest[key] = found
+    return found
 
 
 def _samples_of(result: Inverse, measures: Sequence[str], data: NoisyData, value: np.ndarray) -> SampledMeasures:
