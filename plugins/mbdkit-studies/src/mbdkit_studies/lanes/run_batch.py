@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import value_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import built_in_measures
@@ -112,7 +112,7 @@ def batch(
         for run in np.flatnonzero([status == "complete" for status in statuses]).tolist():
             try:
                 found = gradient_at({key: values[run].item() for key, values in columns.items()})
-            except (RunError, SpecError) as error:
+            except MbdkitError as error:
                 notes.append(f"run {run + 1} has no derivatives: {error}")
                 continue
             rows = dict(zip(of_texts, np.where(np.isnan(found.value)[:, None], np.nan, found.jacobian), strict=True))
