@@ -225,9 +225,8 @@ def unresolved_beams(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[s
     step, beams, claims = spec.time.step, spec.mechanism().beams, spec.claims
     if not beams or step is None:
         return
-    if (
-        claims.adaptive or "tangents" not in claims.needs
-    ):  # step-size control resolves them, explicit methods fail visibly
+    # Step-size control resolves them, and explicit methods fail visibly.
+    if claims.adaptive or "tangents" not in claims.needs:
         return
     fate = "keeps the energy of faster motions, but not their frequencies" if claims.symmetric else "damps faster ones"
     for name, beam in beams.items():

@@ -271,7 +271,8 @@ class EventStep:
         """Return the state at a share of the step to `there`."""
         now, result = self.now, there.made
         taken = StepTaken(now.t, there.t, now.q, now.v, there.q, there.v, now.z, there.z)
-        q, v, z = (taken.between if result is None or result.dense is None else result.dense)(share)[:3]
+        between = taken.between if result is None or result.dense is None else result.dense
+        q, v, z = between(share)[:3]
         return StepPoint(taken.time(share), q, v, z)
 
     def drift(self, at: StepPoint) -> float:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field
 
@@ -19,14 +19,22 @@ from mbdkit.registry.target import Target
 JEAN, CHEN = Path(__file__).with_name("references.bib").read_text("utf-8").strip().split("\n\n")
 
 
+_TRAITS = Traits(
+    Target("mbdkit_contact.stepping:CompiledTimeStepping"),
+    suits_stiff=True,
+    is_time_stepping=True,
+    integrates_states=False,
+    holds_states=True,
+)
+
+
 class TimeStepping(Method):
     """What time-stepping methods have in common."""
 
     @property
     def traits(self) -> Traits:
         """See `Method`."""
-        steps: Target[Any] = Target("mbdkit_contact.stepping:CompiledTimeStepping")
-        return Traits(steps, suits_stiff=True, is_time_stepping=True, integrates_states=False, holds_states=True)
+        return _TRAITS
 
 
 class MoreauJeanOptions(Options):

@@ -100,7 +100,8 @@ class AdjointCorner:
     @property
     def jump(self) -> np.ndarray:
         """Change (n + 3,) of the derivatives of the velocities, for each second by which the corner comes later."""
-        return np.asarray(np.subtract(*self.states.observed.acc))
+        before, after = self.states.observed.acc
+        return np.asarray(before - after)
 
     def bars(self, by_time: float, mechanism: CompiledMechanism, of_laws: np.ndarray) -> Bars:
         """Return the derivatives with respect to the state before the corner, from that with respect to its time; add

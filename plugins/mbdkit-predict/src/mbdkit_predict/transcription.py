@@ -704,7 +704,8 @@ class Transcription:
         """Return states (6 B + Z, T) of B bodies, given those of the coordinates (2 n + Z, T)."""
         q, v, z = (states[rows] for rows in self._rows.values())
         p, still = np.tile(mesh.values["p"][:, None], len(times)), 0.0 * v
-        return np.vstack([*map(np.array, self.system.placed.map(len(times))(q, v, still, p, times[None])[:2]), z])
+        placed, moving = self.system.placed.map(len(times))(q, v, still, p, times[None])[:2]
+        return np.vstack([np.array(placed), np.array(moving), z])
 
     def nodes(self, mesh: Mesh) -> np.ndarray:
         """Return the states (2 n + Z, N + 1) at the start and at the ends of intervals."""

@@ -77,9 +77,9 @@ def quadratic_invariants(integrator: IntegratorUnderTest) -> Result:
     if integrator.claims.quadratic_invariants:
         cause = f"it claims to conserve quadratic invariants, but {lost[0]} changes" if lost else ""
         return at_most(CONSERVED, cause, **changes)
-    return (
-        unclaimed(**changes) if lost else warned("it conserves quadratic invariants, but does not claim it", **changes)
-    )
+    if lost:
+        return unclaimed(**changes)
+    return warned("it conserves quadratic invariants, but does not claim it", **changes)
 
 
 @check("geometry.symplectic-form")

@@ -143,9 +143,10 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
                 ends[key] = final_state(run).tobytes() + counts.encode()
         return ends[key]
 
-    if idle := _idle(
-        integrator.item, integrator.options, names, set(), lambda chosen, other: end(chosen) != end(other)
-    ):
+    def differ(chosen: dict[str, object], other: dict[str, object]) -> bool:
+        return end(chosen) != end(other)
+
+    if idle := _idle(integrator.item, integrator.options, names, set(), differ):
         cause = f"its {_options(idle)} no effect for {DRAWS} random sets of values; use or remove {_pronoun(idle)}"
         return failed(cause)
     return passed(options=len(names))

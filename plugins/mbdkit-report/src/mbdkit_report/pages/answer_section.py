@@ -75,9 +75,8 @@ def gradient_section(run: Run) -> Section | None:
     doubts = dict.fromkeys(doubt for gradient in run.gradients.values() for doubt in gradient.get("doubts", ()))
     sentences = tuple(f"{doubt[:1].upper()}{doubt[1:].rstrip('.')}." for doubt in doubts)
     note = "In the unit of the measure for each SI unit of the parameter."
-    table = Table(
-        "gradients", "Derivatives", columns_of("measure; unit; with respect to; derivative"), tuple(rows), note
-    )
+    columns = columns_of("measure; unit; with respect to; derivative")
+    table = Table("gradients", "Derivatives", columns, tuple(rows), note)
     return Section("gradients", "Derivatives of measures", sentences, None, (table,))
 
 

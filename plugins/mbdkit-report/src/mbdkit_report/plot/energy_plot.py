@@ -62,9 +62,8 @@ def chart(run: Run, *, terms: Names = None, most: int = len(TERMS)) -> Figure:
     names = [terms] if isinstance(terms, str) else list(terms or ())
     for name in names:
         if name not in COLORS:
-            raise SpecError(
-                f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{did_you_mean(name, COLORS)}"
-            )
+            hint = did_you_mean(name, COLORS)
+            raise SpecError(f"terms of the energy are {listed(COLORS, 'and')}, not {name!r}{hint}")
     values = _read(run)
     relative, base = _relative(values)
     if terms is None:

@@ -54,8 +54,8 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
         If there are no such components or joints, or the mechanism has no joints.
     """
     if components not in COMPONENTS:
-        known = f"{listed(COMPONENTS, 'or')}, not {components!r}{did_you_mean(components, COMPONENTS)}"
-        raise SpecError(f"components should be {known}")
+        hint = did_you_mean(components, COMPONENTS)
+        raise SpecError(f"components should be {listed(COMPONENTS, 'or')}, not {components!r}{hint}")
     force = reaction_force(run)
     if not force.elements:
         raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
-from typing import Unpack
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -29,8 +29,10 @@ from mbdkit.spec.reading import variable_path
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.varied_specs import VariedSpecs
 from mbdkit_report import keys_ending_in
-from mbdkit_studies.lanes.run_batch import Measures, RunBatch, batch
-from mbdkit_studies.store.block_writer import Store
+
+if TYPE_CHECKING:
+    from mbdkit_studies.lanes.run_batch import Measures, RunBatch
+    from mbdkit_studies.store.block_writer import Store
 
 #: Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
 #:
@@ -200,6 +202,8 @@ class PreparedRun:
         >>> runs.remake(2).data_sha256 == runs.hashes[2]
         True
         """
+        from mbdkit_studies.lanes.run_batch import batch  # single runs, and simulations, need no studies
+
         columns = {path_text(self._path_of(name)): np.asarray(values) for name, values in parameters.items()}
         if len(columns) < len(parameters):
             raise SpecError("two names stand for one key", key="parameters")

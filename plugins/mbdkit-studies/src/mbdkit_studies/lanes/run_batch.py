@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -152,7 +152,7 @@ def _entries(spec: RunSpec, measures: Measures) -> tuple[list[object], dict[str,
             continue
         texts[name] = text
         if text not in known:  # measures of the spec are computed anyway
-            names[name] = next(f"measure{k}" for k in range(number, sys.maxsize) if f"measure{k}" not in taken)
+            names[name] = next(f"measure{k}" for k in count(number) if f"measure{k}" not in taken)
             taken.add(names[name])
             entries.append({names[name]: text})
     return entries, names, texts
