@@ -50,6 +50,7 @@ def muscle(leg, name, data, frames):
     one.setPennationAngleAtOptimalFiberLength(data.get("pennation", 0.0))
     one.setMaxContractionVelocity(10.0)
     one.set_ignore_tendon_compliance(True)
+    one.set_fiber_damping(0.0)
     path, points = one.updGeometryPath(), KEPT
     for index, item in enumerate(data["path"]):
         if "wrap" in item:
@@ -193,11 +194,19 @@ ENERGETIC = [(0.3, 0.7), (0.6, 0.2), (0.05, 0.05), (0.9, 1.0)]
 
 
 def energetics():
-    """Return the power that muscles consume by OpenSim's model of Umberger (2010), with 40 % of slow fibres.
+    """Return the power that muscles consume by OpenSim's models of Umberger (2010) and of Bhargava (2004), with 40 % of
+    slow fibres.
 
-    Work of lengthening fibres costs nothing in the published model; OpenSim has an option for it.
+    Work of lengthening fibres costs nothing in Umberger's published model; OpenSim has an option for it.
     """
     leg = model()
+    other = osim.Bhargava2004SmoothedMuscleMetabolics()
+    other.setName("bhargava")
+    other.set_use_smoothing(False)
+    other.set_use_force_dependent_shortening_prop_constant(True)
+    for name in MUSCLES:
+        other.addMuscle(name, leg.getMuscles().get(name), 0.4, 250000.0)
+    leg.addComponent(other)
     probe = osim.Umberger2010MuscleMetabolicsProbe(True, True, False, True)
     probe.setName("power")
     probe.set_report_total_metabolics_only(False)
@@ -209,7 +218,7 @@ def energetics():
         probe.addMuscle(name, 0.4)
     state = leg.initSystem()
     coordinates = [leg.getCoordinateSet().get(name) for name in ("hip", "knee")]
-    found = {name: {"length": [], "rate": [], "power": []} for name in MUSCLES}
+    found = {name: {"length": [], "rate": [], "power": [], "bhargava": []} for name in MUSCLES}
     for k, (hip, knee, hip_rate, knee_rate) in enumerate(ANGLES):
         for coordinate, value, rate in zip(coordinates, (hip, knee), (hip_rate, knee_rate), strict=True):
             coordinate.setValue(state, value, False)
@@ -226,6 +235,7 @@ def energetics():
             one["length"].append(force.getFiberLength(state))
             one["rate"].append(force.getFiberVelocity(state))
             one["power"].append(values.get(2 + index))
+            one["bhargava"].append(other.getMuscleMetabolicRate(state, f"/forceset/{name}"))
     return found
 
 

@@ -47,13 +47,13 @@ def new_held(count: int, size: int) -> HeldContacts:
     )  # fmt: skip
 
 
-def alpha_of(spectral_radius: float) -> np.ndarray:
+def alpha_of(rho_inf: float) -> np.ndarray:
     """Return alpha_m, alpha_f, gamma, beta, and the share of a step by which a is ahead of w in time (5,).
 
     Starting with a at this time gives order 2.
     """
-    alpha_m = (2.0 * spectral_radius - 1.0) / (spectral_radius + 1.0)
-    alpha_f = spectral_radius / (spectral_radius + 1.0)
+    alpha_m = (2.0 * rho_inf - 1.0) / (rho_inf + 1.0)
+    alpha_f = rho_inf / (rho_inf + 1.0)
     gamma = 0.5 + alpha_f - alpha_m
     return np.array([alpha_m, alpha_f, gamma, 0.25 * (gamma + 0.5) ** 2, alpha_m - alpha_f])
 
@@ -113,7 +113,7 @@ class CompiledTimeStepping(CompiledMethod):
         self.bundle = Stepping(
             **given,
             theta=np.array([method.theta] if isinstance(method, MoreauJean) else []),
-            alpha=alpha_of(method.spectral_radius) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
+            alpha=alpha_of(method.rho_inf) if isinstance(method, NonsmoothGeneralizedAlpha) else np.zeros(0),
             shapes=contacts.shapes,
             coefficients=contacts.coefficients,
             places=np.array([states.start, len(states)]),

@@ -55,7 +55,7 @@ class MoreauJean(TimeStepping):
 class NonsmoothGeneralizedAlphaOptions(Options):
     """Damping of fast vibrations."""
 
-    spectral_radius: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.8
+    rho_inf: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.8
     """Factor by which a step multiplies the amplitude of infinitely fast vibrations: 0 removes them, 1 does not damp
     them."""
 
@@ -64,7 +64,7 @@ class NonsmoothGeneralizedAlphaOptions(Options):
 class NonsmoothGeneralizedAlpha(TimeStepping):
     """The nonsmooth generalized-alpha method."""
 
-    spectral_radius: float = 0.8
+    rho_inf: float = 0.8
 
 
 @integrator_method
@@ -76,7 +76,7 @@ def create_moreau_jean(options: MoreauJeanOptions) -> MoreauJean:
 @integrator_method
 def create_generalized_alpha(options: NonsmoothGeneralizedAlphaOptions) -> NonsmoothGeneralizedAlpha:
     """Return the nonsmooth generalized-alpha method."""
-    return NonsmoothGeneralizedAlpha(options.spectral_radius)
+    return NonsmoothGeneralizedAlpha(options.rho_inf)
 
 
 def _claims(order: int, *, l_stable: bool = False) -> Claims:

@@ -24,6 +24,9 @@ MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may 
 def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the mean (K,) and the covariance (K, K) of the parameters, or None if samples do not describe them.
 
+    The square of the distance between mean and estimate, which follows from the prior alone, is added to the
+    covariance: without it, bars of predictions contain too few true values if parameters are at their bounds.
+
     Parameters
     ----------
     known
@@ -69,6 +72,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         spread = (points - center).T @ (weights[:, None] * (points - center))
         if 1.0 / np.sum(weights**2) >= ENOUGH:
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
-            mean[places], covariance[np.ix_(places, places)] = center, spread
+            mean[places], shift = center, center - fit.x[places]
+            covariance[np.ix_(places, places)] = spread + np.outer(shift, shift)
             return mean, covariance
     return None

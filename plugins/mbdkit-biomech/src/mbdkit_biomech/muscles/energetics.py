@@ -1,6 +1,6 @@
-"""Power of fibres, and the energy that muscles consume by the model of Umberger.
+"""Power of fibres, and the energy that muscles consume by the models of Umberger and of Bhargava.
 
-The model adds the following powers per mass of the muscle:
+The model of Umberger adds the following powers per mass of the muscle:
 
     activation    S A^0.6 (128 fast + 25), times 0.4 + 0.6 f if l > 1
     shortening    S A^2 (slow min(100, 100 u_slow) + fast 153 u_fast), times f if l > 1       u_slow = 2.5 v / v_max
@@ -13,15 +13,29 @@ largest speed of the muscle, F the active force of the fibres, and m the mass of
 exceeds the activation, and otherwise the mean of both. The sum of the first three powers is at least 1 W/kg. With
 `smoothing`, each max(x, 0) in these is (x + sqrt(x^2 + smoothing^2)) / 2, as in Koelewijn et al. (2018).
 
+The model of Bhargava adds, with s = slow sin(pi/2 u) and w = fast (1 - cos(pi/2 u)) at the excitation u:
+
+    activation    m (40 s + 133 w)
+    maintenance   m (74 s + 111 w) L       L is linear between (0.5, 0.5), (1, 1) and (1.5, 0) in l, and constant beyond
+    shortening    (0.16 F_iso + 0.18 F) v
+    lengthening   -0.157 F |v|
+    work          F_a v in shortening, -F_a |v| in lengthening
+
+F_iso is the active force at rest, F_a the active force, and F includes the passive one. As in OpenSim, the heat of
+activation does not depend on the time since the stimulation began, the heat is at least 1 W/kg, and the sum at least 0.
+
 B. R. Umberger, K. G. M. Gerritsen, P. E. Martin, A model of human muscle energy expenditure, Computer Methods in
 Biomechanics and Biomedical Engineering 6:99-111, 2003; B. R. Umberger, Stance and swing phase costs in human walking,
 Journal of the Royal Society Interface 7:1329-1340, 2010, for the factor 0.3 and for no work in lengthening; A. D.
 Koelewijn, E. Dorschky, A. J. van den Bogert, A metabolic energy expenditure model with a continuous first derivative
 and its application to predictive simulations of gait, Computer Methods in Biomechanics and Biomedical Engineering
-21:521-531, 2018.
+21:521-531, 2018; L. J. Bhargava, M. G. Pandy, F. C. Anderson, A phenomenological model for estimating metabolic energy
+consumption in muscle contraction, Journal of Biomechanics 37:81-88, 2004.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -79,14 +93,26 @@ def metabolic_power(
     slow, fast, width = metabolics.slow_fibers, 1.0 - metabolics.slow_fibers, metabolics.smoothing
     normal, speed = length / muscle.optimal_length, rate / (muscle.max_velocity * muscle.optimal_length)
     isometric = _positive(curves.active(normal)[0], width)
+    away, closer = _positive(speed, width), _positive(-speed, width)
+    active = muscle.max_force * activation * isometric * _positive(curves.velocity(speed)[0], width)
+    largest_speed = muscle.max_velocity * muscle.optimal_length
+    if metabolics.model == "bhargava":
+        of_slow = slow * elementary.sin(0.5 * math.pi * excitation)
+        of_fast = fast * (1.0 - elementary.cos(0.5 * math.pi * excitation))
+        beyond = (_positive(normal - corner, width) for corner in (0.5, 1.0, 1.5))
+        maintenance = 0.5 + sum(slope * part for slope, part in zip((1.0, -3.0, 2.0), beyond, strict=True))
+        heat = muscle.mass * (40.0 * of_slow + 133.0 * of_fast + maintenance * (74.0 * of_slow + 111.0 * of_fast))
+        total = active + muscle.max_force * curves.passive(normal)[0]
+        shortening = 0.16 * muscle.max_force * activation * isometric + 0.18 * total
+        heat = heat + largest_speed * (shortening * closer - 0.157 * total * away)
+        least = muscle.mass * LEAST_HEAT
+        return _positive(least + _positive(heat - least, width) + active * largest_speed * (closer - away), width)
     when_long = _positive(curves.active(1.0 + _positive(normal - 1.0, width))[0], width)
     scale = 0.5 * (excitation + activation + _positive(excitation - activation, width))
     maintained = elementary.pow(scale, 0.6) * (128.0 * fast + 25.0) * (0.4 + 0.6 * when_long)
-    of_slow = [LARGEST_SLOW_HEAT * FAST_OVER_SLOW * _positive(side, width) for side in (-speed, speed)]
+    of_slow = [LARGEST_SLOW_HEAT * FAST_OVER_SLOW * part for part in (closer, away)]
     largest = of_slow[0] - _positive(of_slow[0] - LARGEST_SLOW_HEAT, LARGEST_SLOW_HEAT * width)
-    shortening = slow * largest + fast * FAST_HEAT * _positive(-speed, width)
+    shortening = slow * largest + fast * FAST_HEAT * closer
     moved = (scale**2 * shortening + scale * LENGTHENING * of_slow[1]) * when_long
     heat = LEAST_HEAT + _positive(metabolics.aerobic_factor * (maintained + moved) - LEAST_HEAT, width)
-    active = muscle.max_force * activation * isometric * _positive(curves.velocity(speed)[0], width)
-    work = active * muscle.max_velocity * muscle.optimal_length * _positive(-speed, width)
-    return np.asarray(muscle.mass * heat + work)
+    return np.asarray(muscle.mass * heat + active * largest_speed * closer)

@@ -139,12 +139,13 @@ class Metabolics(StrictModel):
 
     ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("mass", "smoothing")
 
-    model: Literal["umberger"] = "umberger"
-    """`umberger`: B. R. Umberger et al. (2003), with the changes of Umberger (2010)."""
+    model: Literal["umberger", "bhargava"] = "umberger"
+    """`umberger`: B. R. Umberger et al. (2003), with the changes of Umberger (2010); `bhargava`: L. J. Bhargava et al.
+    (2004)."""
     slow_fibers: Annotated[float, Field(ge=0, le=1)] = 0.5
     """Share of slow-twitch fibres."""
     aerobic_factor: Positive = 1.5
-    """Factor that multiplies the heat: 1.5 under aerobic, 1.0 under anaerobic conditions."""
+    """Factor that multiplies the heat of `umberger`: 1.5 under aerobic, 1.0 under anaerobic conditions."""
     specific_tension: Positive = 250000.0
     """Isometric force per area of the cross-section [Pa], from which the default of `mass` follows."""
     density: Positive = 1059.7
@@ -200,7 +201,8 @@ class Muscle(Element):
     weight: Positive = 1.0
     """Weight in recruitment, which minimises the sum of (activation / weight)^exponent."""
     metabolics: Annotated[
-        Metabolics | None, BeforeValidator(_as_metabolics, json_schema_input_type=Metabolics | Literal["umberger"])
+        Metabolics | None,
+        BeforeValidator(_as_metabolics, json_schema_input_type=Metabolics | Literal["umberger", "bhargava"]),
     ] = None
     """Model of the energy that the muscle consumes: a name, or a name and its options; none by default."""
 
