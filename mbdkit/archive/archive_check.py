@@ -48,7 +48,10 @@ def check(path: str | Path) -> list[str]:
                 return problems
         return [shown(error.message)]
     with contextlib.closing(file):
-        problems = _Checker(file).problems()
+        try:
+            problems = _Checker(file).problems()
+        except DAMAGE as error:  # before any group can be checked
+            problems = [shown(f"the attributes of its arrays cannot be read: {cause(error)}")]
     return problems or _unreadable(path)
 
 

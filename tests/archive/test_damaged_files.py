@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mbdkit
+from mbdkit.archive.archive_check import check
 from mbdkit.cli import app
 
 RUN = {"integrator": {"name": "rk4"}, "time": {"end": 0.02, "step": 0.01}}
@@ -50,3 +51,16 @@ def test_a_truncated_block(tmp_path: Path) -> None:
     cut(tmp_path / "study" / "runs" / "block-000000.h5")
     with pytest.raises(mbdkit.ArchiveError, match="truncated"):
         mbdkit.load_study(tmp_path / "study").run(0)
+
+
+def test_a_damaged_reference_of_an_attribute(tmp_path: Path) -> None:
+    path = tmp_path / "a.h5"
+    mbdkit.run(SPEC | {"check": True}, archive=path).close()
+    content, problems = path.read_bytes(), []
+    for at in range(len(content)):
+        if content.startswith(b"units\0", at):  # 44 bytes further, there is its index in the heap
+            damaged = bytearray(content)
+            damaged[at + 44] ^= 8
+            path.write_bytes(damaged)
+            problems += check(path)
+    assert any("attributes of its arrays cannot be read" in problem for problem in problems)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mbdkit_report import Caption, dress, new_figure, save
-from mbdkit_report.figures.palette import PALETTE
+from mbdkit_report.figures.palette import INK, PALETTE
 from mbdkit_report.plot.style import legend
 from tests.benchmarks.timing import duration
 
@@ -29,7 +29,7 @@ def draw(found: Mapping[Motion, Sequence[Curve]], output: Path) -> None:
     )
     panels = figure.subplots(1, len(found))
     codes = list(dict.fromkeys(curve.contender.code for curves in found.values() for curve in curves))
-    looks = dict(zip(codes, PALETTE, strict=False))
+    looks = dict(zip(codes, (*PALETTE, INK), strict=False))
     handles = {}
     for axes, (motion, curves) in zip(np.atleast_1d(panels), found.items(), strict=True):
         dress(axes, "error [m]", "time of the steps")

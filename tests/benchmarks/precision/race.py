@@ -81,7 +81,6 @@ def precision(
     if output is not None:
         from .picture import draw
 
-        draw(found, output / PICTURE)
         mapping = {
             "before": before,
             "after": after,
@@ -89,4 +88,5 @@ def precision(
         }
         with replacing(output / NUMBERS) as temporary:
             temporary.write_text(json.dumps(mapping, indent=1))
+        draw(found, output / PICTURE)
         console.print(f"{PICTURE} and {NUMBERS} are in {output}")
