@@ -348,8 +348,9 @@ class ModelSpec(StrictSpec):
                     model_extension.of(key.extend)(values, cast("Mechanism", mechanism))
                     cast("Mechanism", mechanism).validate()
             return mechanism
-        except ArithmeticError:
-            if self.model_item.origin.distribution != "mbdkit":
+        except (ArithmeticError, RuntimeWarning, ValidationError) as error:
+            kinds = {one["type"] for one in error.errors()} if isinstance(error, ValidationError) else set()
+            if kinds - {"finite_number"} or self.model_item.origin.distribution != "mbdkit":
                 raise
             raise SpecError("a parameter is so large or so small that numbers overflow", key="model") from None
 

@@ -2,21 +2,23 @@
 
 The prior is uniform within the bounds. Samples of a wider Student distribution are weighted by their likelihood, and
 the next distribution is that of their moments (O. Cappe et al., population Monte Carlo: Journal of Computational and
-Graphical Statistics 13 (2004) 907-929). Initial values are integrated out to second order (L. Tierney, J. B. Kadane,
+Graphical Statistics 13 (2004) 907-929), with a power of the weights as long as few samples have most of the weight. Initial values are integrated out to second order (L. Tierney, J. B. Kadane,
 Journal of the American Statistical Association 81 (1986) 82-86).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import brentq
 
 from mbdkit_identify.estimation import Fit
 from mbdkit_identify.intervals import covariance_of
 from mbdkit_identify.problem import Problem
 
-SAMPLES, ROUNDS = 192, 5  #: Number of samples of a round, and of rounds.
+SAMPLES, ROUNDS = 192, 10  #: Number of samples of a round, and of rounds.
 FREEDOM, WIDER = 5.0, 1.3  #: Degrees of freedom of the distribution that is sampled, and its width.
 ENOUGH = 48.0  #: Effective number of samples.
+SETTLED = 0.3  #: Largest change of the mean in the last round, in standard deviations.
 FARTHEST = 2.0  #: Largest distance of the centre of the first samples from a bound, in standard deviations.
 MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may lie beyond the bounds.
 
@@ -66,13 +68,24 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         scaled = np.linalg.solve(factor, (points - center).T)
         density = -0.5 * (FREEDOM + len(places)) * np.log1p(np.sum(scaled**2, axis=0) / (WIDER**2 * FREEDOM))
         logs = np.array([-0.5 * cost(own) for own in points]) - density
-        weights = np.exp(logs - logs.max())
-        weights /= weights.sum()
-        center = weights @ points
+        is_enough = _excess(1.0, logs) >= 0.0
+        weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
+        last, center = center, weights @ points
         spread = (points - center).T @ (weights[:, None] * (points - center))
-        if 1.0 / np.sum(weights**2) >= ENOUGH:
+        if is_enough and np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread))):
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]
             covariance[np.ix_(places, places)] = spread + np.outer(shift, shift)
             return mean, covariance
     return None
+
+
+def _weights(logs: np.ndarray) -> np.ndarray:
+    """Return weights (N,) with the sum 1 from their logarithms, up to a constant."""
+    weights = np.exp(logs - logs.max())
+    return np.asarray(weights / weights.sum())
+
+
+def _excess(power: float, logs: np.ndarray) -> float:
+    """Return the effective number of samples with a power of their weights, less that which is enough."""
+    return float(1.0 / np.sum(_weights(power * logs) ** 2)) - ENOUGH
