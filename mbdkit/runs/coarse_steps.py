@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError
+from mbdkit.base.errors import MbdkitError, StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.equations import JACOBIAN, STIFFNESS
 from mbdkit.engine.tangents import dense_parts
@@ -42,7 +42,7 @@ def coarse_step(spec: RunSpec, start: Callable[[], Start] | None = None) -> str:
     try:
         with np.errstate(all="ignore"):
             fastest = _fastest(spec, _start_of(spec) if start is None else start())
-    except (MbdkitError, ValueError, np.linalg.LinAlgError):  # the state or its derivatives are not finite
+    except (MbdkitError, StepError, ValueError, np.linalg.LinAlgError):  # the state or a derivative is not finite
         return ""
     period = 2.0 * math.pi / fastest if fastest > 0.0 else math.inf
     if not step > LONGEST_SHARE * period:

@@ -2,8 +2,9 @@
 
 The prior is uniform within the bounds. Samples of a wider Student distribution are weighted by their likelihood, and
 the next distribution is that of their moments (O. Cappe et al., population Monte Carlo: Journal of Computational and
-Graphical Statistics 13 (2004) 907-929), with a power of the weights as long as few samples have most of the weight. Initial values are integrated out to second order (L. Tierney, J. B. Kadane,
-Journal of the American Statistical Association 81 (1986) 82-86).
+Graphical Statistics 13 (2004) 907-929), with a power of the weights as long as few samples have most of the weight.
+Initial values are integrated out to second order (L. Tierney, J. B. Kadane, Journal of the American Statistical
+Association 81 (1986) 82-86).
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from mbdkit_identify.problem import Problem
 SAMPLES, ROUNDS = 192, 10  #: Number of samples of a round, and of rounds.
 FREEDOM, WIDER = 5.0, 1.3  #: Degrees of freedom of the distribution that is sampled, and its width.
 ENOUGH = 48.0  #: Effective number of samples.
+LIKELY = 3.84  #: Increase of the sum of squares up to which values are within an interval of 95 %.
 SETTLED = 0.3  #: Largest change of the mean in the last round, in standard deviations.
 FARTHEST = 2.0  #: Largest distance of the centre of the first samples from a bound, in standard deviations.
 MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may lie beyond the bounds.
@@ -27,7 +29,8 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
     """Return the mean (K,) and the covariance (K, K) of the parameters, or None if samples do not describe them.
 
     The square of the distance between mean and estimate, which follows from the prior alone, is added to the
-    covariance: without it, bars of predictions contain too few true values if parameters are at their bounds.
+    covariance, which is also enlarged until its ellipsoid contains the likely samples: otherwise, bars of predictions
+    contain too few true values if parameters are at their bounds, or far from where most of the prior is.
 
     Parameters
     ----------
@@ -67,7 +70,8 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
             return None
         scaled = np.linalg.solve(factor, (points - center).T)
         density = -0.5 * (FREEDOM + len(places)) * np.log1p(np.sum(scaled**2, axis=0) / (WIDER**2 * FREEDOM))
-        logs = np.array([-0.5 * cost(own) for own in points]) - density
+        costs = np.array([cost(own) for own in points])
+        logs = -0.5 * costs - density
         is_enough = _excess(1.0, logs) >= 0.0
         weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
         last, center = center, weights @ points
@@ -75,7 +79,10 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         if is_enough and np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread))):
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]
-            covariance[np.ix_(places, places)] = spread + np.outer(shift, shift)
+            spread += np.outer(shift, shift)
+            likely = points[costs <= costs.min() + LIKELY] - center
+            farthest = np.max(np.sum(np.linalg.solve(spread, likely.T) * likely.T, axis=0))
+            covariance[np.ix_(places, places)] = spread * max(1.0, farthest / LIKELY)
             return mean, covariance
     return None
 

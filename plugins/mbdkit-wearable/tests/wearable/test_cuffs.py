@@ -194,3 +194,13 @@ def test_exported_equations_are_those_of_the_run(keys: dict[str, object]) -> Non
     residual = np.array(m.to_casadi().residual(q, v, a, [], z, [], [], run.time[-1]))
     assert np.abs(a).max() > 50.0
     assert_within(residual, 1e-12)
+
+
+def test_a_run_whose_stiffness_overflows_fails_with_a_verdict() -> None:
+    m = mbdkit.Mechanism()
+    leg = m.body("leg", mass=4.0, inertia=0.05, position=(0.0, -0.2))
+    bar = m.body("bar", mass=0.5, inertia=0.002, position=(0.05, -0.2))
+    m.revolute("hip", m.ground, leg, at=(0.0, 0.0))
+    m.cuff("strap", bodies=(leg, bar), at=(-1e308, 0.0), axis=(0.0, 1.0), stiffness=STIFFNESS)
+    run = mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 0.1, "step": 0.01})
+    assert (run.status, run.verdict) == ("failed", "bad")
