@@ -1,8 +1,8 @@
 """Errors of a run by its estimated parameters, from runs with other values of these parameters.
 
 The covariance of the estimates p has the Cholesky factor L. To first order in the deviations of the parameters, the
-variance of a result y(p) is the sum over the columns L_k of ``((y(p + L_k) - y(p - L_k)) / 2)^2``. Where a parameter
-would leave the values that the mechanism allows, a share of the column is taken, and its result extrapolated.
+variance of a result y(p) is the sum over the columns L_k of ``((y(p + s L_k) - y(p - s L_k)) / (2 s))^2``. The share s
+is small, such that the parameters do not leave the values that the mechanism allows if a bound is near.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from mbdkit.runs.run_seams import Progress
 #: Ratio of errors to standard deviations. The error of a number holds with a probability of 95 %; that of the norm of a
 #: vector with 95 to 98 %, because the deviation of a norm is that of the whole vector.
 COVERAGE = 1.959964
-LEAST_SHARE = 0.2  #: Distance of runs from the estimates, in standard deviations, below which no smaller one is tried.
+SHARE = 0.25  #: Distance of the other runs from the estimates, in standard deviations.
 
 
 def with_parameter_errors(
@@ -63,26 +63,17 @@ def with_parameter_errors(
         measured = measure(limited(other.spec, budget)) if expressions and not budget.stopped() else None
         return [rows.position, rows.force, np.array(measured or [math.nan] * len(expressions))]
 
-    def halves(column: np.ndarray, share: float = 1.0) -> list[np.ndarray]:
-        """Return half the differences of results at both sides of the estimates, at most one `column` away."""
-        try:
-            low, high = (results(estimated.values + side * share * column) for side in (-1.0, 1.0))
-        except MbdkitError:  # the mechanism does not exist there, for example because a mass would be negative
-            if share < LEAST_SHARE:
-                raise
-            return halves(column, 0.5 * share)
-        return [(b - a) / (2.0 * share) for a, b in zip(low, high, strict=True)]
-
     shapes = accuracy.position_error.shape, accuracy.reaction_error.shape, (len(expressions),)
     variances = [np.zeros(shape) for shape in shapes]
     how = f"Bounds of 95 % on the errors by the estimates of {listed(estimated.names, 'and')}"
     try:
         for column in estimated.factor.T:
-            position, force, measured = halves(column)
+            low, high = (results(estimated.values + side * SHARE * column) for side in (-1.0, 1.0))
+            position, force, measured = ((b - a) / (2.0 * SHARE) for a, b in zip(low, high, strict=True))
             squares = position**2, np.sum(force**2, axis=-1), measured**2
             variances = [variance + square for variance, square in zip(variances, squares, strict=True)]
-        how += f" from {2 * len(estimated.names)} runs, each at most one standard deviation from the estimates."
-    except MbdkitError as error:
+        how += f" from {2 * len(estimated.names)} runs, each {SHARE:g} standard deviations from the estimates."
+    except MbdkitError as error:  # the mechanism does not exist there, for example because a mass would be negative
         variances = [np.full(shape, np.nan) for shape in shapes]
         how += f" are unknown, because a run with other values is not possible: {error}"
     position, force, measured = (COVERAGE * np.sqrt(variance) for variance in variances)
