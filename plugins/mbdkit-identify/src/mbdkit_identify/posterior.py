@@ -16,11 +16,12 @@ from mbdkit_identify.estimation import Fit
 from mbdkit_identify.intervals import covariance_of
 from mbdkit_identify.problem import Problem
 
-SAMPLES, ROUNDS = 192, 10  #: Number of samples of a round, and of rounds.
-FREEDOM, WIDER = 5.0, 1.3  #: Degrees of freedom of the distribution that is sampled, and its width.
+SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and of rounds.
+FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
+WIDTHS = (1.3, 1.3, 2.5)  #: Their widths; the larger one finds out whether few samples lie where much of the weight is.
 ENOUGH = 48.0  #: Effective number of samples.
 LIKELY = 3.84  #: Increase of the sum of squares up to which values are within an interval of 95 %.
-SETTLED = 0.3  #: Largest change of the mean in the last round, in standard deviations.
+SETTLED = 0.3  #: Largest change of the mean in each of the last two rounds, in standard deviations.
 FARTHEST = 2.0  #: Largest distance of the centre of the first samples from a bound, in standard deviations.
 MOST_DRAWS = 400  #: Largest number of draws for each sample, of which most may lie beyond the bounds.
 
@@ -60,23 +61,27 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         white = problem.residuals(x)
         return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
 
+    settled = 0  # number of rounds in succession
     for _ in range(ROUNDS):
         factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
-        draws *= WIDER * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws)))[:, None]
+        draws *= (random.choice(WIDTHS, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
         points = center + draws @ factor.T
         points = points[np.all((points >= low) & (points <= high), axis=1)][:SAMPLES]
         if len(points) < SAMPLES:
             return None
-        scaled = np.linalg.solve(factor, (points - center).T)
-        density = -0.5 * (FREEDOM + len(places)) * np.log1p(np.sum(scaled**2, axis=0) / (WIDER**2 * FREEDOM))
+        squares = np.sum(np.linalg.solve(factor, (points - center).T) ** 2, axis=0) / FREEDOM
+        by_width = [(1.0 + squares / w**2) ** (-0.5 * (FREEDOM + len(places))) / w ** len(places) for w in WIDTHS]
+        density = np.log(np.sum(by_width, axis=0))
         costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
         is_enough = _excess(1.0, logs) >= 0.0
         weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
         last, center = center, weights @ points
         spread = (points - center).T @ (weights[:, None] * (points - center))
-        if is_enough and np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread))):
+        is_settled = is_enough and np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread)))
+        settled = settled + 1 if is_settled else 0
+        if settled == 2:
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]
             spread += np.outer(shift, shift)
