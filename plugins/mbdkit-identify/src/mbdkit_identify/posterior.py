@@ -16,7 +16,7 @@ from mbdkit_identify.estimation import Fit
 from mbdkit_identify.intervals import covariance_of
 from mbdkit_identify.problem import Problem
 
-SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and of rounds.
+SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.
 FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
 WIDTHS = (1.3, 1.3, 2.5)  #: Their widths; the larger one finds out whether few samples lie where much of the weight is.
 ENOUGH = 48.0  #: Effective number of samples.
