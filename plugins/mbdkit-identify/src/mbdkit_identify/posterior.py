@@ -17,6 +17,7 @@ from mbdkit_identify.intervals import covariance_of
 from mbdkit_identify.problem import Problem
 
 SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.
+HOPELESS = 4  #: Index of the round after which samples are given up if a tenth of `ENOUGH` is not reached.
 FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
 WIDTHS = (1.3, 1.3, 2.5)  #: Their widths; the larger one finds out whether few samples lie where much of the weight is.
 ENOUGH = 48.0  #: Effective number of samples.
@@ -62,7 +63,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
 
     settled = 0  # number of rounds in succession
-    for _ in range(ROUNDS):
+    for number in range(ROUNDS):
         factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
         draws *= (random.choice(WIDTHS, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
@@ -76,6 +77,8 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
         is_enough = _excess(1.0, logs) >= 0.0
+        if number == HOPELESS and _excess(1.0, logs) < -0.9 * ENOUGH:
+            return None
         weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
         last, center = center, weights @ points
         spread = (points - center).T @ (weights[:, None] * (points - center))
