@@ -19,7 +19,9 @@ from mbdkit_identify.problem import Problem
 SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.
 HOPELESS = 4  #: Index of the round after which samples are given up if a tenth of `ENOUGH` is not reached.
 FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
-WIDTHS = (1.3, 1.3, 2.5)  #: Their widths; the larger one finds out whether few samples lie where much of the weight is.
+#: Their widths less 1, times the root of the number of parameters, without which most weights of many parameters would
+#: be small; the larger one finds out whether few samples lie where much of the weight is.
+WIDER = (0.6, 0.6, 3.0)
 ENOUGH = 48.0  #: Effective number of samples.
 LIKELY = 3.84  #: Increase of the sum of squares up to which values are within an interval of 95 %.
 SETTLED = 0.3  #: Largest change of the mean in each of the last two rounds, in standard deviations.
@@ -62,17 +64,18 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         white = problem.residuals(x)
         return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
 
+    widths = 1.0 + np.array(WIDER) / np.sqrt(len(places))
     settled = 0  # number of rounds in succession
     for number in range(ROUNDS):
         factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
-        draws *= (random.choice(WIDTHS, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
+        draws *= (random.choice(widths, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
         points = center + draws @ factor.T
         points = points[np.all((points >= low) & (points <= high), axis=1)][:SAMPLES]
         if len(points) < SAMPLES:
             return None
         squares = np.sum(np.linalg.solve(factor, (points - center).T) ** 2, axis=0) / FREEDOM
-        by_width = [(1.0 + squares / w**2) ** (-0.5 * (FREEDOM + len(places))) / w ** len(places) for w in WIDTHS]
+        by_width = [(1.0 + squares / w**2) ** (-0.5 * (FREEDOM + len(places))) / w ** len(places) for w in widths]
         density = np.log(np.sum(by_width, axis=0))
         costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
