@@ -629,7 +629,8 @@ class ElementMethods(NamedElements):
         damping: float = 0.1,
         activation: Mapping[str, Any] | Activation = Activation(rise=0.01, fall=0.04, initial=0.05),
         excitation: float | str | Mapping[str, Any] | Table | None = None, max_velocity: float = 10.0,
-        weight: float = 1.0, metabolics: Mapping[str, Any] | Metabolics | Literal["umberger"] | None = None
+        weight: float = 1.0,
+        metabolics: Mapping[str, Any] | Metabolics | Literal["umberger", "bhargava"] | None = None
     ) -> None:
         """Add a muscle. In runs it exerts a force; in inverse dynamics, `recruitment` computes its share of the moments.
 

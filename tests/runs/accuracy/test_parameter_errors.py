@@ -105,7 +105,7 @@ def test_the_summary_says_what_limits_the_answer(folder: Path) -> None:
 
 
 def test_errors_are_unknown_where_a_run_with_other_parameters_does_not_exist(folder: Path) -> None:
-    write_fit(folder, np.diag([0.2**2, 3.0**2]))  # a negative mass within the deviation
+    write_fit(folder, np.diag([0.2**2, 12.0**2]))  # a negative mass within a quarter of the deviation
     run = mbdkit.run(sliding(check=True))
     assert run.accuracy is not None
     assert run.accuracy.is_complete
