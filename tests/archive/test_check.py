@@ -151,10 +151,7 @@ DAMAGE: dict[str, tuple[Callable[[h5py.File], None], str]] = {
     "spec of another kind": (attribute("/", "spec", "model: x"), "the attribute spec does not contain a spec in JSON"),
     "no spec": (attribute("/", "spec", None), "the attribute spec is missing"),
     "no hash": (attribute("/", "data_sha256", None), "the attribute data_sha256 is missing"),
-    "no hash of attributes": (
-        attribute("/", "attributes_sha256", None),
-        "the attributes, timings and estimated errors",
-    ),
+    "no hash of attributes": (attribute("/", "attributes_sha256", None), "its attributes have changed"),
     "attribute of another kind": (attribute("/", "run_id", 5), "the attribute run_id is not a string"),
     "unknown status": (attribute("/", "status", "done"), "status is 'done', not one of"),
     "still running": (attribute("/", "status", "running"), "the run did not end"),
