@@ -49,9 +49,10 @@ def check(path: str | Path) -> list[str]:
         return [shown(error.message)]
     with contextlib.closing(file):
         try:
-            problems = _Checker(file).problems()
-        except DAMAGE as error:  # before any group can be checked
-            problems = [shown(f"the attributes of its arrays cannot be read: {cause(error)}")]
+            checker = _Checker(file)
+        except DAMAGE as error:
+            return [shown(f"the attributes of its arrays cannot be read: {cause(error)}")]
+        problems = checker.problems()
     return problems or _unreadable(path)
 
 

@@ -79,8 +79,9 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         density = np.log(np.sum(by_width, axis=0))
         costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
-        is_enough = _excess(1.0, logs) >= 0.0
-        if number == HOPELESS and _excess(1.0, logs) < -0.9 * ENOUGH:
+        excess = _excess(1.0, logs)
+        is_enough = excess >= 0.0
+        if number == HOPELESS and excess < -0.9 * ENOUGH:
             return None
         weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
         last, center = center, weights @ points

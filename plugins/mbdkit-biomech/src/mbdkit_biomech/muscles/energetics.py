@@ -95,18 +95,18 @@ def metabolic_power(
     isometric = _positive(curves.active(normal)[0], width)
     away, closer = _positive(speed, width), _positive(-speed, width)
     active = muscle.max_force * activation * isometric * _positive(curves.velocity(speed)[0], width)
-    largest_speed = muscle.max_velocity * muscle.optimal_length
     if metabolics.model == "bhargava":
         of_slow = slow * elementary.sin(0.5 * math.pi * excitation)
         of_fast = fast * (1.0 - elementary.cos(0.5 * math.pi * excitation))
         beyond = (_positive(normal - corner, width) for corner in (0.5, 1.0, 1.5))
         maintenance = 0.5 + sum(slope * part for slope, part in zip((1.0, -3.0, 2.0), beyond, strict=True))
-        heat = muscle.mass * (40.0 * of_slow + 133.0 * of_fast + maintenance * (74.0 * of_slow + 111.0 * of_fast))
         total = active + muscle.max_force * curves.passive(normal)[0]
         shortening = 0.16 * muscle.max_force * activation * isometric + 0.18 * total
-        heat = heat + largest_speed * (shortening * closer - 0.157 * total * away)
-        least = muscle.mass * LEAST_HEAT
-        return _positive(least + _positive(heat - least, width) + active * largest_speed * (closer - away), width)
+        per_force = muscle.max_velocity * muscle.optimal_length / muscle.mass
+        heat = 40.0 * of_slow + 133.0 * of_fast + maintenance * (74.0 * of_slow + 111.0 * of_fast)
+        heat = heat + per_force * (shortening * closer - 0.157 * total * away) - LEAST_HEAT
+        work = per_force * active * (closer - away)
+        return muscle.mass * _positive(LEAST_HEAT + _positive(heat, width) + work, width)
     when_long = _positive(curves.active(1.0 + _positive(normal - 1.0, width))[0], width)
     scale = 0.5 * (excitation + activation + _positive(excitation - activation, width))
     maintained = elementary.pow(scale, 0.6) * (128.0 * fast + 25.0) * (0.4 + 0.6 * when_long)
@@ -115,4 +115,5 @@ def metabolic_power(
     shortening = slow * largest + fast * FAST_HEAT * closer
     moved = (scale**2 * shortening + scale * LENGTHENING * of_slow[1]) * when_long
     heat = LEAST_HEAT + _positive(metabolics.aerobic_factor * (maintained + moved) - LEAST_HEAT, width)
-    return np.asarray(muscle.mass * heat + active * largest_speed * closer)
+    work = active * muscle.max_velocity * muscle.optimal_length * closer
+    return np.asarray(muscle.mass * heat + work)
