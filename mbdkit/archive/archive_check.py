@@ -48,11 +48,7 @@ def check(path: str | Path) -> list[str]:
                 return problems
         return [shown(error.message)]
     with contextlib.closing(file):
-        try:
-            checker = _Checker(file)
-        except DAMAGE as error:
-            return [shown(f"the attributes of its arrays cannot be read: {cause(error)}")]
-        problems = checker.problems()
+        problems = _Checker(file).problems()
     return problems or _unreadable(path)
 
 
@@ -95,9 +91,12 @@ class _Checker:
         self.status = ""
         self.version = str(file.attrs.get("format_version"))
         self.spec: dict[str, object] = {}
-        self.kinds = kinds_of_file(file)
 
     def problems(self) -> list[str]:
+        with self.reading("the attributes of the arrays"):
+            self.kinds = kinds_of_file(self.file)
+        if self.found:
+            return self.found
         with self.reading("the attributes of the file"):
             self.root()
         with self.reading("the groups"):

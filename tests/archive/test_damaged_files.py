@@ -63,4 +63,4 @@ def test_a_damaged_reference_of_an_attribute(tmp_path: Path) -> None:
             damaged[at + 44] ^= 8
             path.write_bytes(damaged)
             problems += check(path)
-    assert any("attributes of its arrays cannot be read" in problem for problem in problems)
+    assert any("attributes of the arrays cannot be read" in problem for problem in problems)

@@ -94,6 +94,7 @@ def test_gradients_say_that_energetics_have_none():
         ("lichtwark", "model", "umberger"),
         ({"slow_fibers": 1.2}, "slow_fibers", "at most 1"),
         ({"mass": 0.0}, "mass", "greater than 0"),
+        ({"model": "bhargava", "aerobic_factor": 1.0}, "aerobic_factor", "no effect on the model bhargava"),
     ],
 )
 def test_wrong_metabolics_get_one_sentence_with_their_key(metabolics, key, message):

@@ -17,7 +17,6 @@ from mbdkit_identify.intervals import covariance_of
 from mbdkit_identify.problem import Problem
 
 SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.
-HOPELESS = 4  #: Index of the round after which samples are given up if a tenth of `ENOUGH` is not reached.
 FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
 #: Their widths less 1, times the root of the number of parameters, without which most weights of many parameters would
 #: be small; the larger one finds out whether few samples lie where much of the weight is.
@@ -64,8 +63,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         white = problem.residuals(x)
         return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
 
-    widths = 1.0 + np.array(WIDER) / np.sqrt(len(places))
-    settled = 0  # number of rounds in succession
+    widths, settled = 1.0 + np.array(WIDER) / np.sqrt(len(places)), 0  # number of settled rounds in succession
     for number in range(ROUNDS):
         factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
@@ -80,14 +78,13 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
         excess = _excess(1.0, logs)
-        is_enough = excess >= 0.0
-        if number == HOPELESS and excess < -0.9 * ENOUGH:
+        if number == ROUNDS // 3 and excess < -0.9 * ENOUGH:  # there is no progress
             return None
-        weights = _weights(logs if is_enough else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
+        weights = _weights(logs if excess >= 0.0 else logs * brentq(_excess, 0.0, 1.0, args=(logs,)))
         last, center = center, weights @ points
         spread = (points - center).T @ (weights[:, None] * (points - center))
-        is_settled = is_enough and np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread)))
-        settled = settled + 1 if is_settled else 0
+        is_near = np.all(np.abs(center - last) <= SETTLED * np.sqrt(np.diagonal(spread)))
+        settled = settled + 1 if is_near and excess >= 0.0 else 0
         if settled == 2:
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]

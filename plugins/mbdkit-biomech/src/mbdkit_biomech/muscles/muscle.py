@@ -156,6 +156,12 @@ class Metabolics(StrictModel):
     """Width of the transitions from shortening to lengthening, and of others with a corner, relative to the largest
     velocity, the optimal length and full activation. Predictions that minimize metabolic power need about 0.01."""
 
+    @model_validator(mode="after")
+    def _factor_has_effect(self) -> Metabolics:
+        if self.model == "bhargava" and self.aerobic_factor != 1.5:
+            raise SpecError("has no effect on the model bhargava; leave it out", key="aerobic_factor")
+        return self
+
 
 def _as_metabolics(value: object) -> object:
     return {"model": value} if isinstance(value, str) else value
