@@ -35,6 +35,7 @@ RELATED = 0.1  #: Correlation above which a bound of one parameter affects the i
 CONVEX = ("linear", "soft_l1", "huber")  #: Losses that grow at least linearly.
 #: Largest ratio between limits of an interval and linear ones, with which a covariance describes the estimate.
 STRAIGHT = 1.25
+MISS = 0.02  #: Largest error of the increase by derivatives at the best fit, as a share of the threshold.
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def interval_of(
         ends = [losses(fit.loss, problem.residuals(fit.x + side * along))[0] for side in (-1.0, 1.0)]
         ratios = [float(np.sqrt(max(end - lowest, 0.0) / limit)) for end in ends]
     else:
-        lower, upper, profile = profile_of(problem, fit, goal, covariance, level)
+        lower, upper, profile = profile_of(problem, fit, goal, covariance, level, is_linear=is_linear)
         ratios = [abs(one - value) / max(half, 1e-300) for one in (lower, upper)]
     why = ""
     if np.any(near):
@@ -162,15 +163,50 @@ def quantile(level: float, freedom: float) -> float:
     return float(student.ppf(0.5 * (1.0 + level), freedom))
 
 
+@dataclass(frozen=True)
+class Chord:
+    """A problem with the derivatives at its best fit, which follow from no further runs, and linear residuals if it
+    `is_straight`.
+    """
+
+    problem: Problem
+    fit: Fit
+    is_straight: bool
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper bounds (n,) of the unknowns."""
+        return self.problem.bounds
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Return the whitened residuals (R + P,) for unknowns (n,)."""
+        return self.fit.white + self.fit.jacobian @ (x - self.fit.x) if self.is_straight else self.problem.residuals(x)
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Return the derivatives (R + P, n)."""
+        return self.fit.jacobian
+
+
 def profile_of(
-    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float
+    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float, *, is_linear: bool = False
 ) -> tuple[float, float, Profile]:
-    """Return the limits of the interval of a goal, infinite where there is none, and its profile."""
+    """Return the limits of the interval of a goal, infinite where there is none, and its profile.
+
+    If intervals are linear but for bounds, the search begins with linear residuals, and goes on with derivatives at the
+    best fit. Its result is confirmed, or found anew, with derivatives elsewhere.
+    """
     search = _ProfileSearch(problem, fit, goal, covariance, level)
+    ways: list[Problem | Chord] = [Chord(problem, fit, True), Chord(problem, fit, False)] if is_linear else []
     points: list[tuple[float, float]] = [(search.best, 0.0)]
     limits = []
     for side in (-1.0, 1.0):
-        limit, some = search.limit(side)
+        search.last = None
+        for way in [*ways, problem]:
+            search.problem = way
+            limit, some = search.limit(side)
+            search.problem = problem
+            if isinstance(way, Chord) and not way.is_straight and search.is_confirmed():
+                break
         limits.append(limit)
         points += some
     values, costs = np.array(sorted(points)).T
@@ -178,7 +214,13 @@ def profile_of(
 
 
 class _ProfileSearch:
-    """The search for the limits of the interval of a goal; see `profile_of`."""
+    """The search for the limits of the interval of a goal; see `profile_of`.
+
+    `last`: value, sum of losses and unknowns at the latest point, from which the next search begins.
+    """
+
+    problem: Problem | Chord
+    last: tuple[float, float, np.ndarray] | None = None
 
     def __init__(self, problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float):
         self.problem, self.fit, self.goal, self.covariance, self.level = problem, fit, goal, covariance, level
@@ -200,11 +242,12 @@ class _ProfileSearch:
         lowest = losses(self.fit.loss, self.fit.white)[0]
         known = [(0.0, 0.0, self.fit.x)]  # distances, roots of the increase, unknowns
         outer = np.inf
-        distance = root * self.deviation
-        for _ in range(MOST_STEPS):
+        distance = abs(self.last[0] - best) if self.last else root * self.deviation
+        for number in range(MOST_STEPS):
             distance = min(distance, abs(bound - best))
             value = best + side * distance if distance < abs(bound - best) else bound
-            result = self._constrained(value, _between(known, distance))
+            begin = self.last[2] if self.last and not number else _between(known, distance)
+            result = self._constrained(value, begin)
             inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
             if result is None:  # the run fails there
                 outer = distance
@@ -214,6 +257,7 @@ class _ProfileSearch:
                 continue
             increase = max(result[0] - lowest, 0.0)
             points.append((value, increase))
+            self.last = value, *result
             at = distance, float(np.sqrt(increase / share(value))), result[1]
             near = min(known, key=lambda one: abs(one[1] - root))
             known.append(at)
@@ -234,15 +278,20 @@ class _ProfileSearch:
                 distance = inner[0] + float(np.clip(part, 0.05, 0.95)) * (outer - inner[0])
         return best + side * distance, points
 
-    def _constrained(self, value: float, x: np.ndarray) -> tuple[float, np.ndarray] | None:
+    def is_confirmed(self) -> bool:
+        """Return whether the sum of losses at the latest point is the smallest one."""
+        best = self._constrained(self.last[0], self.last[2], MISS) if self.last else None
+        return best is not None and self.last is not None and self.last[1] - best[0] <= MISS * self.threshold
+
+    def _constrained(self, value: float, x: np.ndarray, small: float = SMALL) -> tuple[float, np.ndarray] | None:
         """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
 
-        Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The last one,
-        which would reduce it by a small share of the threshold, is not evaluated.
+        Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The search ends
+        with a step that reduces it by a `small` share of the threshold, or would do so.
         """
         problem, (low, high) = self.problem, self.problem.bounds
         best: tuple[float, np.ndarray] | None = None
-        step = np.zeros(len(x))
+        step, gain = np.zeros(len(x)), 0.0
         for _ in range(MOST_ITERATIONS):
             x = np.clip(_on_goal(x, self.goal, value, self.covariance), low, high)
             jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
@@ -252,17 +301,25 @@ class _ProfileSearch:
             if is_failed and best is None:
                 return None
             if best is not None and (is_failed or cost > best[0]):
-                step *= 0.5
+                step, gain = 0.5 * step, 0.5 * gain
+                if gain < small * self.threshold:
+                    return best
                 x = best[1] + step
                 continue
+            if best is not None and best[0] - cost < small * self.threshold:
+                return cost, x
             best = cost, x
             jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
             slope, gradient = self.goal.slope(x), jacobian.T @ white
             free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
-            step = np.zeros(len(x))
-            step[free] = _step(jacobian[:, free], white, slope[free])
-            gain = float(np.sum((jacobian @ step) ** 2))
-            if gain < SMALL * self.threshold:
+            step, beyond = np.zeros(len(x)), free
+            while np.any(beyond):
+                step[free] = _step(jacobian[:, free], white + jacobian[:, ~free] @ step[~free], slope[free])
+                beyond = free & ((x + step < low) | (x + step > high)) & (slope == 0.0)
+                step[beyond] = (np.clip(x + step, low, high) - x)[beyond]
+                free &= ~beyond
+            gain = float(white @ white - np.sum((white + jacobian @ step) ** 2))
+            if gain < small * self.threshold:
                 return cost - gain, np.clip(x + step, low, high)
             x = x + step
         return best

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from mbdkit_identify.estimation import Fit
-from mbdkit_identify.intervals import covariance_of
+from mbdkit_identify.intervals import Chord, covariance_of
 from mbdkit_identify.problem import Problem
 
 SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.
@@ -21,6 +21,9 @@ FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
 #: Their widths less 1, times the root of the number of parameters, without which most weights of many parameters would
 #: be small; the larger one finds out whether few samples lie where much of the weight is.
 WIDER = (0.6, 0.6, 3.0)
+#: Number of samples by which it is tested whether residuals are linear, and largest share by which increases of the sum
+#: of squares are then off; further samples need no runs, and are taken in a multiple of their number.
+CHECKED, STRAIGHT, MORE = 24, 0.1, 16
 ENOUGH = 48.0  #: Effective number of samples.
 LIKELY = 3.84  #: Increase of the sum of squares up to which values are within an interval of 95 %.
 SETTLED = 0.3  #: Largest change of the mean in each of the last two rounds, in standard deviations.
@@ -56,26 +59,36 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
     some = values > 1e-9 * values.max(initial=0.0)
     follow = -(directions[some].T / values[some]) @ basis[:, some].T @ fit.jacobian[:, places]
 
-    def cost(own: np.ndarray) -> float:
-        x = fit.x.copy()
-        x[places] = own
-        x[count:] += follow @ (own - fit.x[places])
-        white = problem.residuals(x)
-        return float(white @ white - np.sum((basis[:, some].T @ white) ** 2))
+    def costs_of(points: np.ndarray, of: Problem | Chord) -> np.ndarray:
+        found = []
+        for own in points:
+            x = fit.x.copy()
+            x[places] = own
+            x[count:] += follow @ (own - fit.x[places])
+            white = of.residuals(x)
+            found.append(white @ white - np.sum((basis[:, some].T @ white) ** 2))
+        return np.array(found)
 
+    present: Problem | Chord = Chord(problem, fit, True)
     widths, settled = 1.0 + np.array(WIDER) / np.sqrt(len(places)), 0  # number of settled rounds in succession
     for number in range(ROUNDS):
         factor = np.linalg.cholesky(spread + 1e-12 * np.diag(np.diagonal(spread)))
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
         draws *= (random.choice(widths, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
         points = center + draws @ factor.T
-        points = points[np.all((points >= low) & (points <= high), axis=1)][:SAMPLES]
-        if len(points) < SAMPLES:
+        size = SAMPLES if present is problem else MORE * SAMPLES
+        points = points[np.all((points >= low) & (points <= high), axis=1)][:size]
+        if len(points) < size:
             return None
+        costs = costs_of(points, present)
+        if number == 0:
+            miss = np.abs(costs_of(points[:CHECKED], problem) - costs[:CHECKED])
+            if np.any(miss > STRAIGHT * (1.0 + costs[:CHECKED] - costs.min())):
+                present, points = problem, points[:SAMPLES]
+                costs = costs_of(points, problem)
         squares = np.sum(np.linalg.solve(factor, (points - center).T) ** 2, axis=0) / FREEDOM
         by_width = [(1.0 + squares / w**2) ** (-0.5 * (FREEDOM + len(places))) / w ** len(places) for w in widths]
         density = np.log(np.sum(by_width, axis=0))
-        costs = np.array([cost(own) for own in points])
         logs = -0.5 * costs - density
         excess = _excess(1.0, logs)
         if number == ROUNDS // 3 and excess < -0.9 * ENOUGH:  # there is no progress
@@ -89,7 +102,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]
             spread += np.outer(shift, shift)
-            likely = points[costs <= costs.min() + LIKELY] - center
+            likely = points[:SAMPLES][costs[:SAMPLES] <= costs.min() + LIKELY] - center
             farthest = np.max(np.sum(np.linalg.solve(spread, likely.T) * likely.T, axis=0))
             covariance[np.ix_(places, places)] = spread * max(1.0, farthest / LIKELY)
             return mean, covariance

@@ -17,6 +17,8 @@ from mbdkit_identify.segments import KinematicSegment, Segment, Unknown
 FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
 #: Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again.
 SAME = 1e-9
+KEPT = 3  #: Number of unknowns whose derivatives are kept.
+KEPT = 3  #: Number of unknowns whose derivatives are kept.
 
 
 class SignalKey(NamedTuple):
@@ -67,7 +69,7 @@ class Problem:
         self._priors = {place: one.prior for place, one in enumerate(self.unknowns) if one.prior is not None}
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
-        self._slopes: tuple[np.ndarray, np.ndarray] | None = None
+        self._slopes: list[tuple[np.ndarray, np.ndarray]] = []  # the latest ones, last used at the end
         self._is_jacobian_next = True
         self._index()
 
@@ -156,7 +158,8 @@ class Problem:
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of `predicted`; raise an `MbdkitError` if a run fails."""
-        if self._slopes is None or np.any(np.abs(x - self._slopes[0]) > SAME * self.sizes):
+        known = next((one for one in self._slopes if np.all(np.abs(x - one[0]) <= SAME * self.sizes)), None)
+        if known is None:
             parts, values = [], []
             for segment, some in zip(self.segments, self.valid, strict=True):
                 self.derived += 1
@@ -165,9 +168,10 @@ class Problem:
                 assert every is not None
                 parts.append(every[some])
                 values.append(shown[some])
-            self._slopes = x.copy(), np.concatenate(parts)
+            known = x.copy(), np.concatenate(parts)
             self._values = {x.tobytes(): np.concatenate(values)}
-        return self._slopes[1]
+        self._slopes = [*(one for one in self._slopes if one is not known), known][-KEPT:]
+        return known[1]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the whitened residuals (R + P,): prediction minus measurement in deviations, and P priors.

@@ -103,11 +103,12 @@ def problem_of(name: str, folder: Path) -> Problem:
     return Problem(*segments_of(spec, [read_experiment(spec, "run")]))
 
 
-def our_limits(problem: Problem, fit: Fit, place: int) -> np.ndarray:
-    """Return the limits (L, 2) at all levels."""
+def our_limits(problem: Problem, fit: Fit, place: int, *, is_linear: bool = False) -> np.ndarray:
+    """Return the limits (L, 2) at all levels; if `is_linear`, the search begins with derivatives at the best fit."""
     direction, covariance = np.eye(len(fit.x))[place], covariance_of(fit.jacobian, fit.free)
     goal = Goal("", lambda x: float(x[place]), lambda x: direction)
-    return np.array([profile_of(problem, fit, goal, covariance, level)[:2] for level in LEVELS])
+    found = (profile_of(problem, fit, goal, covariance, level, is_linear=is_linear) for level in LEVELS)
+    return np.array([one[:2] for one in found])
 
 
 def assert_equal(ours: np.ndarray, others: np.ndarray) -> None:
@@ -134,6 +135,17 @@ def test_limits_are_those_of_lmfit(name: str, tmp_path: Path) -> None:
     places = [place for place in range(len(fit.x)) if (name, place) != ("Thurber", 5)]
     for place, others in zip(places, lmfit_limits(problem, fit, places, LEVELS), strict=True):
         assert_equal(our_limits(problem, fit, place), others)
+        assert_equal(our_limits(problem, fit, place, is_linear=True), others)
+
+
+def test_profiles_that_begin_with_derivatives_at_the_best_fit_need_few_others(tmp_path: Path) -> None:
+    problem = problem_of("pendulum", tmp_path)
+    fit, counts = best_fit(problem, 1, 0, "linear"), []
+    for is_linear in (False, True):
+        before = problem.derived
+        our_limits(problem, fit, 0, is_linear=is_linear)
+        counts.append(problem.derived - before)
+    assert counts[1] <= 2 * len(LEVELS) + 1 < counts[0]  # one for each limit, which is confirmed
 
 
 @pytest.mark.parametrize("name", ["Misra1a", "Puromycin", *SLOW])
