@@ -11,16 +11,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache
+from functools import cache, cached_property
 from math import prod
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
@@ -54,6 +54,7 @@ RANK = 1e-9  #: Smallest singular value, relative to the largest, of matrices th
 CENTRAL, FORWARD = (-4, -3, -2, -1, 1, 2, 3, 4), (1, 2, 3, 4, 5, 6, 7, 8)
 #: Positions of the points, in a unit that is at most a quarter of `WIDEST` times the size of the parameter.
 BACKWARD = tuple(-place for place in FORWARD)
+SIDES = {0: CENTRAL, 1: FORWARD, -1: BACKWARD}  #: Positions by the side on which they are.
 #: Positions of the points that are used, with 0, to test for linear dependence.
 FEW = {CENTRAL: (-4, 3), FORWARD: (4, 8), BACKWARD: (-8, -4)}
 
@@ -122,6 +123,11 @@ class Preparation(ABC):
     base: Arrays
     ROUNDED: tuple[str, ...] = ()
     """Names of arrays that have rounding errors of lengths and angles, even if their values are small."""
+
+    @cached_property
+    def sides(self) -> dict[tuple[Path, float], int]:
+        """Sides on which the spec is valid near a value of a parameter, by its key path and this value, if known."""
+        return {}
 
     @abstractmethod
     def at(self, parameter: Parameter, value: float) -> Arrays:
@@ -208,7 +214,9 @@ class Preparation(ABC):
         SpecError
             See `derivatives`.
         """
-        points = [self._point(one, min(FEW[CENTRAL]) * self._unit(one)) for one in parameters]
+        sides = (self.sides.get((one.path, one.value), 0) for one in parameters)
+        places = (FEW[SIDES[side]][0] for side in sides)
+        points = [self._point(one, place * self._unit(one)) for one, place in zip(parameters, places, strict=True)]
         slopes = [{name: (arrays[name] - x) / change for name, x in self.base.items()} for change, arrays in points]
         nonzero = [{name: x for name, x in own.items() if np.any(x)} for own in slopes]
         return self._joined([_ArrayDerivatives(own, 0.0, 0) for own in nonzero], parameters)
@@ -290,18 +298,23 @@ class Preparation(ABC):
         return float(2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter))))
 
     def _by(self, parameter: Parameter) -> _ArrayDerivatives:
-        try:
-            return _ArrayDerivatives(*self._with_places(parameter, CENTRAL), 0)
-        except SpecError as error:
-            for side, places in ((1, FORWARD), (-1, BACKWARD)):
-                with suppress(SpecError):
-                    return _ArrayDerivatives(*self._with_places(parameter, places), side)
-            if error.key == "gradients":
-                raise
-            raise refused(
-                f"there is no derivative with respect to '{parameter.name}', because the spec is not valid for values "
-                f"close to {parameter.value!r}: {error}"
-            ) from None
+        key, failure = (parameter.path, parameter.value), None
+        for side in sorted(SIDES, key=lambda side: side != self.sides.get(key, 0)):
+            try:
+                found = _ArrayDerivatives(*self._with_places(parameter, SIDES[side]), side)
+            except SpecError as error:
+                failure = failure or error
+                continue
+            if side:
+                self.sides[key] = side
+            return found
+        assert failure is not None
+        if failure.key == "gradients":
+            raise failure
+        raise refused(
+            f"there is no derivative with respect to '{parameter.name}', because the spec is not valid for values "
+            f"close to {parameter.value!r}: {failure}"
+        )
 
     def _with_places(self, parameter: Parameter, places: tuple[int, ...]) -> tuple[dict[str, np.ndarray], float]:
         """Return non-zero derivatives with respect to a parameter and their error, from points at these positions."""

@@ -92,12 +92,15 @@ class SharedPreparation:
         The latest recorded formulas of the arrays by the paths of their parameters, with the values of other paths.
     latest
         The latest formulas with their derivatives; see `RunPreparation._formulas_at`.
+    sides
+        See `Preparation`.
     """
 
     starts: Starts = field(default_factory=Starts)
     specs: dict[str, RunSpec] = field(default_factory=dict)
     formulas: dict[object, tuple[object, VariedNumbers]] = field(default_factory=dict)
     latest: dict[object, tuple[Any, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    sides: dict[tuple[Path, float], int] = field(default_factory=dict)
 
 
 class PreparedSpec:
@@ -185,6 +188,17 @@ class StartEquations:
             slopes[name][: len(own)] = own
         return slopes
 
+    def by_given(self, names: Sequence[object]) -> dict[str, np.ndarray]:
+        """Return the derivatives (R, K) of the residuals with respect to given values by name; 0 for other names."""
+        residuals = [residual for residual, _ in self.given.equations(self.initial, self.q, self.v)]
+        slopes = {name: np.zeros((len(x), len(names))) for name, x in zip((POSITION, VELOCITY), residuals, strict=True)}
+        for column, name in enumerate(names):
+            if isinstance(name, str) and name in self.initial:
+                moved = self.given.equations({**self.initial, name: self.initial[name] + 1.0}, self.q, self.v)
+                for slope, (residual, _), here in zip(slopes.values(), moved, residuals, strict=True):
+                    slope[:, column] = np.round(residual - here)  # -1 in the equation of this value
+        return slopes
+
     def completed(self, found: PreparedDerivatives) -> PreparedDerivatives:
         """Return derivatives with those of ``q`` and ``v`` in place of those of the residuals."""
         slopes, count = dict(found.seeds.arrays), len(found.error)
@@ -249,6 +263,7 @@ class RunPreparation(Preparation):
     ):
         self.initial, self.values, self._numbers = initial, values, numbers
         self._shared = shared or SharedPreparation()
+        self.sides = self._shared.sides
         self._specs = VariedSpecs(spec.canonical_json(), self._shared.specs) if specs is None else specs
         self._prepared, self._equations = {} if prepared is None else prepared, equations
         self._base = spec
@@ -293,6 +308,13 @@ class RunPreparation(Preparation):
                 return equations.completed(other.derivatives(parameters))
         if tables := self.tables(parameters):
             return self._with_tables(parameters, tables)
+        is_given = np.array([one.path[0] == "initial" for one in parameters])
+        if self._equations is not None and np.any(is_given):
+            none = np.zeros(len(parameters))
+            slopes = self._equations.by_given([one.path[1] for one in parameters])
+            found = self._completed(slopes, parameters, none, none.astype(int))
+            plain = [one for one in parameters if one.path[0] != "initial"]
+            return found.with_columns(~is_given, self.derivatives(plain)) if plain else found
         recorded = self._recorded(parameters)
         if recorded is None or not np.any(recorded[1]):
             return self._by_differences(parameters)
