@@ -56,8 +56,7 @@ class Linearization:
     @classmethod
     def of(cls, problem: Problem, x: np.ndarray) -> Linearization:
         """Linearize a problem at a point (n,)."""
-        margins = problem.margins(x) + FEASIBLE / 2
-        return cls(x, problem.cost(x), problem.slope(x), margins, problem.margin_slopes(x))
+        return cls(x, problem.cost(x), problem.slope(x), problem.margins(x) + FEASIBLE / 2, problem.margin_slopes(x))
 
     @property
     def merit(self) -> float:

@@ -185,12 +185,10 @@ def validate_design(source: Document | str, name: str, assignments: list[str]) -
     show(f"variables    {', '.join(heading(name, variable_unit(spec, name)) for name in spec.variables)}")
     units = {measure: unit for (_, measure), unit in measure_units(spec).items()}
     show(f"goals        {', '.join(heading(measure, units[measure]) for measure in spec.goals)}")
-    if spec.subject_to:
-        show(f"limits       {', '.join(spec.subject_to)}")
-    if spec.scenarios:
-        show(f"scenarios    {', '.join(spec.scenarios)}")
-    if spec.compare:
-        show(f"compared     {', '.join(spec.compare)}")
+    parts = {"limits": [*spec.subject_to], "scenarios": [*spec.scenarios], "compared": [*spec.compare]}
+    for word, names in parts.items():
+        if names:
+            show(f"{word:12} {', '.join(names)}")
     show(f"optimizer    {spec.optimizer.name}")
 
 
@@ -212,9 +210,8 @@ def watch(
     begin, first, printed = time.monotonic(), work_in(folder), ""
     now = first
     while True:
-        line = now.line(first, time.monotonic() - begin)
         if now.text != printed or now.is_complete or not now.owners or once:
-            show(line)
+            show(now.line(first, time.monotonic() - begin))
             printed = now.text
         if once or now.is_complete or not now.owners:
             return

@@ -121,8 +121,7 @@ class Design:
         rows = [("", "START", "BEST", "ERROR", "UNIT")]
         goals, measured = goal_units(self.spec), measure_units(self.spec)
         told = {name: "unknown" if np.isnan(error) else f"{error:.1g}" for name, error in self.trust.errors.items()}
-        for name, start, best in self.both_points("{:.6g}"):
-            rows.append((name, start, best, "", variable_unit(self.spec, name)))
+        rows += [(*texts, "", variable_unit(self.spec, texts[0])) for texts in self.both_points("{:.6g}")]
         for name, value in self.best.goals.items():
             rows.append((name, f"{self.start.goals[name]:.6g}", f"{value:.6g}", told[name], goals[name]))
         for name in self.spec.subject_to:

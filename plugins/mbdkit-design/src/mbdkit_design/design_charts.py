@@ -157,14 +157,12 @@ def landscape_charts(design: Design, around: Mapping[str, Sequence[Cut]], units:
     common = next(iter(units.values())) if len(set(units.values())) == 1 else ""
     for index, cut in enumerate(around[""]):
         words, unit = key_words(cut.variable), variable_unit(design.spec, cut.variable)
-        lines = []
-        for settings, found in around.items():
-            beside = f" with {settings}" if settings else ""
-            other = found[index]
-            lines += [
-                Line(f"{goal_words(name)}{beside}", other.values, other.goals[:, k])
-                for k, name in enumerate(design.spec.totals)
-            ]
+        cuts = [(f" with {settings}" if settings else "", found[index]) for settings, found in around.items()]
+        lines = [
+            Line(f"{goal_words(name)}{beside}", other.values, other.goals[:, k])
+            for beside, other in cuts
+            for k, name in enumerate(design.spec.totals)
+        ]
         yield Figure(
             f"cut-{index + 1}", f"Goal along {words}",
             f"The goal near the best point, which is marked, with all other variables at their best values."

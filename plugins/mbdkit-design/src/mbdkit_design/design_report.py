@@ -78,8 +78,7 @@ def design_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
             evaluating(design.spec, folder, Engine(workers, None, WORKER), Stages(design.spec, say)) as evaluator,
         ):
             best = evaluator.point(design.best.variables)
-            around = {"": cuts(evaluator, best)}
-            around |= {
+            around = {"": cuts(evaluator, best)} | {
                 comparison.name: cuts(Evaluator(design.spec, evaluator.run, compared=comparison.name), best)
                 for comparison in design.compared
                 if comparison.believed
@@ -154,8 +153,7 @@ def _devices(design: Design, pairs: Mapping[str, Pair]) -> Iterator[Section]:
     values = ", ".join(f"{key_words(name)} {text}" for name, text, _ in _points(design))
     yield Section("device-start", f"The device {POINT_WORDS['start']}", (f"With {values}.",), _drawn(pairs, "start"))
     for index, (scenario, runs) in enumerate(pairs.items()):
-        frames = load_drawing(runs["best"], mechanism_of(runs["best"]))
-        if frames is not None:
+        if (frames := load_drawing(runs["best"], mechanism_of(runs["best"]))) is not None:
             where = f" in the scenario {scenario}" if scenario else ""
             yield Section(f"work-{index + 1}", f"The device at work{where}", (), frames)
 

@@ -449,16 +449,12 @@ class DesignSpec(StrictSpec):
         for name, scenario in self.scenarios.items():
             check_name(name, path_text(("scenarios", name)))
             if self.base is None and scenario.base is None:
-                raise SpecError(
-                    "is missing: give the spec to improve, here or at the top level of the design",
-                    key=path_text(("scenarios", name, "base")),
-                )
+                message = "is missing: give the spec to improve, here or at the top level of the design"
+                raise SpecError(message, key=path_text(("scenarios", name, "base")))
         tables = [one for one in self.variables.values() if isinstance(one, TableVariable)]
         if self.sums_squares and (self.subject_to or any(one.slope or one.curvature for one in tables)):
-            raise SpecError(
-                "does not support limits (`subject_to`, `slope`, `curvature`); use slsqp, bundle or trust-constr",
-                key="optimizer.name",
-            )
+            message = "does not support limits (`subject_to`, `slope`, `curvature`); use slsqp, bundle or trust-constr"
+            raise SpecError(message, key="optimizer.name")
         if len(self.totals) > 3:
             raise SpecError(
                 f"has {len(self.goals)} goals; a Pareto front has two or three. Combine some of them in one expression",

@@ -126,15 +126,13 @@ def _tables(design: Design) -> Iterator[Table]:
 
 
 def _goal_table(design: Design) -> Table:
-    units = measure_units(design.spec)
-    rows: list[tuple[Cell, ...]] = []
-    for scenario, measures in design.best.measures.items():
-        for name, value in measures.items():
-            limit = design.spec.subject_to.get(name)
-            rows.append(
-                (scenario, name, units[scenario, name], design.start.measures[scenario][name], value,
-                 None if limit is None else limit.min, None if limit is None else limit.max)
-            )  # fmt: skip
+    units, start = measure_units(design.spec), design.start.measures
+    limits = {name: (limit.min, limit.max) for name, limit in design.spec.subject_to.items()}
+    rows: list[tuple[Cell, ...]] = [
+        (scenario, name, units[scenario, name], start[scenario][name], value, *limits.get(name, (None, None)))
+        for scenario, measures in design.best.measures.items()
+        for name, value in measures.items()
+    ]
     names = ["scenario", "goal or limit", "unit", "start", "best", "smallest", "largest"]
     if not design.spec.scenarios:
         names, rows = names[1:], [row[1:] for row in rows]

@@ -135,8 +135,7 @@ class ScenarioRuns:
                 raise
             except MbdkitError as error:
                 found[place] = self._failed(str(error))
-        results = self._batches.simulate(runs.values())
-        for (place, spec), result in zip(runs.items(), results, strict=True):
+        for (place, spec), result in zip(runs.items(), self._batches.simulate(runs.values()), strict=True):
             if not isinstance(result, FinishedRun) or result.status != "complete":
                 if result.status == "missing":
                     raise ResourceError(result.reason)
@@ -265,8 +264,7 @@ class Evaluator:
 
     def point(self, variables: Mapping[str, float]) -> np.ndarray:
         """Return the point (n,) that corresponds to values of the variables."""
-        given = self.spec.chosen
-        return np.array([(variables[name] - one.bounds[0]) / one.width for name, one in given.items()])
+        return np.array([(variables[name] - one.bounds[0]) / one.width for name, one in self.spec.chosen.items()])
 
     def variables(self, x: np.ndarray) -> dict[str, float]:
         """Return the values of the variables at a point."""

@@ -165,10 +165,9 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     """
     found = []
     for scenario, pair in pairs.items():
-        before = {load.label: load for load in largest_loads(pair["start"])}
+        before = {load.label: load.value for load in largest_loads(pair["start"])}
         for one in largest_loads(pair["best"]):
-            start = before[one.label].value if one.label in before else 0.0
-            cost = Cost(scenario, one.label, one.unit, start, one.value)
+            cost = Cost(scenario, one.label, one.unit, before.get(one.label, 0.0), one.value)
             if abs(cost.share) >= LEAST_CHANGE:
                 found.append(cost)
     return sorted(found, key=lambda cost: -cost.share)

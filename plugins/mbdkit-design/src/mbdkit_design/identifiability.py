@@ -96,13 +96,11 @@ def _second_derivatives(problem: Problem, best: np.ndarray, free: np.ndarray, *,
     """Return the second derivatives (F, F) of the cost with respect to F variables; nan where a run fails, zero for two
     variables if `is_alone`.
     """
-    cost, steps = float(problem.cost(best)), np.full(len(free), STEP)
+    noise, steps = NOISE * max(1.0, abs(problem.cost(best))), np.full(len(free), STEP)
     for _ in range(STEPS):
         whole, half = (np.diag(_differences(problem, best, free, share * steps, ())) for share in (1.0, 0.5))
         with np.errstate(invalid="ignore"):
-            smooth = (np.abs(whole - 4.0 * half) < QUADRATIC * np.abs(whole)) | (
-                np.abs(whole) < NOISE * max(1.0, abs(cost))
-            )
+            smooth = (np.abs(whole - 4.0 * half) < QUADRATIC * np.abs(whole)) | (np.abs(whole) < noise)
         if np.all(smooth):
             break
         steps = np.where(smooth, steps, steps / SHRINK)

@@ -117,11 +117,10 @@ def _sides(evaluator: Evaluator, best: np.ndarray, places: list[int]) -> np.ndar
     down, up = away[0]
     second = away[:, 0] + away[:, 1]
     with np.errstate(all="ignore"):
-        larger = np.maximum(np.abs(down), np.abs(up))
         is_corner = (
             (np.abs(second[1]) < LEAST_GROWTH * np.abs(second[0]))
             & (np.abs(second[0]) > NOISE * np.abs(values[0]))
-            & (np.abs(second[0]) > LEAST_CORNER * larger)
+            & (np.abs(second[0]) > LEAST_CORNER * np.maximum(np.abs(down), np.abs(up)))
             & inside[:, None, None]
         )
     return np.moveaxis(np.where(is_corner, np.stack([down, up]) * SHARE / DISTANCES[0], np.nan), 1, -1)

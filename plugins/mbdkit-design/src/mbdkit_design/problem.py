@@ -71,8 +71,7 @@ class Problem:
         self.weights = goal_weights(evaluator, goal)
         self.bounds = _limits(evaluator)
         self.bounds += (Bound(goal_weights(evaluator, k), -np.inf, most) for k, most in (caps or {}).items())
-        outcome = evaluator.outcomes(evaluator.first[None])[0]
-        for scenario, one in zip(evaluator.spec.specs, outcome, strict=True):
+        for scenario, one in zip(evaluator.spec.specs, evaluator.outcomes(evaluator.first[None])[0], strict=True):
             if one.verdict == "failed":
                 where = f" in the scenario '{scenario}'" if scenario else ""
                 raise RunError(f"a run fails at the start of the variables{where}: {one.reason}")

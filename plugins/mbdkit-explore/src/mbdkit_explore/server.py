@@ -159,13 +159,10 @@ def application(explorer: Explorer, token: str, is_ending: Callable[[], bool]) -
         if not is_known(request.query_params.get("token")):
             return PlainTextResponse("The address of this page contains a token; use the one that was printed.", 403)
         if not page:
-            reference = await computed(request, {})
-            if reference is None:
+            if (reference := await computed(request, {})) is None:
                 return PlainTextResponse("", 503)
-            sliders = [
-                {"key": slider.key, "words": slider.words, "unit": slider.unit, "low": slider.low, "high": slider.high,
-                 "value": slider.value} for slider in explorer.sliders
-            ]  # fmt: skip
+            names = ("key", "words", "unit", "low", "high", "value")
+            sliders = [{name: getattr(slider, name) for name in names} for slider in explorer.sliders]
             data = {"sliders": sliders, "reference": reference}
             page[:] = [render("explore.html", {"title": explorer.title, "sliders": sliders, "data": data})]
         return HTMLResponse(page[0])
@@ -177,8 +174,7 @@ def application(explorer: Explorer, token: str, is_ending: Callable[[], bool]) -
         with suppress(ClientDisconnect):
             async for part in request.stream():
                 body = (body + part)[: LARGEST + 1]  # the rest is discarded, but read: the client waits for this
-        values = values_in(body)
-        if values is None:
+        if (values := values_in(body)) is None:
             return PlainTextResponse(f"The body should be a JSON object of numbers, of at most {LARGEST} bytes.", 400)
         result = await computed(request, values)
         return PlainTextResponse("", 503) if result is None else JSONResponse(result)
@@ -197,9 +193,8 @@ def values_in(body: bytes) -> dict[str, float] | None:
         values = json.loads(body, parse_int=float) if len(body) <= LARGEST else None
     except (ValueError, RecursionError):
         return None
-    if not isinstance(values, dict):
-        return None
-    return values if all(isinstance(one, float) and math.isfinite(one) for one in values.values()) else None
+    is_valid = isinstance(values, dict) and all(isinstance(x, float) and math.isfinite(x) for x in values.values())
+    return values if is_valid else None
 
 
 def _in_thread(explorer: Explorer, values: Mapping[str, float]) -> asyncio.Future[dict[str, object]]:

@@ -120,8 +120,7 @@ def group_table(run: Run, group: str) -> GroupTable:
     """
     if group not in run.kinds and group not in groups():
         raise UnknownNameError("group", group, groups())
-    arrays = _arrays(run, group)
-    if not arrays:
+    if not (arrays := _arrays(run, group)):
         kind = kind_of_group(group)
         if kind.is_optional and not run.objects(kind):  # raises NotRecordedError if the group was not recorded
             raise MbdkitError(f"the mechanism of this run has no {group}, so that there is no table of them")

@@ -139,8 +139,7 @@ class Stored:
         ),
     ] = None
     quick: Annotated[
-        bool,
-        typer.Option("--quick", help="Run the short form of a packaged study that has one, such as methods."),
+        bool, typer.Option("--quick", help="Run the short form of a packaged study that has one, such as methods.")
     ] = False
     overwrite: Annotated[
         bool,

@@ -246,8 +246,7 @@ class _Worn:
         try:
             _, start = workspace_at_start(neutral)
         except SpecError as error:
-            inner = error.key.removeprefix("model.")
-            raise SpecError(error.message, key=f"{self.key}.mechanism.{inner}") from None
+            raise SpecError(error.message, key=f"{self.key}.mechanism.{error.key.removeprefix('model.')}") from None
         neutral.bodies = _moved(neutral.bodies, start.q, start.v)
         search = LeastChange(compile_mechanism(neutral), 0.0, np.zeros(3 * len(bodies), dtype=bool))
         q = np.array([[*body.position, body.angle] for body in bodies.values()]).ravel()
@@ -277,12 +276,10 @@ class _Worn:
         for name, body in self._bodies().items():
             person.add("bodies", self.prefixed(name), **body.model_dump(mode="json", exclude_defaults=True))
         renamed = _Renaming(own, self.prefixed)
-        for kind, elements in own.elements.items():
+        others = {kind: getattr(own, kind) for kind in ("states", "inputs", "controllers", "coordinates")}
+        for kind, elements in (own.elements | others).items():
             for name, element in elements.items():
                 person.add(kind, self.prefixed(name), **renamed.keys(element))
-        for kind in ("states", "inputs", "controllers", "coordinates"):
-            for name, value in getattr(own, kind).items():
-                person.add(kind, self.prefixed(name), **renamed.keys(value))
         for link, one in self.device.attach.items():
             at, angle = self.rests[link]
             tissue = one.cuff.model_dump(mode="json", exclude_defaults=True)

@@ -125,10 +125,9 @@ class StrutOptions(DeviceOptions):
 def _links(o: DeviceOptions, knee: float = 0.0) -> Mechanism:
     """Return a mechanism with the upper and the lower link; `knee` is the height of the knee [m]."""
     m = Mechanism()
-    for name, mass, arm, side in zip(
-        ("upper", "lower"), (o.upper_mass, o.lower_mass), o.arms, (1.0, -1.0), strict=True
-    ):
-        m.body(name, mass=mass, inertia=mass * arm**2 / 12.0, position=(0.0, knee + side * arm))
+    upper, lower = o.arms
+    for name, mass, arm in (("upper", o.upper_mass, upper), ("lower", o.lower_mass, -lower)):
+        m.body(name, mass=mass, inertia=mass * arm**2 / 12.0, position=(0.0, knee + arm))
     return m
 
 

@@ -171,8 +171,7 @@ def _of_forces(run: Run) -> Table:
             cells += [float(value.peaks[column]), float(value.peak_times[column])] if has_unit else [None, None]
         rows.append((*cells, float(power.peaks[column]), float(power.peak_times[column])))
     note = f"The {ROWS} of {len(own)} force elements with the largest values. " if len(own) > ROWS else ""
-    note += OF_ROWS
-    return Table("forces", "Force elements", tuple(columns), tuple(rows), note)
+    return Table("forces", "Force elements", tuple(columns), tuple(rows), note + OF_ROWS)
 
 
 def beam_section(run: Run, mechanism: Mechanism | None) -> Section | None:
@@ -202,8 +201,7 @@ def _bent(run: Run, mechanism: Mechanism | None, row: int) -> Illustration | Non
     """
     pose = take(run.dataset("trajectory/position"), np.array([row], dtype=np.intp))[0]
     named = NamedPose.of(mechanism, list(run.bodies), pose, np.asarray(run.time)[row : row + 1])
-    moments = bending_moments(run, named.drawing.beams)
-    if moments is None:
+    if (moments := bending_moments(run, named.drawing.beams)) is None:
         return None
     caption = f"The mechanism at t = {run.time[row]:.6g} s. Beams are coloured by their bending moments."
     return illustration(replace(named, moments=moments[row]), "Drawing of the mechanism with its bent beams", caption)
@@ -222,5 +220,4 @@ def _beam_table(run: Run) -> Table:
             cells += [peak.value, round(peak.place, 4), peak.time]
         rows.append((*cells, float(np.max(beam.strain_energy))))
     note = f"The first {ROWS} of {len(run.beams)} beams. " if len(run.beams) > ROWS else ""
-    note += OF_ROWS
-    return Table("beams", "Internal forces of the beams", tuple(columns), tuple(rows), note)
+    return Table("beams", "Internal forces of the beams", tuple(columns), tuple(rows), note + OF_ROWS)

@@ -175,10 +175,7 @@ def _forces(shown: NamedPose, mechanism: Mechanism) -> Table:
     force: Any
     for name, force in own_forces(mechanism).items():
         load = getattr(force, "load", None)
-        if load is None:
-            between = path_ends(force.pathway.segments(mechanism.joints))
-        else:
-            between = (load.reaction_body, load.body)
+        between = (load.reaction_body, load.body) if load else path_ends(force.pathway.segments(mechanism.joints))
         kind = f"{force.type}: {force.law}" if force.type == "law" else force.type
         rows.append((name, kind, " - ".join(between), _force_details(force, shown)))
     return _limited("model-forces", "Springs, dampers and loads", "force element; type; between; data", rows)
@@ -189,8 +186,7 @@ def _markers(shown: NamedPose, mechanism: Mechanism) -> Table:
     for name, marker in mechanism.markers.items():
         x, y = shown.place(marker.body, marker.held).tolist()
         rows.append((name, marker.body, *shown.rounded(marker.held).tolist(), x, y))
-    columns = "marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]"
-    return _limited("markers", "Markers", columns, rows)
+    return _limited("markers", "Markers", "marker; body; x in its frame [m]; y in its frame [m]; x [m]; y [m]", rows)
 
 
 def _parameters(spec: Mapping[str, Any]) -> Table:
@@ -223,11 +219,9 @@ def _joint_details(joint: Any) -> str:
 
 
 def _force_details(force: Any, shown: NamedPose) -> str:
-    load = getattr(force, "load", None)
-    if load is None:
+    if (load := getattr(force, "load", None)) is None:
         radii = force.pathway.radii if isinstance(force.pathway, JointAngles) else {}
-        pulleys = [f"radius {radius:.6g} m at {joint}" for joint, radius in radii.items()]
-        return ", ".join([*pulleys, *_options(force)])
+        return ", ".join([*(f"radius {radius:.6g} m at {joint}" for joint, radius in radii.items()), *_options(force)])
     if load.kind == "torque":
         return f"{_motion(load.values[0])} N m"
     frame = "of the body" if load.kind == "body_force" else "global"

@@ -143,8 +143,7 @@ def _is_numeric(table: Table, column: int) -> bool:
 
 def _headings(html: str) -> list[tuple[str, str]]:
     """Return anchor and title of each section of a page."""
-    found = re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', html)
-    return [(anchor, Markup(title).unescape()) for anchor, title in found]
+    return [(anchor, Markup(title).unescape()) for anchor, title in re.findall(r'<h2 id="([^"]*)">(.*?)</h2>', html)]
 
 
 #: Filters that the macros in `templates/parts.html` use.

@@ -72,12 +72,8 @@ def _marks(run: Run) -> tuple[Mark, ...]:
     """
     if len(run.events) > MARKS:
         return ()
-    named: set[str] = set()
-    marks = []
-    for event in run.events:
-        marks.append(Mark("" if event.name in named else event.name, event.time))
-        named.add(event.name)
-    return tuple(marks)
+    names = [event.name for event in run.events]
+    return tuple(Mark("" if one.name in names[:place] else one.name, one.time) for place, one in enumerate(run.events))
 
 
 #: Largest number of curves in the chart of a recorded array. Of more curves, those with the largest values are drawn.

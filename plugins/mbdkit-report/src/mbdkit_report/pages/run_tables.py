@@ -142,9 +142,8 @@ def _one_node_of_each_beam(run: Run, size: np.ndarray) -> np.ndarray:
     """Return the indices of the bodies. Of the nodes of each beam, only the node with the largest `size` (B,) is
     included.
     """
-    beams = run.beams.values() if has_beams(run) else ()
     names, shown = list(run.bodies), np.ones(len(size), dtype=bool)
-    for beam in beams:
+    for beam in run.beams.values() if has_beams(run) else ():
         nodes = [names.index(node) for node in beam.nodes]
         shown[nodes] = False
         shown[nodes[int(np.argmax(size[nodes]))]] = True

@@ -200,8 +200,7 @@ def _largest_energy(run: Run) -> float:
     """Return the largest absolute value of the energies whose rounding errors the energy balance contains [J]."""
     names = ("potential", "work", "dissipated")
     largest = max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
-    model = mechanism_of(run)
-    if model is None:
+    if (model := mechanism_of(run)) is None:
         return largest
     mass, inertia = np.array([(body.mass, body.inertia or 0.0) for body in model.bodies.values()]).T
     return max(largest, gravity_level(mass, inertia, np.asarray(model.gravity)))

@@ -23,8 +23,7 @@ def headlines(verdict: Verdict) -> tuple[Table, ...]:
 
 def terminal_text(verdict: Verdict) -> str:
     """Return claims and headline tables as text for the terminal; empty if there is no headline table."""
-    shown = headlines(verdict)
-    if not shown:
+    if not (shown := headlines(verdict)):
         return ""
     claims = [f"{claim.answer!s:<6} {claim.statement} Found: {claim.computed}." for claim in verdict.claims]
     return "\n".join([*map(table_text, shown), *claims])
@@ -39,8 +38,7 @@ def json_values(verdict: Verdict) -> dict[str, object]:
     """Return the sentence, the claims and the headline tables of a verdict as JSON values; {} if it has no headline
     table.
     """
-    shown = headlines(verdict)
-    if not shown:
+    if not (shown := headlines(verdict)):
         return {}
     values = verdict.to_dict()
     names = [table.name for table in shown]

@@ -99,8 +99,7 @@ def _along(run: Run, component: BeamForce, names: Sequence[str] | None = None, t
     """Return the chart of an internal force along beams; by default along the beam with the largest value, at up to
     five times.
     """
-    if names is None:
-        names = _picked(run, None, component, 1)
+    names = _picked(run, None, component, 1) if names is None else names
     rows = _rows(run, names[0], component) if times is None else _rows_at(run, times)
     lines = []
     for name in names:

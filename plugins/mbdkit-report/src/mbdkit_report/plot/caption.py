@@ -29,8 +29,7 @@ def caption(run: Run) -> Caption:
     spec = run.spec
     model = str(spec.get("model", {}).get("name", "mechanism"))
     parts = [model, method(spec), *_departures(spec)]
-    step = spec.get("time", {}).get("step")
-    if step is not None:
+    if (step := spec.get("time", {}).get("step")) is not None:
         first = "first step" if "rtol" in spec.get("integrator", {}) else "step"
         parts.append(f"{first} {step:g} s")
     parts.append(str(run.status))

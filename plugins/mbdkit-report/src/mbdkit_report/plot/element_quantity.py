@@ -185,8 +185,7 @@ def with_errors(
     joints
         Index of the joint of each element; by default the elements are all joints.
     """
-    accuracy = run.accuracy
-    if accuracy is None:
+    if (accuracy := run.accuracy) is None:
         return quantity
     errors = errors_at(accuracy, getattr(accuracy, name)[:, joints], quantity.data.time)
     until = math.nan if accuracy.is_complete else accuracy.known_until

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,10 +96,8 @@ def write_gif(run: Run, target: Path) -> None:
     film = Film(run, scene(run, rate=RATE, most=_MOST, **_LENGTH))
     shades = BENDING_SHADES if film.scene.moments is not None else ()
     palette = _palette([film.picture(frame) for frame in evenly(len(film), 4)], shades)
-    pictures = (
-        Image.fromarray(film.picture(frame)).quantize(palette=palette, dither=Image.Dither.NONE)
-        for frame in range(len(film))
-    )
+    frames = map(Image.fromarray, map(film.picture, range(len(film))))
+    pictures = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
     durations = [1000 // RATE] * (len(film) - 1) + [int(1000 * _STILL)]
     next(pictures).save(
         target, format="GIF", save_all=True, append_images=pictures, duration=durations, loop=0, disposal=1
@@ -139,11 +138,9 @@ def write_mp4(run: Run, target: Path) -> None:
     command += ["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     with subprocess.Popen([*command, str(target)], stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdin is not None
-        try:
+        with suppress(BrokenPipeError):  # ffmpeg has ended, and says why
             for frame in range(len(film)):
                 process.stdin.write(film.picture(frame).tobytes())
-            _, complaint = process.communicate()
-        except BrokenPipeError:
-            _, complaint = process.communicate()
+        _, complaint = process.communicate()
     if process.returncode:
         raise SpecError(f"ffmpeg could not make the .mp4 file: {complaint.decode(errors='replace').strip()}")

@@ -154,8 +154,7 @@ def size_in_mm(text: str) -> tuple[float, float]:
     SpecError
         If the size is not written in this form, or is too small or too large.
     """
-    match = _SIZE.fullmatch(text)
-    if match is None:
+    if (match := _SIZE.fullmatch(text)) is None:
         raise SpecError(f"the size {text!r} is not understood; write a width in mm, or both, as in 85mm or 85mmx60mm")
     width = float(match[1])
     height = float(match[2]) if match[2] else _SHAPE * width
@@ -189,8 +188,7 @@ def paper_figure(runs: Sequence[Run], kind: str, size: tuple[float, float] | Non
 def _legend_above(figure: Figure, width: float, title: str) -> None:
     """Move the legend of the axes above them, in as many columns as fit into a width [mm]."""
     axes = figure.axes[0]
-    legend = axes.get_legend()
-    if legend is None:
+    if (legend := axes.get_legend()) is None:
         return
     legend.remove()
     handles, labels = axes.get_legend_handles_labels()

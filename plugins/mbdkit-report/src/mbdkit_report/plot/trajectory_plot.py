@@ -172,8 +172,7 @@ def _errors(run: Run, drawing: Drawing, traces: tuple[Trace, ...], rows: int) ->
     The error of a point is that of the centre of mass of its body, plus the error of the angle times the distance of
     the point from the centre of mass.
     """
-    accuracy = run.accuracy
-    if accuracy is None:
+    if (accuracy := run.accuracy) is None:
         return None
     error = errors_at(accuracy, accuracy.position_error, np.asarray(run.time)[evenly(len(run.time), rows)])
     points = [trace.point for trace in traces]

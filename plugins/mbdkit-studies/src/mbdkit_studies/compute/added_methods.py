@@ -225,8 +225,7 @@ def _with_each(spec: StudySpec, method: AddedMethod, notify: Callable[[str], Non
     errors = []
     for formulation in method.formulations:
         label = method.label if method.is_labelled else f"{method.label}, {name_of(formulation)}"
-        settings = {**method.settings, "formulation": formulation}
-        one = replace(method, label=label, settings=settings, is_labelled=True)
+        one = replace(method, label=label, settings={**method.settings, "formulation": formulation}, is_labelled=True)
         try:
             spec = _with(spec, one, notify, repeated=True)
         except SpecError as error:
@@ -311,10 +310,8 @@ class _Attempt:
     def _try(self, place: _Place) -> None:
         """Find out whether the method suits a family; raise SpecError or PluginError if it does not."""
         base, others = json.loads(place.grid.base_json), set().union(*place.others.values())
-        chosen = dict(self.method.settings)
-        chosen |= {
-            key: value for key, value in self.how.items() if key not in others and base.get(key, _HOW[key]) != value
-        }
+        how = {key: value for key, value in self.how.items() if key not in others and base.get(key, _HOW[key]) != value}
+        chosen = {**self.method.settings, **how}
         without = None
         if self.method.claims.adaptive:
             without = self._step_axis(place, chosen)
@@ -323,16 +320,15 @@ class _Attempt:
             # The method chooses its first step, and the time span is kept.
             has_steps = base["time"].get("steps") and not any(key.partition(".")[0] == "time" for key in varied)
             chosen |= {"time": {"start": start, "end": end}} if has_steps else {"time.step": None}
-        name, how = self.method.settings[METHOD]["name"].rpartition(":")[2], self.how["formulation"]
+        name, formulation = self.method.settings[METHOD]["name"].rpartition(":")[2], self.how["formulation"]
         same = {
             place.words_of(value): value.label
             for value in place.values
             if name in json.dumps(value.value)  # other methods differ anyway, and their specs take long to build
-            and (not value.together or value.value.get("formulation", how) == how)
+            and (not value.together or value.value.get("formulation", formulation) == formulation)
         }
-        shared = chosen
-        if sets_method(place.grid.reference or ()):
-            shared = {key: value for key, value in chosen.items() if key not in HOW}
+        left_out = HOW if sets_method(place.grid.reference or ()) else ()
+        shared = {key: value for key, value in chosen.items() if key not in left_out}
         both = zip(place.data(chosen, without), place.data(shared, without), strict=True)
         for number, (data, referred) in enumerate(both):
             spec = RunSpec(**data)
@@ -355,8 +351,7 @@ class _Attempt:
         SpecError
             If tolerances cannot take its place.
         """
-        number = place.step_axis
-        if number is None:
+        if (number := place.step_axis) is None:
             return None
         if "rtol" not in self.method.options:
             raise SpecError("it adapts its step and has no option `rtol`, which would vary in place of the step")

@@ -282,8 +282,7 @@ def _carried_out(
     spec = with_sample_values(spec, folder, overwrite=overwrite)
     spec = with_store(spec, folder, overwrite=overwrite)
     try:
-        is_shown = progress is None and in_notebook()
-        with count_bar(spec.title or folder.path.name, quiet=not is_shown) as bar:
+        with count_bar(spec.title or folder.path.name, quiet=progress is not None or not in_notebook()) as bar:
             store: RunStores = (RunBlocks if spec.in_blocks else RunFiles)(spec, folder)
             folder.check(spec, overwrite=overwrite)
             for _, checked in store.plan.validated:

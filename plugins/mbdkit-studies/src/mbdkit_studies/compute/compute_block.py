@@ -64,8 +64,7 @@ class BlockPlan(StudyPlan):
         """Unit and description of each measure."""
         # the misalignment has its own column
         built_in = {name: MEASURES[name] for name in self.built_in if name != MISALIGNMENT}
-        checked = OF_CHECKED_RUNS if self.is_checked else {}
-        return {**built_in, **self.defined, **checked}
+        return {**built_in, **self.defined, **(OF_CHECKED_RUNS if self.is_checked else {})}
 
     @cached_property
     def varied(self) -> EnsembleRuns:
@@ -224,8 +223,7 @@ def _taken_over(saved: Mapping[int, BlockRuns], members: Members) -> dict[int, B
     """Return those saved runs, by number, that have the specs and the plugins of members."""
     runs = {}
     for number, spec in members.items() if saved else ():
-        run = saved.get(number)
-        if run is None or not isinstance(spec, RunSpec):
+        if (run := saved.get(number)) is None or not isinstance(spec, RunSpec):
             continue
         same = run.spec_sha256, run.run_id, run.plugins
         if same == (spec.sha256(), spec.run_id(), _plugins_json(tuple(plugins_of(spec).items()))):
@@ -249,8 +247,7 @@ def _spec_of(
         return Outcome("failed", skip[point.number])
     mark.note(point.number)  # before the mechanism is built, because a model of a plugin may end the process
     try:
-        values = [(setting.path, setting.value) for setting in point.settings]
-        spec = varied[point.grid.base_json].spec(values)
+        spec = varied[point.grid.base_json].spec([(setting.path, setting.value) for setting in point.settings])
         spec.mechanism()
     except SpecError:
         try:
@@ -283,11 +280,7 @@ def _results(
 
 
 def _varied_runs(
-    plan: BlockPlan,
-    places: Sequence[int],
-    runs: VariedRuns,
-    notify: Callable[[str], None],
-    twice: Collection[int],
+    plan: BlockPlan, places: Sequence[int], runs: VariedRuns, notify: Callable[[str], None], twice: Collection[int]
 ) -> Iterator[BlockRuns]:
     """Yield the data of those runs that can be computed without specs of their own; those at `twice` are compared.
 

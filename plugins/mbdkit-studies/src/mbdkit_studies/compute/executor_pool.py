@@ -123,8 +123,7 @@ class Pool:
                 how = str(error) if isinstance(error, ProcessDiedError) else f"was lost by the executor: {_told(error)}"
                 suspects, innocent = self._begun.pop(future).divided()
                 for task in suspects:
-                    following = task.after_death(how)
-                    if following is None:
+                    if (following := task.after_death(how)) is None:
                         yield task, Outcome("failed", died(how))
                     else:
                         batches.append([following])
@@ -191,8 +190,7 @@ class Pool:
         """Compute the remaining tasks of a broken executor by local processes."""
         self.executor.shutdown()  # wait until its last processes have ended
         self.say(f"the executor failed, and processes on this machine compute the rest ({_told(error)})")
-        begun: list[list[Task]] = [batch.tasks for batch in self._begun.values()]
-        left: list[Task] = [task for batch in (*begun, *batches) for task in batch]
+        left = [task for batch in (*(begun.tasks for begun in self._begun.values()), *batches) for task in batch]
         self._begun.clear()
         with replace(self.engine, executor=None).pool(self.say) as pool:
             yield from pool.work(left)

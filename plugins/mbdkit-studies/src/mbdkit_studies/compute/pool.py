@@ -90,8 +90,7 @@ class LocalProcesses(ThreadPoolExecutor):
         """Return the answer of a process, in a list; a process that dies is replaced, and its unfinished archive is
         removed, unless another call can continue it from a checkpoint because this executor has ended the process.
         """
-        process = self._idle.get()
-        if process is None:
+        if (process := self._idle.get()) is None:
             raise CancelledError
         try:
             answer = process.answer(message, self.notify)

@@ -133,8 +133,7 @@ class RunBlocks(RunStore[int]):
 
     def read(self, key: int) -> Outcome:
         """See `RunStore.read`."""
-        rows = self._rows(key)
-        if rows is None:
+        if (rows := self._rows(key)) is None:
             return MISSING
         runs = zip(rows.runs["status"], rows.runs["status_reason"], strict=True)
         is_final = all(Outcome(str(status), str(reason)).is_final for status, reason in set(runs))

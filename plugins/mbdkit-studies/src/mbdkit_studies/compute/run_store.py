@@ -113,8 +113,7 @@ class RunStore(ABC, Generic[Key]):
             if isinstance(error, ArchiveError) and error.is_other_version:
                 raise
             return None  # the files are read instead
-        is_same = before.study_sha256 == self.spec.sha256() and before.version == own_version()
-        return before if is_same else None
+        return before if (before.study_sha256, before.version) == (self.spec.sha256(), own_version()) else None
 
     def missing(self, keys: Iterable[Key]) -> list[Key]:
         """Return the keys of the files that are to be computed.

@@ -195,14 +195,8 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
                 raise _placed(spec, measure, SpecError(error.message + text, key=error.key)) from None
             before = described.setdefault(measure.name, now)
             if before != now:
-                raise _placed(
-                    spec,
-                    measure,
-                    SpecError(
-                        f"its unit is {before.units} in {first[measure.name]} and {now.units} in {label}; a column of "
-                        "the index has one unit"
-                    ),
-                )
+                message = f"its unit is {before.units} in {first[measure.name]} and {now.units} in {label}"
+                raise _placed(spec, measure, SpecError(f"{message}; a column of the index has one unit"))
             first.setdefault(measure.name, label)
             if has_error(measure, run):
                 described.setdefault(measure.name + ERROR, Description(now.units, f"estimated error of {measure.name}"))

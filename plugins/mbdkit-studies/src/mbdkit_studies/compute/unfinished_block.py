@@ -64,10 +64,8 @@ class UnfinishedBlock:
         """
         runs: dict[int, BlockRuns] = {}
         for path in pieces_of(self._block):
-            with (
-                suppress(MbdkitError, *DAMAGE),
-                Block(path, is_verified=False) as piece,
-            ):  # a kill may leave a truncated file
+            # a kill may leave a truncated file
+            with suppress(MbdkitError, *DAMAGE), Block(path, is_verified=False) as piece:
                 if self._suits(piece):
                     runs |= {run.numbers[0]: run for run in _runs(piece)}
         return runs

@@ -98,8 +98,7 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
         limit = f"{KNOWN_POSITION.doubtful:.0%} of the mechanism's size"
         text += f"; {count} of {len(errors)} runs stay within {limit} of it"
     rows = [("errors", text)]
-    table = cost_at_error(study)
-    if table is not None:
+    if (table := cost_at_error(study)) is not None:
         target = table.columns[1].label.removeprefix("operations for ")
         reached = [row for row in table.rows if row[1] is not None][:3]
         words = [f"{row[0]} ({row[1]})" for row in reached]

@@ -198,10 +198,7 @@ Distribution = Annotated[
             "minProperties": 1,
             "maxProperties": 1,
             "additionalProperties": {
-                "anyOf": [
-                    {"type": "array", "items": NUMBER},
-                    {"type": "object", "additionalProperties": NUMBER},
-                ]
+                "anyOf": [{"type": "array", "items": NUMBER}, {"type": "object", "additionalProperties": NUMBER}]
             },
             "description": f"The distribution of the key: {FORM}. The names and parameters are those of continuous "
             "distributions of scipy.stats, in their order: first those of the shape, then loc and scale; but `uniform` "

@@ -118,8 +118,7 @@ def reverse(spec: RunSpec) -> Reversal:
     """
     setup = RunSetup.of(spec)
     workspace = setup.workspace
-    table = _timetable(spec)
-    if table is None:
+    if (table := _timetable(spec)) is None:
         return Reversal(math.nan, math.nan, "too-short: the run has no full step.")
     try:
         there = _states(setup, table)

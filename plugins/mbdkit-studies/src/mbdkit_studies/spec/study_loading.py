@@ -208,8 +208,7 @@ def _packaged_document(name: str, *, quick: bool = False) -> tuple[Document, Fil
 
     The verdict function of the study is used unless the spec names another one.
     """
-    item = _packaged(name)
-    if item is None:
+    if (item := _packaged(name)) is None:
         return None
     assert isinstance(item.plugin, StudyPlugin)
     path = item.plugin.spec

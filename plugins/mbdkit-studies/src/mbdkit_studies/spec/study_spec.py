@@ -112,10 +112,7 @@ def check_axes_of_sample(sample: Sample, axes: tuple[dict[str, Any], ...], place
 
 
 Overrides = Annotated[dict[str, Any], AfterValidator(_check_keys)]
-Axes = Annotated[
-    tuple[Annotated[dict[str, ValueSet], AfterValidator(_check_axis)], ...],
-    AfterValidator(_check_axes),
-]
+Axes = Annotated[tuple[Annotated[dict[str, ValueSet], AfterValidator(_check_axis)], ...], AfterValidator(_check_axes)]
 Base = str | dict[str, Any]
 Reference = Literal["none"] | Overrides
 Repeats = Annotated[int, Field(ge=1, le=1000)]
@@ -250,10 +247,8 @@ class StudySpec(StrictSpec):
                 wanted = f"it should be non-empty, contain no '/', and have at most {LONGEST_NAME} characters"
                 raise SpecError(f"'{shortened(name)}' is not a valid name: {wanted}", key="families")
             if self.base is None and family.base is None:
-                raise SpecError(
-                    "is missing: give the run spec to vary, here or at the top level of the study",
-                    key=path_text(("families", name, "base")),
-                )
+                message = "is missing: give the run spec to vary, here or at the top level of the study"
+                raise SpecError(message, key=path_text(("families", name, "base")))
         if not self.families and self.base is None:
             raise SpecError("is missing: the run spec to vary (a packaged example, a file or a mapping)", key="base")
         if isinstance(self.measures, list) and not self.has_references:

@@ -100,10 +100,8 @@ def _check_labelled(entry: Any, key: str) -> None:
         return
     for word in entry:
         if word not in LABELLED:
-            raise SpecError(
-                f"unknown key{did_you_mean(str(word), LABELLED)}; a value with a label has {listed(LABELLED)}",
-                key=f"{key}.{word}",
-            )
+            message = f"unknown key{did_you_mean(str(word), LABELLED)}; a value with a label has {listed(LABELLED)}"
+            raise SpecError(message, key=f"{key}.{word}")
     if "value" in entry and "set" in entry:
         raise SpecError("takes either `value` or `set`, not both", key=key)
     if "set" in entry and not (isinstance(entry["set"], Mapping) and entry["set"]):
@@ -282,12 +280,7 @@ ValueSet = Annotated[
             "anyOf": [
                 {"type": "array", "minItems": 1},
                 *(
-                    {
-                        "type": "object",
-                        "properties": {kind: _LIMITS},
-                        "required": [kind],
-                        "additionalProperties": False,
-                    }
+                    {"type": "object", "properties": {kind: _LIMITS}, "required": [kind], "additionalProperties": False}
                     for kind in SPACED
                 ),
             ],

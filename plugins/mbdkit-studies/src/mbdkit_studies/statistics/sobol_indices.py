@@ -291,8 +291,7 @@ def sensitivity(
     resamples: int = RESAMPLES,
 ) -> Sensitivity:
     """Return the Sobol indices of a measure; see `Study.sensitivity`."""
-    sample = study.spec.sample
-    if sample is None or sample.design != "saltelli":
+    if (sample := study.spec.sample) is None or sample.design != "saltelli":
         message = "Sobol indices need a sample with `design: saltelli`, which creates the runs needed to compute them"
         raise study.spec.placed(SpecError(message, key="sample" if sample is None else "sample.design"))
     if not 0 < confidence < 1:

@@ -155,8 +155,7 @@ class StudyRuns:
             If there is no such run, or not exactly one of `point` and `number` is given.
         """
         chosen = self._point(point, number)
-        run = self.storage.open(chosen)
-        if run is not None:
+        if (run := self.storage.open(chosen)) is not None:
             try:
                 _check_stored(run, chosen, self.storage.path(chosen))
             except BaseException:

@@ -100,9 +100,8 @@ def walking() -> LimbSeries:
 def _limbs(run: Any, leg: Mechanism, rows: np.ndarray, settling: float) -> LimbSeries:
     time = np.asarray(run.time)[rows]
     thigh = np.column_stack([np.asarray(run["thigh"].position), run["thigh"].angle])[rows]
-    return LimbSeries(
-        float(time[-1] - time[0]), settling, time - time[0], thigh, np.asarray(run["shank"].angle)[rows], leg
-    )
+    shank = np.asarray(run["shank"].angle)[rows]
+    return LimbSeries(float(time[-1] - time[0]), settling, time - time[0], thigh, shank, leg)
 
 
 MOTIONS = {"squat": squat, "walking": walking}
@@ -140,13 +139,12 @@ def base(motion: LimbSeries, device: str) -> dict[str, Any]:
 def study(quick: bool) -> dict[str, object]:
     """Return the spec of the study; `quick`: with few members."""
     size = FEW if quick else MEMBERS
-    sample = {"n": size, "method": "sobol", "seed": 1, "design": "saltelli", "variables": VARIABLES}
     motions = {name: make() for name, make in MOTIONS.items()}
     return {
         "mbdkit_study": 1,
         "verdict": "misfit",
         "title": "Misfit of three orthoses of the knee" + (", short form" if quick else ""),
-        "sample": sample,
+        "sample": {"n": size, "method": "sobol", "seed": 1, "design": "saltelli", "variables": VARIABLES},
         "store": "summary",
         "families": {
             f"{name}-{device}": {"title": f"{device} orthosis, {name}", "base": base(motion, device)}

@@ -93,8 +93,7 @@ class DeviceMotion:
         self._first = 3 * len(limbs)
         self._size, self._rows = equations.n, equations.m
         self._mass, self._start = equations.mass[self._first :], equations.q0[self._first :]
-        weights = equations.mass.reshape(-1, 3)[: len(limbs)] * [*mechanism.gravity, 0.0]
-        self._weight = weights.ravel()
+        self._weight = (equations.mass.reshape(-1, 3)[: len(limbs)] * [*mechanism.gravity, 0.0]).ravel()
         self._base: _Linearized | None = None if near is None else near._base
 
     def states(self, motion: LimbMotion) -> States:
@@ -156,10 +155,8 @@ class DeviceMotion:
     def _begin(self, motion: LimbMotion) -> Triple:
         """Return position, velocity (d,) and multipliers (m,) at the first time."""
         time, limbs = float(motion.time[0]), motion.q[0]
-        if self._base is not None:
-            guess, lam = self._base.q[0], self._base.lam
-        else:
-            guess, lam = self._start, np.zeros(self._rows)
+        base = self._base
+        guess, lam = (self._start, np.zeros(self._rows)) if base is None else (base.q[0], base.lam)
         q, lam = self._equilibrium(time, limbs, guess, lam)
         ends = [self._equilibrium(time, limbs + sign * INSTANT * motion.v[0], q, lam)[0] for sign in (1.0, -1.0)]
         return q, (ends[0] - ends[1]) / (2 * INSTANT), lam
@@ -179,8 +176,7 @@ class DeviceMotion:
                 at, rate = guess[:, :d], w @ (guess[:, :d] - qs[k])
                 if number % RENEWED == 0:
                     stiffness, damping, jacobian = self._slopes(times[k], pose, (at, rate), guess[:, d:])
-                    matrix = self._matrix(w[None], stiffness[None], damping[None], jacobian[None])[0]
-                    inverse = np.linalg.inv(matrix)
+                    inverse = np.linalg.inv(self._matrix(w[None], stiffness[None], damping[None], jacobian[None])[0])
                 pull, phi, _ = self._terms(times[k], pose, (at, rate), guess[:, d:])
                 left = np.hstack([self._mass * (w @ (rate - vs[k])) + pull, phi])
                 change = -(inverse @ left.ravel()).reshape(2, d + m)

@@ -75,8 +75,7 @@ class WornDevice(Follower):
 
     def _of_limbs(self, values: np.ndarray) -> np.ndarray:
         every = list(self.person.bodies)
-        columns = [3 * every.index(limb) + axis for limb in self.limbs for axis in range(3)]
-        return values[:, columns]
+        return values[:, [3 * every.index(limb) + axis for limb in self.limbs for axis in range(3)]]
 
     def _forces(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> AddedForces:
         if self._motion is None:
@@ -84,10 +83,9 @@ class WornDevice(Follower):
                 limb: {"position": (x, y), "angle": angle}
                 for limb, (x, y, angle) in zip(self.limbs, q[0].reshape(-1, 3).tolist(), strict=True)
             }
+            span = float(time[0]), float(time[-1])
             try:
-                self._motion = DeviceMotion(
-                    self.alone(poses), self.limbs, (float(time[0]), float(time[-1])), self._near
-                )
+                self._motion = DeviceMotion(self.alone(poses), self.limbs, span, self._near)
             except SpecError as error:
                 place = f"devices.{quoted(self.name)}"
                 raise error if place in error.key else SpecError(error.message, key=f"model.{place}") from None
@@ -139,8 +137,7 @@ class WornDevice(Follower):
         for link, one in self.device.attach.items():
             own = one.cuff.stiffness
             stiffness = own.model_copy(update={key: factor * value for key, value in own})
-            cuff = one.cuff.model_copy(update={"stiffness": stiffness})
-            attach[link] = one.model_copy(update={"cuff": cuff})
+            attach[link] = one.model_copy(update={"cuff": one.cuff.model_copy(update={"stiffness": stiffness})})
         offset = (*moved, angle + change.get("misfit_angle", 0.0))
         found = WornDevice(self.device.model_copy(update={"offset": offset, "attach": attach}), self.name, self.person)
         found._near = self._motion or self._near
