@@ -13,7 +13,8 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from contextlib import redirect_stderr
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -29,6 +30,13 @@ SWAY, STEP = (0.022, 0.005), (0.10, 0.03)
 ALIGNMENT, TURN = (np.radians(1.3), np.radians(2.3)), (np.radians(5.0), np.radians(8.0))
 """Varus of the leg (Bellemans et al. 2012), and outward turn of the leg about the line from hip to ankle (an
 assumption) [rad]."""
+BOUNDS: dict[str, tuple[bool, dict[str, Any]]] = {
+    "with the bound": (False, {}),
+    "without": (False, {"frontal": "none"}),
+    "with landmarks": (True, {}),
+    "with landmarks, without": (True, {"frontal": "none"}),
+}
+"""Whether the knees have landmarks, and sections of the spec."""
 HIPS, FEET, PRESSURE = 0.01, 0.01, 0.006
 """Standard deviations of the hip from its regression, of the markers of the foot from the ankle, and of the mean point
 of the ground's force from the ankle [m], all across."""
@@ -51,6 +59,8 @@ class FrontalPlane:
     """The point of application of the ground's force."""
     across: Array
     """Force across as a share of the vertical one."""
+    landmarks: bool = False
+    """Whether the knee has landmarks on both sides, moved with the skin of the thigh."""
 
     @classmethod
     def drawn(cls, random: np.random.Generator) -> FrontalPlane:
@@ -87,9 +97,10 @@ class FrontalPlane:
 
     def columns(self, columns: Mapping[str, Array]) -> dict[str, Array]:
         """Return columns of markers and plates in a laboratory, whose second axis points to the left, with these places
-        across, and without landmarks of knees.
+        across.
         """
-        found = {name: own.copy() for name, own in columns.items() if name[1:] not in ("KNE", "KNM")}
+        left_out = () if self.landmarks else ("KNE", "KNM")
+        found = {name: own.copy() for name, own in columns.items() if name[1:] not in left_out}
         middle = {"thigh": (self.hip, self.knee, THIGH), "shank": (self.knee, self.ankle, SHANK)}
         for kind, points in MARKERS.items():
             for name, (_, y, _) in points.items():
@@ -110,7 +121,7 @@ class FrontalPlane:
 
 def frontal(console: Console, count: int = 20, seed: int = 93, samples: int = 100) -> None:
     """Print how well the compression of the knee is known with and without the frontal bound, for `count` persons."""
-    errors: dict[str, list[Array]] = {"with the bound": [], "without": []}
+    errors: dict[str, list[Array]] = {key: [] for key in BOUNDS}
     for number in range(count):
         try:
             for key, own in errors_of_both(np.random.default_rng([seed, number]), samples).items():
@@ -124,10 +135,13 @@ def frontal(console: Console, count: int = 20, seed: int = 93, samples: int = 10
 def errors_of_both(random: np.random.Generator, samples: int) -> dict[str, Array]:
     """Return errors of the compression of the knee, both sides of its bars, and shares of the stance (T, 4)."""
     plane, found = FrontalPlane.drawn(random), {}
+    drawn = random.bit_generator.state
     with redirect_stderr(io.StringIO()):
-        person = drawn_person(random, plane=plane, uncertainty={"samples": samples})
-        for key, sections in (("with the bound", {}), ("without", {"frontal": "none"})):
-            with mbdkit.inverse({**person.measured, **sections}) as run:
+        for key, (landmarks, sections) in BOUNDS.items():
+            random.bit_generator.state = drawn
+            own = replace(plane, landmarks=landmarks)
+            person = drawn_person(random, plane=own, uncertainty={"samples": samples}, **sections)
+            with mbdkit.inverse(person.measured) as run:
                 found[key] = errors_of_knee(run, person)
     return found
 
