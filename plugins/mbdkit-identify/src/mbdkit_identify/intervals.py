@@ -271,6 +271,8 @@ class _ProfileSearch:
                     return side * np.inf, points
             else:
                 outer = min(outer, distance)
+            if outer - inner[0] < 1e-6 * outer:  # the increase is discontinuous there
+                return best + side * outer, points
             if np.isinf(outer):
                 distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
             else:

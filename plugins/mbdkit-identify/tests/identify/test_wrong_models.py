@@ -7,6 +7,7 @@ from tests.identify.wrong_models import campaign, judge_sound, judge_wrong
 
 SEED = 3001
 WRONG, SOUND = campaign(SEED)
+WRONG_ROBOTS, SOUND_ROBOTS = campaign(SEED, robots=True)
 FEW_WRONG = (
     "Stribeck friction of the rail taken as viscous", "centre of mass of the pole 5 % too near",
     "gain of the encoder of the pole 2 % too large", "amplifier 5 % stronger than assumed",
@@ -37,4 +38,13 @@ def test_sixteen_of_twenty_wrong_models_are_doubtful_at_the_right_place() -> Non
 def test_two_of_forty_sound_sets_of_data_are_doubtful_at_most() -> None:
     doubtful = [case for case in SOUND if judge_sound(*case)[0]]
     assert len(SOUND) == 40
+    assert len(doubtful) <= 2, doubtful
+
+
+@pytest.mark.slow
+def test_wrong_models_of_a_real_robot_are_doubtful_at_the_right_place_and_sound_ones_good() -> None:
+    named = {name: judge_wrong(name, seed)[0] for name, seed in WRONG_ROBOTS}
+    assert sum(named.values()) >= 17, [name for name, is_right in named.items() if not is_right]
+    doubtful = [case for case in SOUND_ROBOTS if judge_sound(*case)[0]]
+    assert (len(named), len(SOUND_ROBOTS)) == (20, 40)
     assert len(doubtful) <= 2, doubtful

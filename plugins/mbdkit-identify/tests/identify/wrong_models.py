@@ -4,7 +4,7 @@ Data are simulated with a true mechanism and a quarter of the step of the fit, a
 noise with a correlation of 0.7 from sample to sample. The model that is fitted lacks an effect of the truth, has
 another law or a wrong fixed number, or the sensors do not show the truth. Other parameters are estimated. Several true
 effects are none of those that identifications test: friction depends on the load or has a Stribeck curve, drag acts at
-the tip, and a spring is exponential.
+the tip, and a spring is exponential. With `--robots`, all models are those of the brachiating robot of three links.
 
 A wrong model is named rightly if the first doubt has one of the places that are stated here.
 """
@@ -27,6 +27,8 @@ from tests.identify.synthetic_cases import SyntheticCase, synthetic_cases
 import mbdkit
 from mbdkit_identify.identification import Identification
 from mbdkit_identify.identify import identify
+from mbdkit_identify.loading import data_of as data_of_spec
+from mbdkit_identify.loading import load_identify_spec
 
 NOISES = {"white": 0.0, "ar": 0.7}
 FINER = 4
@@ -207,6 +209,123 @@ def motor(*, free: str = "R K J b", **forces: Any) -> SyntheticCase:
     return case
 
 
+def robot(*, free: str = "", **forces: Any) -> SyntheticCase:
+    """The brachiating robot of three links, from rest, with known torques and the sensors of its records."""
+    base: dict[str, Any] = deepcopy(data_of_spec(load_identify_spec("brachiating-robot").run_spec))
+    time = 0.02 * np.arange(151)
+    torques = {
+        "tail_torque": 1.2 * np.sin(5.1 * time) + 0.5 * np.sin(11.0 * time),
+        "lower_torque": 0.25 * np.sin(4.3 * time) - 0.15 * np.sin(9.0 * time),
+    }
+    base["inputs"] = {name: {"table": [time.tolist(), values.tolist()]} for name, values in torques.items()}
+    base["time"] = {"end": 3.0, "step": 0.02}
+    base["parameters"] |= {"bar_damping": 0.01, "lower_friction": 0.03, "tilt": 0.0}
+    model = base["model"]
+    model["gravity"] = ["9.81*sin(tilt)", "-9.81*cos(tilt)"]
+    model["forces"] |= {"bar_damping": _spring("ground", "upper", damping="bar_damping"), **forces}
+    model["markers"] = {"tip": {"body": "lower", "point": [0, -0.12]}}
+    observed = {"tail.angle": 0.004, "joints.shoulder.angle": 0.004, "joints.elbow.angle": 0.004}
+    names = free or "tail_center tail_inertia lower_inertia tail_damping lower_damping lower_friction bar_damping"
+    return SyntheticCase(base, observed, dict.fromkeys(names.split(), 1.1))
+
+
+def wrong_robots() -> dict[str, Wrong]:
+    """Return 20 wrong models of the robot by name."""
+
+    def without(force: str) -> dict[str, Any]:
+        return {"forces": {force: None}}
+
+    def dry(a: str, b: str, rate: str) -> dict[str, Any]:
+        return _torque(a, b, f"-0.08*tanh({rate}/0.2)")
+
+    def less(*names: str) -> str:
+        every = "tail_center tail_inertia lower_inertia tail_damping lower_damping lower_friction bar_damping"
+        return " ".join(name for name in every.split() if name not in names)
+
+    def drag(body: str, size: float, at: str) -> dict[str, Any]:
+        speed = f"sqrt({at}.vx**2 + {at}.vy**2 + 1e-8)"
+        return _force(body, *(f"-{size}*{at}.{axis}*{speed}" for axis in ("vx", "vy")))
+
+    shoulder, bar = ("friction in the joint 'shoulder'",), ("friction in the joint 'bar'",)
+    elbow = ("friction in the joint 'elbow'",)
+    gains = {
+        name: (f"gain of the load '{name}_motor'", f"gain of the input '{name}_torque'") for name in ("tail", "lower")
+    }
+    return {
+        "dry friction missing in the elbow": Wrong(
+            robot(free=less("lower_friction")), elbow, without("lower_friction")
+        ),
+        "viscous friction missing in the shoulder": Wrong(
+            robot(free=less("tail_damping")), shoulder, without("tail_damping"), noise="ar"
+        ),
+        "viscous friction missing in the bar": Wrong(
+            _with(robot(free=less("bar_damping")), bar_damping=0.05), bar, without("bar_damping")
+        ),
+        "dry friction missing in the bar": Wrong(
+            robot(rust=dry("ground", "upper", "upper.angular_velocity")), bar, without("rust"), noise="ar"
+        ),
+        "dry friction missing in the shoulder": Wrong(
+            robot(rust=dry("upper", "tail", "(tail.angular_velocity - upper.angular_velocity)")), shoulder,
+            without("rust"),
+        ),
+        "cable missing in the shoulder": Wrong(
+            robot(cable=_spring("upper", "tail", stiffness=0.15)), ("stiffness in the joint 'shoulder'",),
+            without("cable"), noise="ar",
+        ),
+        "cable missing in the elbow": Wrong(
+            robot(cable=_spring("tail", "lower", stiffness=0.05)), ("stiffness in the joint 'elbow'",), without("cable")
+        ),
+        "torsion spring missing in the bar": Wrong(
+            robot(cable=_spring("ground", "upper", stiffness=0.4)), ("stiffness in the joint 'bar'",), without("cable"),
+            noise="ar",
+        ),
+        "drag missing at the tip of the free arm": Wrong(
+            robot(air=drag("lower", 0.02, "markers.tip") | {"point": [0, -0.12]}), ("drag on the body 'lower'",),
+            without("air"),
+        ),
+        "drag missing on the tail": Wrong(
+            robot(air=drag("tail", 0.3, "tail")), ("drag on the body 'tail'",), without("air"), noise="ar"
+        ),
+        "inertia of the tail 15 % too large": Wrong(
+            robot(free=less("tail_inertia")), ("inertia of the body 'tail'",), values={"tail_inertia": 0.115}
+        ),
+        "inertia of the free arm 15 % too small": Wrong(
+            robot(free=less("lower_inertia")), ("inertia of the body 'lower'",), values={"lower_inertia": 0.0055},
+            noise="ar",
+        ),
+        "mass centre of the tail 5 % too far": Wrong(
+            robot(free=less("tail_center")), ("centre of mass of the body 'tail'",), values={"tail_center": 0.189}
+        ),
+        "mass centre of the free arm 5 % too near": Wrong(
+            robot(), ("centre of mass of the body 'lower'",), values={"lower_center": 0.184}, noise="ar"
+        ),
+        "upper arm 2 % too long": Wrong(
+            robot(), ("position of the joint 'shoulder' on the body 'upper'",), values={"arm": 0.3203}
+        ),
+        "gravity tilted by 2 degrees": Wrong(
+            _with(robot(), tilt=np.radians(2)), ("direction of gravity",), values={"tilt": 0.0}, noise="ar"
+        ),
+        "motor of the tail 6 % stronger than assumed": Wrong(
+            _with(robot(), tail_gain=0.954), gains["tail"], values={"tail_gain": 0.9}
+        ),
+        "motor of the free arm 6 % weaker than assumed": Wrong(
+            _with(robot(), lower_gain=0.94), gains["lower"], values={"lower_gain": 1.0}, noise="ar"
+        ),
+        "gain of the encoder of the elbow 2 % too large": Wrong(
+            robot(), ("gain of the sensor of joints.elbow.angle",), sensors={"joints.elbow.angle": {"gain": 1.02}}
+        ),
+        "inertial sensor 12 ms late": Wrong(
+            robot(), ("delay of the sensor of tail.angle",), sensors={"tail.angle": {"delay": 0.012}}, noise="ar"
+        ),
+    }  # fmt: skip
+
+
+def sound_robots() -> dict[str, SyntheticCase]:
+    """Return ten mechanisms of the robot whose models are right."""
+    every = wrong_robots()
+    return {f"robot, {name.replace('missing', 'known')}": every[name].case for name in [*every][:10]}
+
+
 PIN = {"friction": {"coefficient": 0.25, "radius": 0.03}}
 GUIDE = {"friction": {"coefficient": 0.15}}
 STRIBECK = "(0.5 + 0.4*exp(-(cart.vx/0.1)**2))*tanh(cart.vx/0.02)"
@@ -341,7 +460,7 @@ def identified(case: SyntheticCase, base: dict[str, Any], data: np.ndarray) -> I
 
 def judge_wrong(name: str, seed: int) -> tuple[bool, Identification]:
     """Return whether the first doubt about a wrong model has a right place, and the identification."""
-    wrong = wrong_models()[name]
+    wrong = {**wrong_models(), **wrong_robots()}[name]
     base = deepcopy(wrong.case.base)
     for section, elements in wrong.model.items():
         base["model"][section] = {k: v for k, v in (base["model"][section] | elements).items() if v is not None}
@@ -352,15 +471,16 @@ def judge_wrong(name: str, seed: int) -> tuple[bool, Identification]:
 
 def judge_sound(name: str, noise: str, seed: int) -> tuple[bool, Identification]:
     """Return whether a sound model is doubtful, and the identification."""
-    case = sound_cases()[name]
+    case = {**sound_cases(), **sound_robots()}[name]
     fit = identified(case, case.base, data_of(case, {}, NOISES[noise], seed))
     return fit.verdict != "good", fit
 
 
-def campaign(seed: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
+def campaign(seed: int, *, robots: bool = False) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
     """Return names and seeds of the 20 wrong models, and names, noises and seeds of the 40 sound sets of data."""
-    wrong = [(name, seed + k) for k, name in enumerate(wrong_models())]
-    sound = [(name, noise, seed + k) for name in sound_cases() for noise in NOISES for k in (100, 101)]
+    models, sounds = (wrong_robots(), sound_robots()) if robots else (wrong_models(), sound_cases())
+    wrong = [(name, seed + k) for k, name in enumerate(models)]
+    sound = [(name, noise, seed + k) for name in sounds for noise in NOISES for k in (100, 101)]
     return wrong, sound
 
 
@@ -369,9 +489,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.identify.wrong_models")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--robots", action="store_true", help="models of the brachiating robot")
     asked = parser.parse_args()
     with ProcessPoolExecutor(asked.jobs) as pool:
-        for judge, cases in zip((judge_wrong, judge_sound), campaign(asked.seed), strict=True):
+        for judge, cases in zip((judge_wrong, judge_sound), campaign(asked.seed, robots=asked.robots), strict=True):
             count = 0
             for case, (is_counted, fit) in zip(cases, pool.map(judge, *zip(*cases, strict=True)), strict=True):
                 count += is_counted
