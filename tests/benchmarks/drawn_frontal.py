@@ -1,11 +1,11 @@
-"""`python -m tests.benchmarks frontal --count N`: the frontal bound of knees without landmarks, on drawn persons.
+"""`python -m tests.benchmarks frontal --count N`: the frontal bound of knees, on drawn persons.
 
 Persons are those of `drawn_persons`, with a frontal plane of their own: a stick model in three dimensions, from which
 the moment of the ground's force about the forward axis of the right knee follows as a cross product. The pelvis sways
 to the foot that stands, feet are half a step width to the side, the knee is beside the line from hip to ankle by the
-alignment of the leg and by a turn of the leg about this line, and the ground's force points from the foot to a share
-of the way across to the middle of the body. The truth has compartments that carry this moment; the knees of what mbdkit
-gets have no landmarks. The draws do not use formulas of mbdkit.
+alignment of the leg and by a turn of the leg about this line, and the ground's force points from the foot to a share of
+the way across to the middle of the body. The truth has compartments that carry this moment. The draws do not use
+formulas of mbdkit.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ ALIGNMENT, TURN = (np.radians(1.3), np.radians(2.3)), (np.radians(5.0), np.radia
 """Varus of the leg (Bellemans et al. 2012), and outward turn of the leg about the line from hip to ankle (an
 assumption) [rad]."""
 BOUNDS: dict[str, tuple[bool, dict[str, Any]]] = {
-    "with the bound": (False, {}),
-    "without": (False, {"frontal": "none"}),
-    "with landmarks": (True, {}),
-    "with landmarks, without": (True, {"frontal": "none"}),
+    "no landmarks, with the bound": (False, {}),
+    "no landmarks, no bound": (False, {"frontal": "none"}),
+    "landmarks, with the bound": (True, {}),
+    "landmarks, no bound": (True, {"frontal": "none"}),
 }
 """Whether the knees have landmarks, and sections of the spec."""
 HIPS, FEET, PRESSURE = 0.01, 0.01, 0.006
@@ -120,11 +120,11 @@ class FrontalPlane:
 
 
 def frontal(console: Console, count: int = 20, seed: int = 93, samples: int = 100) -> None:
-    """Print how well the compression of the knee is known with and without the frontal bound, for `count` persons."""
+    """Print how well the compression of the knees of `count` persons is known, with each of `BOUNDS`."""
     errors: dict[str, list[Array]] = {key: [] for key in BOUNDS}
     for number in range(count):
         try:
-            for key, own in errors_of_both(np.random.default_rng([seed, number]), samples).items():
+            for key, own in errors_of_all(np.random.default_rng([seed, number]), samples).items():
                 errors[key].append(own)
         except MbdkitError as error:
             console.print(f"failed: {number}: {error}")
@@ -132,7 +132,7 @@ def frontal(console: Console, count: int = 20, seed: int = 93, samples: int = 10
         console.print(f"{key}, {len(rows)} persons: {words_of(np.array(rows))}")
 
 
-def errors_of_both(random: np.random.Generator, samples: int) -> dict[str, Array]:
+def errors_of_all(random: np.random.Generator, samples: int) -> dict[str, Array]:
     """Return errors of the compression of the knee, both sides of its bars, and shares of the stance (T, 4)."""
     plane, found = FrontalPlane.drawn(random), {}
     drawn = random.bit_generator.state

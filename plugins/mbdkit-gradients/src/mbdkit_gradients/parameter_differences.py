@@ -214,12 +214,13 @@ class Preparation(ABC):
         SpecError
             See `derivatives`.
         """
-        sides = (self.sides.get((one.path, one.value), 0) for one in parameters)
+        sides = [self.sides.get((one.path, one.value), 0) for one in parameters]
         places = (FEW[SIDES[side]][0] for side in sides)
         points = [self._point(one, place * self._unit(one)) for one, place in zip(parameters, places, strict=True)]
         slopes = [{name: (arrays[name] - x) / change for name, x in self.base.items()} for change, arrays in points]
         nonzero = [{name: x for name, x in own.items() if np.any(x)} for own in slopes]
-        return self._joined([_ArrayDerivatives(own, 0.0, 0) for own in nonzero], parameters)
+        found = [_ArrayDerivatives(own, 0.0, side) for own, side in zip(nonzero, sides, strict=True)]
+        return self._joined(found, parameters)
 
     def _joined(self, found: Sequence[_ArrayDerivatives], parameters: Sequence[Parameter]) -> PreparedDerivatives:
         seeds = {

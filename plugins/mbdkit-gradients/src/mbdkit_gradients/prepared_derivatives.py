@@ -311,7 +311,7 @@ class RunPreparation(Preparation):
         is_given = np.array([one.path[0] == "initial" for one in parameters])
         if self._equations is not None and np.any(is_given):
             none = np.zeros(len(parameters))
-            slopes = self._equations.by_given([one.path[1] for one in parameters])
+            slopes = self._equations.by_given([one.path[1] if one.path[0] == "initial" else None for one in parameters])
             found = self._completed(slopes, parameters, none, none.astype(int))
             plain = [one for one in parameters if one.path[0] != "initial"]
             return found.with_columns(~is_given, self.derivatives(plain)) if plain else found
@@ -445,7 +445,8 @@ class RunPreparation(Preparation):
                 made = self._specs, both, self._prepared, self._equations, self._shared
                 other = RunPreparation(self._base, self._numbers, start, *made)
                 known = np.array([one.value for one in parameters])
-                if other.repeated(KnownDerivatives(known, self.mechanism, self.base, found), changed) is not None:
+                both_sides = replace(found, side=0 * found.side)  # linear on the side on which the spec is valid
+                if other.repeated(KnownDerivatives(known, self.mechanism, self.base, both_sides), changed) is not None:
                     return found
         return super().derivatives(parameters)
 

@@ -9,6 +9,7 @@ import pytest
 
 import mbdkit
 from mbdkit import RunError, SpecError, load_spec
+from mbdkit_gradients.gradient_parameters import resolved
 from mbdkit_gradients.prepared_derivatives import RunPreparation
 from mbdkit_gradients.sensitivities import PreparedSensitivities
 from tests.margins import assert_within
@@ -237,6 +238,13 @@ def test_derivatives_follow_a_factor_of_their_parameter_that_is_not_differentiat
     assert_within(found - exact, 1e-8)
 
 
+def test_a_derivative_on_one_side_says_so_each_time() -> None:
+    spec = load_spec(oscillator(parameters=PARAMETERS | {"c": 0.0}))
+    preparation, both = RunPreparation(spec, lambda _: {}), resolved(spec, ["c", "k"])
+    for _ in range(2):
+        assert preparation._by_differences(both).side.tolist() == [1, 0]  # a damping is not negative
+
+
 def geared(start: float) -> dict[str, Any]:
     """Two arms, and a rotor on the first one whose belt turns the second one, from a start time [s]."""
     return {
@@ -272,9 +280,10 @@ GIVEN = {"upper.angle": 0.6, "lower.angle": 0.1, "upper.angular_velocity": 0.5, 
 def test_derivatives_with_a_belt_are_exact(initial: dict[str, float], monkeypatch: pytest.MonkeyPatch) -> None:
     # expected: differences of runs
     monkeypatch.delattr(RunPreparation, "_by_differences")
-    names = ["l", "c", "r", "J", "turn", "swing"]
+    values = geared(1.0)["parameters"]
+    names = [*values, *(f"initial.{one}" for one in initial)]
     quantities, times = ["lower.angle", "rotor.angle"], np.array([1.0, 1.1, 1.3])
-    spec, values = load_spec(geared(1.0)), {name: geared(1.0)["parameters"][name] for name in names}
+    spec = load_spec(geared(1.0))
     other = PreparedSensitivities(load_spec(geared(0.5)), quantities, np.array([0.6]), names, initial=initial)
     other.at(values)
     prepared = PreparedSensitivities(spec, quantities, times, names, initial=initial, like=other)
@@ -282,8 +291,9 @@ def test_derivatives_with_a_belt_are_exact(initial: dict[str, float], monkeypatc
     assert found.differences == ""
     alone = PreparedSensitivities(spec, quantities, times, names, initial=initial).at(values)
     np.testing.assert_array_equal(found.derivatives, alone.derivatives)
+    every = values | {f"initial.{one}": value for one, value in initial.items()}
     for k, name in enumerate(names):
-        h = 1e-3 * values[name]
-        at = {place: prepared.values(values | {name: values[name] + place * h}, initial) for place in (-2, -1, 1, 2)}
+        h = 1e-3 * every[name]
+        at = {place: prepared.values(every | {name: every[name] + place * h}, initial) for place in (-2, -1, 1, 2)}
         slope = (8.0 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12.0 * h)
         assert_within((found.derivatives[..., k] - slope) / np.max(np.abs(slope)), 1e-7, name)

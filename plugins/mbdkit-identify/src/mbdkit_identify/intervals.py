@@ -180,7 +180,10 @@ class Chord:
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Return the whitened residuals (R + P,) for unknowns (n,)."""
-        return self.fit.white + self.fit.jacobian @ (x - self.fit.x) if self.is_straight else self.problem.residuals(x)
+        if not self.is_straight:
+            return self.problem.residuals(x)
+        white = self.fit.white + self.fit.jacobian @ (x - self.fit.x)
+        return np.asarray(np.nan_to_num(white, nan=FAILED, posinf=FAILED, neginf=-FAILED))
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R + P, n)."""
@@ -192,8 +195,9 @@ def profile_of(
 ) -> tuple[float, float, Profile]:
     """Return the limits of the interval of a goal, infinite where there is none, and its profile.
 
-    If intervals are linear but for bounds, the search begins with linear residuals, and goes on with derivatives at the
-    best fit. Its result is confirmed, or found anew, with derivatives elsewhere.
+    If intervals are linear apart from bounds, and for losses that are not convex, the search `is_linear` at first: it
+    begins with linear residuals, and goes on with derivatives at the best fit. Its last point is confirmed with
+    derivatives there, or the search goes on with these.
     """
     search = _ProfileSearch(problem, fit, goal, covariance, level)
     ways: list[Problem | Chord] = [Chord(problem, fit, True), Chord(problem, fit, False)] if is_linear else []
@@ -241,7 +245,7 @@ class _ProfileSearch:
 
         lowest = losses(self.fit.loss, self.fit.white)[0]
         known = [(0.0, 0.0, self.fit.x)]  # distances, roots of the increase, unknowns
-        outer = np.inf
+        outer = fails = np.inf  # distances at which the increase is too large, and from which runs fail
         distance = abs(self.last[0] - best) if self.last else root * self.deviation
         for number in range(MOST_STEPS):
             distance = min(distance, abs(bound - best))
@@ -250,7 +254,7 @@ class _ProfileSearch:
             result = self._constrained(value, begin)
             inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
             if result is None:  # the run fails there
-                outer = distance
+                outer = fails = distance
                 if outer - inner[0] < 1e-3 * outer:
                     return side * np.inf, points
                 distance = 0.5 * (inner[0] + outer)
@@ -272,7 +276,7 @@ class _ProfileSearch:
             else:
                 outer = min(outer, distance)
             if outer - inner[0] < 1e-6 * outer:  # the increase is discontinuous there
-                return best + side * outer, points
+                return side * np.inf if outer == fails else best + side * outer, points
             if np.isinf(outer):
                 distance = inner[0] * float(np.clip(root / max(inner[1], 1e-3 * root), 1.05, 3.0))
             else:
@@ -281,7 +285,9 @@ class _ProfileSearch:
         return best + side * distance, points
 
     def is_confirmed(self) -> bool:
-        """Return whether the sum of losses at the latest point is the smallest one."""
+        """Return whether the sum of losses at the latest point is the smallest one, up to a share `MISS` of the
+        threshold.
+        """
         best = self._constrained(self.last[0], self.last[2], MISS) if self.last else None
         return best is not None and self.last is not None and self.last[1] - best[0] <= MISS * self.threshold
 
@@ -293,7 +299,7 @@ class _ProfileSearch:
         """
         problem, (low, high) = self.problem, self.problem.bounds
         best: tuple[float, np.ndarray] | None = None
-        step, gain = np.zeros(len(x)), 0.0
+        step, gain, is_halved = np.zeros(len(x)), 0.0, False
         for _ in range(MOST_ITERATIONS):
             x = np.clip(_on_goal(x, self.goal, value, self.covariance), low, high)
             jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
@@ -303,14 +309,14 @@ class _ProfileSearch:
             if is_failed and best is None:
                 return None
             if best is not None and (is_failed or cost > best[0]):
-                step, gain = 0.5 * step, 0.5 * gain
+                step, gain, is_halved = 0.5 * step, 0.5 * gain, True
                 if gain < small * self.threshold:
                     return best
                 x = best[1] + step
                 continue
-            if best is not None and best[0] - cost < small * self.threshold:
+            if best is not None and not is_halved and best[0] - cost < small * self.threshold:
                 return cost, x
-            best = cost, x
+            best, is_halved = (cost, x), False
             jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
             slope, gradient = self.goal.slope(x), jacobian.T @ white
             free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)
@@ -318,9 +324,13 @@ class _ProfileSearch:
             while np.any(beyond):
                 step[free] = _step(jacobian[:, free], white + jacobian[:, ~free] @ step[~free], slope[free])
                 beyond = free & ((x + step < low) | (x + step > high)) & (slope == 0.0)
-                step[beyond] = (np.clip(x + step, low, high) - x)[beyond]
-                free &= ~beyond
-            gain = float(white @ white - np.sum((white + jacobian @ step) ** 2))
+                reach = (np.where(step < 0, low, high) - x)[beyond] / step[beyond]  # 0 for those at their bounds
+                first = np.flatnonzero(beyond)[reach <= np.min(reach, initial=1.0)]
+                step[first] = (np.clip(x + step, low, high) - x)[first]
+                free[first] = False
+            gain = max(0.0, float(white @ white - np.sum((white + jacobian @ step) ** 2)))
+            if gain == 0.0:
+                return best
             if gain < small * self.threshold:
                 return cost - gain, np.clip(x + step, low, high)
             x = x + step

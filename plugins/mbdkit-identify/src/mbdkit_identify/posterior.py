@@ -22,8 +22,8 @@ FREEDOM = 5.0  #: Degrees of freedom of the distributions that are sampled.
 #: be small; the larger one finds out whether few samples lie where much of the weight is.
 WIDER = (0.6, 0.6, 3.0)
 #: Number of samples by which it is tested whether residuals are linear, and largest share by which increases of the sum
-#: of squares are then off; further samples need no runs, and are taken in a multiple of their number.
-CHECKED, STRAIGHT, MORE = 24, 0.1, 16
+#: of squares are then off; further samples need no runs, and there are up to this multiple of them.
+CHECKED, OFF, MORE = 24, 0.1, 16
 ENOUGH = 48.0  #: Effective number of samples.
 LIKELY = 3.84  #: Increase of the sum of squares up to which values are within an interval of 95 %.
 SETTLED = 0.3  #: Largest change of the mean in each of the last two rounds, in standard deviations.
@@ -76,14 +76,14 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
         draws = random.standard_normal((MOST_DRAWS * SAMPLES, len(places)))
         draws *= (random.choice(widths, len(draws)) * np.sqrt(FREEDOM / random.chisquare(FREEDOM, len(draws))))[:, None]
         points = center + draws @ factor.T
-        size = SAMPLES if present is problem else MORE * SAMPLES
-        points = points[np.all((points >= low) & (points <= high), axis=1)][:size]
-        if len(points) < size:
+        points = points[np.all((points >= low) & (points <= high), axis=1)]
+        if len(points) < SAMPLES:
             return None
+        points = points[: SAMPLES if present is problem else MORE * SAMPLES]
         costs = costs_of(points, present)
         if number == 0:
             miss = np.abs(costs_of(points[:CHECKED], problem) - costs[:CHECKED])
-            if np.any(miss > STRAIGHT * (1.0 + costs[:CHECKED] - costs.min())):
+            if np.any(miss > OFF * (1.0 + costs[:CHECKED] - costs.min())):
                 present, points = problem, points[:SAMPLES]
                 costs = costs_of(points, problem)
         squares = np.sum(np.linalg.solve(factor, (points - center).T) ** 2, axis=0) / FREEDOM
@@ -102,7 +102,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
             mean, covariance = fit.x[:count].copy(), np.zeros((count, count))
             mean[places], shift = center, center - fit.x[places]
             spread += np.outer(shift, shift)
-            likely = points[:SAMPLES][costs[:SAMPLES] <= costs.min() + LIKELY] - center
+            likely = points[:SAMPLES][costs[:SAMPLES] <= costs[:SAMPLES].min() + LIKELY] - center
             farthest = np.max(np.sum(np.linalg.solve(spread, likely.T) * likely.T, axis=0))
             covariance[np.ix_(places, places)] = spread * max(1.0, farthest / LIKELY)
             return mean, covariance

@@ -17,8 +17,7 @@ from mbdkit_identify.segments import KinematicSegment, Segment, Unknown
 FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
 #: Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again.
 SAME = 1e-9
-KEPT = 3  #: Number of unknowns whose derivatives are kept.
-KEPT = 3  #: Number of unknowns whose derivatives are kept.
+KEPT = 3  #: Number of points at which derivatives are kept.
 
 
 class SignalKey(NamedTuple):

@@ -32,9 +32,11 @@ class Regression:
     errors: tuple[float, ...]
     squares: float
 
+    lowest: float = -np.inf
+
     @property
     def problem(self) -> Problem:
-        """The problem, with derivatives by complex steps."""
+        """The problem, with derivatives by complex steps, and with parameters from `lowest` on."""
         x, names = np.array(self.x), [f"b{k + 1}" for k in range(len(self.start))]
         places = {name: k for k, name in enumerate(names)}
 
@@ -52,7 +54,9 @@ class Regression:
         spec: Any = None
         segment = Segment("data", np.arange(len(x)), (signal,), spec, places, {})
         segment.prepared = prepared
-        unknowns = [Unknown(name, start, size=abs(start)) for name, start in zip(names, self.start, strict=True)]
+        unknowns = [
+            Unknown(name, start, self.lowest, size=abs(start)) for name, start in zip(names, self.start, strict=True)
+        ]
         return Problem(unknowns, places, [segment])
 
 

@@ -6,9 +6,46 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mbdkit_identify.intervals import bounded_share
+from mbdkit_identify.estimation import best_fit
+from mbdkit_identify.intervals import Goal, bounded_share, covariance_of, interval_of
+from mbdkit_identify.posterior import posterior
 
 from .bounds import LOSSES, repeats, shares
+from .regressions import Regression
+
+NO_ANSWERS = ((), (), 0.0)
+
+
+def sums_of_columns(count: int, seed: int) -> Regression:
+    """Return a linear regression of numbers that are zero, and whose estimates must not be negative."""
+    random = np.random.default_rng(seed)
+    columns = random.standard_normal((count, 60))
+    model = lambda x, *numbers: sum(number * column for number, column in zip(numbers, columns, strict=True))  # noqa: E731
+    return Regression([*range(60)], random.normal(0.0, 0.1, 60).tolist(), model, (0.1,) * count, *NO_ANSWERS, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_samples_describe_five_parameters_at_bounds(seed: int) -> None:
+    # each is half-normal if its best fit without a bound is near zero, with 0.6 of the deviation
+    problem = sums_of_columns(5, seed).problem
+    fit = best_fit(problem, 1, 0, "linear")
+    found = posterior(problem, fit, np.ones(5, dtype=bool), 0)
+    assert found is not None
+    mean, covariance = found
+    whole = np.sqrt(np.diagonal(covariance_of(fit.jacobian, np.ones(5, dtype=bool))))
+    assert np.all((mean > 0.0) & (mean < 2.5 * whole))
+    assert np.all(np.sqrt(np.diagonal(covariance)) < 2.0 * whole)
+
+
+def test_an_expression_may_be_undefined_beyond_a_bound() -> None:
+    problem = sums_of_columns(2, 3).problem
+    fit = best_fit(problem, 1, 0, "linear")
+    fit.x[0] = max(fit.x[0], 1e-4)
+    goal = Goal("sqrt", lambda x: float(np.sqrt(x[0])), lambda x: np.array([0.5 / np.sqrt(x[0]), 0.0]))
+    covariance = covariance_of(fit.jacobian, np.ones(2, dtype=bool))
+    with np.errstate(all="ignore"):
+        found = interval_of(problem, fit, goal, covariance, 0.95, is_linear=True)
+    assert found.lower <= goal.value(fit.x) <= found.upper < 1.0
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.3, 1.0, 1.7, 2.5])
