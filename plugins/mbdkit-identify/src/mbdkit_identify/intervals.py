@@ -165,8 +165,8 @@ def quantile(level: float, freedom: float) -> float:
 
 @dataclass(frozen=True)
 class Chord:
-    """A problem with the derivatives at its best fit, which follow from no further runs, and linear residuals if it
-    `is_straight`.
+    """A problem whose derivatives are everywhere those at its best fit, so that they need no runs; if it `is_straight`,
+    its residuals are linear, and need none either.
     """
 
     problem: Problem
@@ -195,9 +195,8 @@ def profile_of(
 ) -> tuple[float, float, Profile]:
     """Return the limits of the interval of a goal, infinite where there is none, and its profile.
 
-    If intervals are linear apart from bounds, and for losses that are not convex, the search `is_linear` at first: it
-    begins with linear residuals, and goes on with derivatives at the best fit. Its last point is confirmed with
-    derivatives there, or the search goes on with these.
+    With `is_linear`, the search begins with linear residuals, and goes on with residuals of runs and derivatives at the
+    best fit. Derivatives at its last point confirm it; otherwise, the search goes on with derivatives at each point.
     """
     search = _ProfileSearch(problem, fit, goal, covariance, level)
     ways: list[Problem | Chord] = [Chord(problem, fit, True), Chord(problem, fit, False)] if is_linear else []
@@ -220,7 +219,8 @@ def profile_of(
 class _ProfileSearch:
     """The search for the limits of the interval of a goal; see `profile_of`.
 
-    `last`: value, sum of losses and unknowns at the latest point, from which the next search begins.
+    `last`: value, sum of losses and unknowns at the end of the latest search, from which the next one begins; None if
+    it has ended where runs fail, or where the sum is discontinuous.
     """
 
     problem: Problem | Chord
@@ -246,12 +246,12 @@ class _ProfileSearch:
         lowest = losses(self.fit.loss, self.fit.white)[0]
         known = [(0.0, 0.0, self.fit.x)]  # distances, roots of the increase, unknowns
         outer = fails = np.inf  # distances at which the increase is too large, and from which runs fail
-        distance = abs(self.last[0] - best) if self.last else root * self.deviation
+        first, self.last = self.last, None
+        distance = abs(first[0] - best) if first else root * self.deviation
         for number in range(MOST_STEPS):
             distance = min(distance, abs(bound - best))
             value = best + side * distance if distance < abs(bound - best) else bound
-            begin = self.last[2] if self.last and not number else _between(known, distance)
-            result = self._constrained(value, begin)
+            result = self._constrained(value, _between(known, distance) if number or not first else first[2])
             inner = max((one for one in known if one[1] < root), key=lambda one: one[0])
             if result is None:  # the run fails there
                 outer = fails = distance
@@ -261,17 +261,18 @@ class _ProfileSearch:
                 continue
             increase = max(result[0] - lowest, 0.0)
             points.append((value, increase))
-            self.last = value, *result
             at = distance, float(np.sqrt(increase / share(value))), result[1]
             near = min(known, key=lambda one: abs(one[1] - root))
             known.append(at)
             slope = (at[1] - near[1]) / (at[0] - near[0]) if at[0] != near[0] else 0.0
             if abs(at[1] - root) <= CLOSE * root and slope > 0.0:
+                self.last = value, *result
                 limit = best + side * (distance + (root - at[1]) / slope)
                 return limit, [*points, (limit, self.threshold * share(limit))]
             if at[1] < root:
                 inner = max(inner, at, key=lambda one: one[0])
                 if value == bound or distance > FAR * self.deviation:
+                    self.last = value, *result
                     return side * np.inf, points
             else:
                 outer = min(outer, distance)
@@ -285,8 +286,8 @@ class _ProfileSearch:
         return best + side * distance, points
 
     def is_confirmed(self) -> bool:
-        """Return whether the sum of losses at the latest point is the smallest one, up to a share `MISS` of the
-        threshold.
+        """Return whether the sum of losses at the end of the latest search is the smallest one, up to a share `MISS` of
+        the threshold.
         """
         best = self._constrained(self.last[0], self.last[2], MISS) if self.last else None
         return best is not None and self.last is not None and self.last[1] - best[0] <= MISS * self.threshold
@@ -295,11 +296,12 @@ class _ProfileSearch:
         """Return the smallest sum of losses with a fixed value of the goal, and the unknowns; None if the run fails.
 
         Gauss-Newton steps, with the weights of the loss, are halved as long as they increase the sum. The search ends
-        with a step that reduces it by a `small` share of the threshold, or would do so.
+        before a step that would reduce it by a `small` share of the threshold, or after two whole steps that have done
+        so, as when large residuals let it oscillate.
         """
         problem, (low, high) = self.problem, self.problem.bounds
         best: tuple[float, np.ndarray] | None = None
-        step, gain, is_halved = np.zeros(len(x)), 0.0, False
+        step, gain, is_halved, slow = np.zeros(len(x)), 0.0, False, 0  # number of slow steps in succession
         for _ in range(MOST_ITERATIONS):
             x = np.clip(_on_goal(x, self.goal, value, self.covariance), low, high)
             jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
@@ -314,9 +316,11 @@ class _ProfileSearch:
                     return best
                 x = best[1] + step
                 continue
-            if best is not None and not is_halved and best[0] - cost < small * self.threshold:
-                return cost, x
+            is_slow = best is not None and not is_halved and best[0] - cost < small * self.threshold
+            slow = slow + 1 if is_slow else 0
             best, is_halved = (cost, x), False
+            if slow == 2:
+                return best
             jacobian, white = np.sqrt(weights)[:, None] * jacobian, np.sqrt(weights) * white
             slope, gradient = self.goal.slope(x), jacobian.T @ white
             free = (x > low) & (x < high) | (x <= low) & (gradient < 0) | (x >= high) & (gradient > 0) | (slope != 0.0)

@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit_identify.estimation import Fit, best_fit
-from mbdkit_identify.intervals import Goal, covariance_of, profile_of, quantile
+from mbdkit_identify.intervals import Goal, _ProfileSearch, covariance_of, profile_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.problem import Problem
@@ -146,6 +146,18 @@ def test_profiles_that_begin_with_derivatives_at_the_best_fit_need_few_others(tm
         our_limits(problem, fit, 0, is_linear=is_linear)
         counts.append(problem.derived - before)
     assert counts[1] <= 2 * len(LEVELS) + 1 < counts[0]  # one for each limit, which is confirmed
+
+
+def test_a_search_that_ends_where_the_sum_is_discontinuous_confirms_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    # with derivatives elsewhere, the sum may be smaller, and the limit far away
+    problem = MISRA1A.problem
+    fit = best_fit(problem, 1, 0, "linear")
+    direction, covariance = np.eye(2)[0], covariance_of(fit.jacobian, fit.free)
+    search = _ProfileSearch(problem, fit, Goal("", lambda x: float(x[0]), lambda x: direction), covariance, 0.95)
+    end = fit.x[0] + 0.7 * search.deviation
+    monkeypatch.setattr(search, "_constrained", lambda value, x, *_: (fit.cost + (1e4 if value > end else 0.0), x))
+    assert search.limit(1.0)[0] == pytest.approx(end, rel=1e-5)
+    assert not search.is_confirmed()
 
 
 @pytest.mark.parametrize("name", ["Misra1a", "Puromycin", *SLOW])
