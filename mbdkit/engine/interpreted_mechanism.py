@@ -356,7 +356,8 @@ class InterpretedMechanism:
         """Return the index of the force element among the springs."""
         top = self.compiled.topology
         (place,) = (one.place for one in self.compiled.extensions[kind] if one.force.name == name)
-        (index,) = np.flatnonzero((top.force_place == place) & (top.springs[:, SPRING.segments] > 0)).tolist()
+        leads = top.springs[:, SPRING.segments] > 0
+        (index,) = np.flatnonzero((top.force_place[: len(leads)] == place) & leads).tolist()
         return int(index)
 
 
