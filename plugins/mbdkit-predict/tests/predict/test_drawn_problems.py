@@ -1,4 +1,6 @@
-"""Drawn predictions with pulses, steps, contacts and tables, beside the optima of an independent method."""
+"""Drawn predictions with pulses, steps, contacts, tables, jumps and several local optima, beside the optima of
+independent methods.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+import mbdkit
+from predict import drawn_jumps, several_optima
 from predict.drawn_problems import COUNT, drawn_problem, outcome
 
 
@@ -39,3 +43,26 @@ def test_no_drawn_problem_is_wrong_without_a_word() -> None:
     words = Counter(outcome(drawn_problem(number)).word for number in range(COUNT))
     assert set(words) <= {"right", "told", "told wrongly"}
     assert words["told wrongly"] <= 3
+
+
+@pytest.mark.parametrize("number", [4, 5, 8, 11, 14])
+def test_some_drawn_jumps_are_right(number: int) -> None:
+    problem = drawn_jumps.drawn_jump(number)
+    run = mbdkit.predict(problem.spec)
+    assert drawn_jumps.word_of(run, problem.optimum) == "right", (run.objective, problem.optimum, run.verdict_reasons)
+
+
+@pytest.mark.slow
+def test_no_drawn_jump_is_wrong_without_a_word() -> None:
+    problems = map(drawn_jumps.drawn_jump, range(drawn_jumps.COUNT))
+    words = Counter(drawn_jumps.word_of(mbdkit.predict(x.spec), x.optimum) for x in problems)
+    assert set(words) <= {"right", "told"}
+    assert words["right"] >= 18
+
+
+@pytest.mark.slow
+def test_several_starts_find_the_best_of_several_local_optima() -> None:
+    problems = map(several_optima.several, several_optima.NUMBERS)
+    words = Counter(several_optima.word_of(mbdkit.predict(x.spec), x.optima()) for x in problems)
+    assert set(words) <= {"right", "told"}
+    assert words["right"] >= 18
