@@ -15,6 +15,7 @@ from mbdkit.base.files import check_suffix
 from mbdkit_report import FORMATS
 
 from . import (
+    adjoint_cost,
     beams,
     chain,
     contacts,
@@ -40,6 +41,7 @@ from .precision.evaluations import evaluations
 from .precision.race import precision, series
 
 SECTIONS: dict[str, Callable[[Console], None]] = {
+    "adjoint": adjoint_cost.adjoint_cost,
     "beams": beams.beams,
     "chain": chain.explicit,
     "contacts": contacts.contacts,

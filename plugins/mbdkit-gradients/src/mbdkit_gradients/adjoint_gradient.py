@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache, cached_property, partial
 from itertools import pairwise
 from tempfile import SpooledTemporaryFile
@@ -24,7 +24,7 @@ from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, SPRING
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
 from mbdkit.integrators.interface import SAME_TIME
-from mbdkit.laws.tabulated import LAW as TABLE
+from mbdkit.laws import tabulated
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.quantities.names import archive_names
@@ -35,7 +35,7 @@ from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_gradients.adjoint_events import AdjointCorner, AdjointEvent
 from mbdkit_gradients.adjoint_measures import AdjointMeasure, Bars, LongStates, MakeBars, Nodes, NotByAdjointError
-from mbdkit_gradients.backward_sweep import ARRAYS, BackwardSweep, SweptPart
+from mbdkit_gradients.backward_sweep import ARRAYS, BackwardSweep, SweptPart, SweptSteps, keep_stages, row_size
 from mbdkit_gradients.differentiated_run import Needs, PassedEvent, differentiated_stepper, doubts_of_laws, events_of
 from mbdkit_gradients.differentiated_states import nearby
 from mbdkit_gradients.law_corners import with_sides
@@ -70,19 +70,6 @@ def why_forward(spec: RunSpec, method: Method, seeds: Seeds) -> str:
     return ""
 
 
-@dataclass(eq=False)
-class _Piece:
-    """Some steps from step `number` on, or the first part of a step, up to an event; see `SweptSteps`."""
-
-    method: ExplicitRungeKutta | ImplicitRungeKutta
-    time: np.ndarray
-    size: np.ndarray
-    q: np.ndarray
-    v: np.ndarray
-    parts: Sequence[SweptPart]
-    number: int
-
-
 class AdjointRun:
     """A run whose measures are differentiated by the adjoint.
 
@@ -114,11 +101,13 @@ class AdjointRun:
         self.method, self.workspace = method, setup.workspace
         self._check()
         self._table = replace(setup.timetable(), every=1)
+        self._rows = np.zeros((0, 0))
         self._corners: list[AdjointCorner] = []
         self._sided: SidedStepper | None = None
         sided = None if method.traits.tolerances is not None else with_sides(self.workspace.mechanism)
         if sided is None:
             stepper = setup.stepper(self._table)
+            self._keep_stages(stepper)
         else:
             stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None, setup, every=1)
             assert isinstance(stepper, SidedStepper)
@@ -131,8 +120,17 @@ class AdjointRun:
         self._adjoint = BackwardSweep(self.workspace, self.seeds)
         if self._sided is not None:
             self._take_corners(self._sided)
-        self._pieces: list[_Piece] = []
+        self._pieces: list[SweptSteps] = []
         self._events = [self._event(event) for event in (events_of(spec, None) if spec.events else [])]
+
+    def _keep_stages(self, stepper: Any) -> None:
+        """Let fixed steps keep their stages for the way back."""
+        is_implicit = isinstance(self.method, ImplicitRungeKutta)
+        is_plain = self.method.traits.tolerances is None and not self.workspace.mechanism.treatments
+        if is_plain and (is_implicit or not self.method.tableau.is_first_same_as_last):
+            count = (self._table.steps + len(self._table.stops)) * len(self.method.tableau.floats()[1])
+            self._rows = empty((count, len(self.workspace.q0) if is_implicit else row_size(self.workspace)))
+            self._pinned = keep_stages(stepper, self._rows)
 
     def _stepped(self, stepper: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Take all steps; return times, positions and velocities at the ends of all steps, and at the start."""
@@ -155,6 +153,8 @@ class AdjointRun:
         if stepper.failure:
             text = f"{stepper.failure.code}: {stepper.failure.sentence}"
             raise RunError(f"a run that stops early has no gradient: {text}")
+        if len(self._rows) and stepper.run_state.progress.accepted[0] != len(time) - 1:
+            self._rows = self._rows[:0]
         q, v = (_array(file, (len(time), len(work.q0))) for file in files)
         return np.array(time), q, v
 
@@ -193,8 +193,8 @@ class AdjointRun:
         (number,) = (k for k, part in enumerate(self.parts) if part.begin <= n < part.end)
         part = replace(self.parts[number], begin=0, end=1)
         ends = slice(n, n + 2)
-        piece = _Piece(self.method, self.time[ends].copy(), self.size[n : n + 1] * share, self.q[ends].copy(),
-                       self.v[ends].copy(), [part], n)  # fmt: skip
+        piece = SweptSteps(self.method, self.time[ends].copy(), self.size[n : n + 1] * share, self.q[ends].copy(),
+                       self.v[ends].copy(), self._rows[:0], part, n)  # fmt: skip
         piece.time[1] = event.time
         if share < 1.0:
             piece.q[1], piece.v[1] = self._adjoint.end(piece)
@@ -237,7 +237,7 @@ class AdjointRun:
         for law in (*springs, *top.interactions[:, INTERACTION.law]):
             begin = int(top.laws[law, LAW_ROW.parameters])
             of_springs[begin + 1 : begin + 1 + int(top.law_parameters[begin])] = True
-            if self.workspace.mechanism.laws[law][1].law is TABLE:
+            if self.workspace.mechanism.laws[law][1].law is tabulated.LAW:
                 of_springs[begin + 2 : begin + 4 + int(top.law_parameters[begin + 2])] = False
         return bool(np.any(changed & ~of_springs))
 
@@ -273,16 +273,24 @@ class AdjointRun:
     def _states(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, sides: np.ndarray | None = None) -> States:
         return States(self.workspace.mechanism, time, q, v, lambda: self._observed(time, q, v, sides))
 
+    @property
+    def ends_at_event(self) -> bool:
+        """Whether an event ends the last step."""
+        return bool(self._events) and self._events[-1].event.stops
+
     @cached_property
-    def _windows(self) -> list[_Piece]:
+    def _windows(self) -> list[SweptSteps]:
         """All steps in order, up to `WINDOW` at once."""
         found = []
         for part in self.parts:
             for begin in range(part.begin, part.end, WINDOW):
                 end = min(begin + WINDOW, part.end)
                 ends, own = slice(begin, end + 1), replace(part, begin=0, end=end - begin)
-                arrays = self.time[ends], self.size[begin:end], self.q[ends], self.v[ends]
-                found.append(_Piece(self.method, *arrays, [own], begin))
+                stages = len(self.method.tableau.floats()[1])
+                is_kept = end < len(self.time) - 1 or not self.ends_at_event
+                rows = self._rows[begin * stages : end * stages * is_kept]
+                arrays = self.time[ends], self.size[begin:end], self.q[ends], self.v[ends], rows
+                found.append(SweptSteps(self.method, *arrays, own, begin))
         return found
 
     def _kept(self, make: Callable[[int], States]) -> Callable[[int], States]:
@@ -371,7 +379,7 @@ class AdjointRun:
             if number == -1:
                 q_bar[-1] += given[0][0]
                 v_bar[-1] += given[1][0]
-                if self._events and self._events[-1].event.stops:  # the end moves along the motion
+                if self.ends_at_event:  # the end moves along the motion
                     end = self._events[-1].states
                     times = times.copy()
                     times[-1] += given[0][0] @ end.v[0] + given[1][0] @ end.observed.acc[0]
@@ -385,7 +393,7 @@ class AdjointRun:
         for event, piece, by_time in zip(self._events, self._pieces, times, strict=True):
             if by_time == 0.0:
                 continue
-            piece.parts[0].use()
+            piece.part.use()
             found = pulled(event.bars(by_time, self.workspace.mechanism))
             q, v = (np.concatenate([np.zeros(x.shape), x]) for x in found)
             own.sweep(piece, q, v, [])
@@ -393,7 +401,7 @@ class AdjointRun:
             v_bar[piece.number] += v[0]
         for number, window in reversed([*enumerate(self._windows)]):
             stage_bars: list[np.ndarray] = []
-            window.parts[0].use()
+            window.part.use()
             for make in of_windows.get(number, ()):
                 assert nodes is not None
                 given = pulled(make(nodes.states(number)))
@@ -449,6 +457,11 @@ class AdjointRun:
 def new_file() -> SpooledTemporaryFile[bytes]:
     """Return an empty file, which is in memory as long as it is small."""
     return SpooledTemporaryFile(MOST_BYTES)
+
+
+def empty(shape: tuple[int, int]) -> np.ndarray:
+    """Return an array without values: in memory, or in a file if it is large."""
+    return np.empty(shape) if 8 * shape[0] * shape[1] <= MOST_BYTES else _array(new_file(), shape)
 
 
 def _array(file: SpooledTemporaryFile[bytes], shape: tuple[int, int]) -> np.ndarray:

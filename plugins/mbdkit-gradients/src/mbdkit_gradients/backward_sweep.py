@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.errors import PluginError
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.iteration_matrix import classes_of
-from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V, RESIDUAL_Q, STIFFNESS
 from mbdkit.engine.kernels.system import DIVERGED, OK
-from mbdkit.engine.kernels.table_rows import SPRING
+from mbdkit.engine.kernels.table_rows import PAIR, SPRING
 from mbdkit.engine.native import machine_code
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.native.levels import chosen_level
@@ -21,11 +19,12 @@ from mbdkit.engine.native.number_arrays import ITEM, new_duals
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.duals.differentiated_stepper import dual_laws
 from mbdkit.integrators.duals.dual_run import Seeds, dual_states, new_dual_run
-from mbdkit.laws.tabulated import LAW as TABLE
+from mbdkit.laws import tabulated
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit_gradients.adjoint_measures import Bars, NotByAdjointError
 from mbdkit_gradients.kernels import adjoint as kernels
+from mbdkit_gradients.kernels import kept_stages
 from mbdkit_gradients.table_derivatives import touched_laws
 
 #: Arrays of a mechanism with respect to which the adjoint gives derivatives; `weight` follows from `mass`.
@@ -36,6 +35,33 @@ def is_ready() -> bool:
     """Return whether the machine code of the kernels is stored; to compile it takes minutes."""
     symbol = kernels.differentiate_back.symbol
     return machine_code.IN_PYTHON or machine_code.stored_file(symbol, chosen_level()) is not None
+
+
+def row_size(workspace: Workspace) -> int:
+    """Return the number of values that are kept of a stage; see `kept_stages.keep_stage`."""
+    schur, mechanism = workspace.solver.schur, workspace.mechanism
+    arrays = schur.diagonal, schur.below, workspace.scratch.response
+    return mechanism.size + 2 * len(mechanism.topology.pairs) + sum(x.size for x in arrays)
+
+
+def places_in(scratch: Any, name: str) -> np.ndarray:
+    """Return the indices in ``Scratch.source`` of the values of an array of terms, in its shape."""
+    x, offset = getattr(scratch, name), scratch.source.ctypes.data
+    begin = (x.ctypes.data - offset) // x.itemsize
+    return np.arange(begin, begin + x.size).reshape(x.shape)
+
+
+def keep_stages(stepper: Any, rows: np.ndarray) -> PinnedBundle:
+    """Let a stepper with fixed steps keep the stages of its steps in `rows` (N S, W); return what has to exist as long
+    as it takes steps.
+    """
+    pinned = PinnedBundle(kept_stages.KeptStages(rows))
+    stepper.workspace.scratch.reacting.stages[0] = pinned.address
+    if stepper.method.carries_stages:
+        stepper.run_state.nodes[0] = kept_stages.keep_accelerations.address
+    else:
+        stepper.method.attempt = kept_stages.attempt
+    return pinned
 
 
 @dataclass(frozen=True)
@@ -61,9 +87,10 @@ class SweptPart:
         return float(time[0]), float(time[-1])
 
 
-class SweptSteps(Protocol):
-    """Steps through which derivatives are carried back: their method, times (N + 1,), sizes (N,) [s], positions and
-    velocities (N + 1, n + 3) of their ends, and parts.
+@dataclass(eq=False)
+class SweptSteps:
+    """Some steps from step `number` on, or the first part of a step, up to an event, through which derivatives are
+    carried back: their method, times (N + 1,), sizes (N,) [s], positions and velocities (N + 1, n + 3) of their ends.
     """
 
     method: ExplicitRungeKutta | ImplicitRungeKutta
@@ -71,10 +98,9 @@ class SweptSteps(Protocol):
     size: np.ndarray
     q: np.ndarray
     v: np.ndarray
-
-    @property
-    def parts(self) -> Sequence[SweptPart]:
-        """The part of the motion that they are in, with their numbers: a single one."""
+    rows: np.ndarray  #: (N S, W) stages that the steps have kept; no rows if they have not.
+    part: SweptPart  #: The part of the motion that they are in, with their numbers.
+    number: int
 
 
 class BackwardSweep:
@@ -83,17 +109,23 @@ class BackwardSweep:
     def __init__(self, workspace: Workspace, seeds: Seeds):
         self.workspace = workspace
         mechanism, top = workspace.mechanism, workspace.mechanism.topology
-        classes, terms = classes_of(workspace), workspace.terms
-        keep = np.isin(classes, (STIFFNESS, DAMPING, GAMMA_V, RESIDUAL_Q))
-        columns = (terms.source[keep], terms.row[keep], terms.column[keep], classes[keep])
-        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in top.springs[:, SPRING.law]]
+        terms, is_pin = workspace.terms, top.pairs[:, PAIR.kind] == kernels.PIN
+        of_pins = [places_in(workspace.scratch, name)[is_pin] for name in ("stiff", "gamma_v", "res_q")]
+        is_constant = np.isin(terms.source, np.hstack(of_pins)) | (terms.factor == 0)
+        columns = np.column_stack((terms.source, terms.row, terms.column))
+        groups = [columns[~is_constant & (terms.factor == 3)], columns[~is_constant & (terms.factor != 3)]]
+        kinds = [
+            0 if law < 0 else 1 + (mechanism.laws[law][1].law is not tabulated.LAW)
+            for law in top.springs[:, SPRING.law]
+        ]
         size, pairs, springs = mechanism.size, len(top.pairs), len(top.springs)
         slots = np.zeros((pairs, 6, 12)), np.zeros((springs, 6, 12))
         for k in range(6):
             slots[0][:, k, k] = slots[1][:, k, 6 + k] = 1.0
         units = Seeds({"pair_parameters": slots[0], "spring_points": slots[1]}, np.ones(12))
         wanted = touched_laws(seeds)
-        wants_points = any(seeds.get(name) is not None for name in ("pair_parameters", "spring_points"))
+        of_pairs = seeds.get("pair_parameters")
+        wants_points = seeds.get("spring_points") is not None or (of_pairs is not None and np.any(of_pairs[~is_pin]))
         try:
             rows = dual_laws(workspace) if wanted is not None or len(top.frictions) else top.laws
         except PluginError as error:
@@ -104,13 +136,15 @@ class BackwardSweep:
         self._stepping = PinnedBundle(states._replace(top=self._run.top))
         w = self._run.w
         self.bundle = kernels.Adjoint(
-            terms=np.ascontiguousarray(np.column_stack(columns).astype(np.int64)),
+            only_pins=np.array([int(np.all(is_pin))]),
+            terms=np.concatenate(groups).astype(np.int64), by_positions=np.array([len(groups[0])]),
             wants=np.array([wants_points, wanted is not None], dtype=np.int64),
             laws_wanted=(np.zeros(len(top.law_parameters)) if wanted is None else wanted).astype(np.int64),
             kinds=np.array(kinds, dtype=np.int64),
-            mu=np.zeros(size), nu=np.zeros((pairs, 2)), rest=np.zeros(size), rest_rows=np.zeros((pairs, 2)),
-            right=np.zeros(mechanism.unknowns), lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
-            by_reaction=np.zeros(len(top.reactions)), friction=np.zeros(workspace.scratch.friction.shape),
+            mu=np.zeros(size), nu=np.zeros((pairs, 2)), right=np.zeros(mechanism.unknowns),
+            lam_bar=np.zeros((pairs, 2)), pull_bar=np.zeros((springs, 4)),
+            by_reaction=np.zeros(len(top.reactions)), unused=np.zeros((pairs, 6)),
+            friction=np.zeros((len(top.frictions), len(top.frictions) + 2)),
             **{name: np.zeros(getattr(top, name).shape) for name in ARRAYS},
             jac=np.asarray(w.jac), gamma=np.asarray(w.gamma), s=np.asarray(w.s), grad=np.asarray(w.grad),
             tension=np.asarray(w.tension), interaction=np.asarray(w.interaction), values=np.asarray(w.law_values),
@@ -181,20 +215,20 @@ class BackwardSweep:
     def _steps(self, run: SweptSteps, **arrays: Any) -> Any:
         a, b, c = run.method.tableau.floats()
         stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
-        schur = self.workspace.solver.schur
+        is_implicit, none = not isinstance(run.method, ExplicitRungeKutta), np.zeros((0, size))
+        is_kept = len(run.rows) > 0 and not is_implicit
+        scratch = self.workspace.scratch  # without terms, only the Jacobian is in use
+        used = len(scratch.source) if len(self.bundle.terms) else places_in(scratch, "jac").size + size - 3
         names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")
         vectors = {name: np.zeros((stages, size)) for name in names}
-        is_implicit = not isinstance(run.method, ExplicitRungeKutta)
-        none = np.zeros((0, size))
         return kernels.Steps(
             a=np.ascontiguousarray(a), b=np.ascontiguousarray(b), c=np.ascontiguousarray(c),
             **{"q_bar": none, "v_bar": none, "stage_q_bar": none, "stage_v_bar": none, **arrays},
             time=np.ascontiguousarray(run.time[:-1]), size=np.ascontiguousarray(run.size), q=run.q, v=run.v,
-            lam=np.zeros((stages, pairs, 2)), diagonal=np.zeros((stages, *schur.diagonal.shape)),
-            below=np.zeros((stages, *schur.below.shape)),
-            response=np.zeros((stages, *self.workspace.scratch.response.shape)), **vectors, next=np.zeros(size),
-            is_implicit=np.array([int(is_implicit)]),
-            source=np.zeros((stages if is_implicit else 0, len(self.workspace.scratch.source))),
+            lam=np.zeros((stages, pairs, 2)), **vectors, next=np.zeros(size), is_implicit=np.array([int(is_implicit)]),
+            rows=run.rows if is_kept else np.zeros((stages, row_size(self.workspace))), touched=np.zeros(1),
+            is_kept=np.array([int(is_kept)]), guess=run.rows if is_implicit else none,
+            source=np.zeros((stages, used)),
         )  # fmt: skip
 
     def stages(self, steps: SweptSteps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -215,7 +249,7 @@ class BackwardSweep:
 
     def _write_stages(self, run: SweptSteps, steps: Any) -> None:
         """Write the stages of steps."""
-        pinned, (part,) = PinnedBundle(steps), run.parts
+        pinned, part = PinnedBundle(steps), run.part
         self.workspace.clamp_motions(*part.plain.sides)
 
         def call(begin: int) -> tuple[int, int]:
@@ -228,7 +262,7 @@ class BackwardSweep:
         """Carry the derivatives with respect to the step ends, rows of `q_bar` and `v_bar`, back to the first one."""
         more = dict(zip(("stage_q_bar", "stage_v_bar"), stage_bars, strict=False))
         pinned = PinnedBundle(self._steps(run, q_bar=q_bar, v_bar=v_bar, **more))
-        work, (part,) = self.workspace, run.parts
+        work, part = self.workspace, run.part
         work.clamp_motions(*part.plain.sides)
 
         def call(left: int) -> tuple[int, int]:

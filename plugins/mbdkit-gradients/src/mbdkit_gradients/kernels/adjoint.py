@@ -21,36 +21,32 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from mbdkit.engine.kernels.accelerations import solve_accelerations
-from mbdkit.engine.kernels.applied_forces import (
-    TORQUE,
-    evaluate_law,
-    law_value,
-    path_rate,
-    pathway_lengths,
-    point_force,
-    rate_slope,
-)
+from mbdkit.engine.kernels import accelerations, constraints, lu, schur
+from mbdkit.engine.kernels import applied_forces as forces
 from mbdkit.engine.kernels.bundle_types import IntMatrix, IntVector, RealCube, RealMatrix, RealVector, example_of
 from mbdkit.engine.kernels.dual_observe import load_dual_states
 from mbdkit.engine.kernels.engine_bundles import load_engine
-from mbdkit.engine.kernels.equations import DAMPING, GAMMA_V
-from mbdkit.engine.kernels.lu import substitute
-from mbdkit.engine.kernels.schur import solve as schur_solve
 from mbdkit.engine.kernels.system import DIVERGED, OK, constraint_rows, evaluate_tangents, prepare
 from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, LINEAR, LOAD, MULTIPLIER, PAIR, SPRING, TENSION
 from mbdkit.engine.kernels.vectors import copy, fill, fill_rows
 from mbdkit.engine.native.bundle import bundle_loader
 from mbdkit.engine.native.functions import kernel, separate, subkernel
+from mbdkit_gradients.kernels.kept_stages import keep_stage, pass_factors, take_stage
 
 POINTS, LAWS = range(2)  #: Indices of `Adjoint.wants`.
 LINEAR_LAW, TABLE_LAW, OTHER_LAW = range(3)  #: Kinds of laws in `Adjoint.kinds`.
 LENGTH, RATE, FORCE, POTENTIAL = range(4)  #: Columns of derivatives with respect to the values of a force element.
 
+PIN = constraints.KINDS["revolute"]  #: Kind of the pairs of pins.
 OF_BODIES = 14  #: Number of parameters of laws of forces between bodies that hold the states of these.
 
+#: Numbers in a cache line, and in a block of memory that is fetched at once and stays in the cache.
+LINE, BLOCK = 8, 1024
 MOST_ITERATIONS = 60
 SMALL = 1e-15
+#: Solutions are refined if the residual of a constraint row is larger than this, relative to the terms of such a row;
+#: those of chains of rods have 1e-16, those of a four-bar knee up to 2e-14.
+REFINED = 1e-13
 #: An iteration ends when the relative change is below `SMALL`, or round-off: below `NEGLIGIBLE`, and above the share
 #: `STALLED` of the last change.
 STALLED, NEGLIGIBLE = 0.5, 1e-11
@@ -59,21 +55,26 @@ STALLED, NEGLIGIBLE = 0.5, 1e-11
 class Adjoint(NamedTuple):
     """Derivatives with respect to numbers of a mechanism, and working arrays; S segments of springs, P pairs."""
 
-    terms: Annotated[IntMatrix, 4]  #: (N, 4) terms of the tangents: index in ``Scratch.source``, row, column, class.
-    #: (2,) whether derivatives by points of joints and springs, and by parameters of laws, are computed.
+    only_pins: IntVector  #: (1,) whether all joints are pins.
+    #: (N, 3) terms of the tangents, except those of pins: index in ``Scratch.source``, row, column. Derivatives with
+    #: respect to positions come first, then those with respect to velocities.
+    terms: Annotated[IntMatrix, 3]
+    by_positions: IntVector  #: (1,) number of the former.
+    #: (2,) whether derivatives by points of springs and of joints but pins, and by parameters of laws, are computed.
     wants: IntVector
     laws_wanted: IntVector  #: (N,) whether they are with respect to each of the parameters of laws.
     kinds: IntVector  #: (S,) kind of the law of each segment.
     mu: RealVector  #: (3 (B + 1),) solution of the adjoint system, and (P, 2).
     nu: Annotated[RealMatrix, 2]
-    rest: RealVector  #: Right side, then residual.
-    rest_rows: Annotated[RealMatrix, 2]
     right: RealVector  #: (n + m,) right side in the order of the unknowns.
     lam_bar: Annotated[RealMatrix, 2]
     #: (S, 4) derivatives with respect to the values of the springs; those of the first segment count.
     pull_bar: RealMatrix
     by_reaction: RealVector  #: (N,) derivatives of frictions with respect to the multipliers in ``Topology.reactions``.
-    friction: RealMatrix  #: (F, F + 1) matrix and right side of the equations of the derivatives by frictions.
+    #: (F, F + 2) matrix and right side of the equations of the derivatives by frictions, and these without those of
+    #: results.
+    friction: RealMatrix
+    unused: Annotated[RealMatrix, 6]  #: (P, 6) derivatives with respect to points of pins that are not read.
     #: Derivatives with respect to arrays of the mechanism, which are added up: these and the following.
     mass: Annotated[RealMatrix, 3]
     gravity: RealVector
@@ -134,10 +135,11 @@ class Steps(NamedTuple):
     v_stage: RealMatrix
     acc: RealMatrix
     lam: RealCube
-    diagonal: RealCube  #: (S, P, 3) and (S, E, 4) factors of the Schur complements of the stages.
-    below: RealCube
-    response: RealCube  #: (S, N, F + 1) responses of the reactions to frictions.
-    source: RealMatrix  #: (S, ...) values of ``Scratch.source`` at the stages of an implicit step.
+    rows: RealMatrix  #: (N S, W) stages kept by explicit steps, or (S, W) those of a step; see `keep_stage`.
+    is_kept: IntVector  #: (1,) whether they are the former.
+    guess: RealMatrix  #: (N S or 0, 3 (B + 1)) accelerations of the stages of implicit steps from which to iterate.
+    touched: RealVector  #: (1,) result of `_touch`, without meaning.
+    source: RealMatrix  #: (S, ...) first values of ``Scratch.source`` at the stages of an implicit step: those in use.
     to_q: RealMatrix
     to_v: RealMatrix
     to_acc: RealMatrix
@@ -156,48 +158,72 @@ load_steps = bundle_loader(lambda: example_of(Steps))
 def _accelerations(h, t, q, v, acc, lam, refine):
     """Solve for accelerations and multipliers of a state; return a status."""
     prepare(h.top, h.w, t, q)
-    return solve_accelerations(h.top, h.w, h.solver, q, v, acc, lam, refine)
+    return accelerations.solve_accelerations(h.top, h.w, h.solver, q, v, acc, lam, refine)
 
 
 @separate
-def _tangents(h, t, q, v, acc, lam):
-    evaluate_tangents(h.top, h.w, t, q, v, acc, lam)
+def _tangents(h, g, t, q, v, acc, lam):
+    """Evaluate the tangents; those of joints are not needed if all joints are pins, see `_pins`."""
+    if g.only_pins[0] == 0:
+        evaluate_tangents(h.top, h.w, t, q, v, acc, lam)
+        return
+    prepare(h.top, h.w, t, q)
+    forces.take_multipliers(h.top, h.w, lam)
+    constraint_rows(h.top, h.w, q, v)
+    if forces.any_forces(h.top):
+        forces.force_tangents(h.top, h.w, q, v)
 
 
 @subkernel
-def _substitute(h, g):
-    """Replace the right sides ``g.rest`` and ``g.rest_rows`` by the solution, with the factors of the last solution."""
-    top, jac, weight, pairs = h.top, h.w.jac, h.top.weight, h.top.pairs
-    rest, rows = g.rest, g.rest_rows
+def _write_unknowns(h, g):
+    """Write ``g.mu`` and the rows ``g.nu`` into ``g.right`` in the order of the unknowns."""
+    for d in range(len(g.mu) - 3):
+        g.right[d] = g.mu[d]
+    for k in range(len(h.top.pairs)):
+        for r in range(h.top.rows[k]):
+            g.right[h.solver.row_index[k, r]] = g.nu[k, r]
+
+
+@subkernel
+def _substitute(h, g, acc_bar):
+    """Solve for ``g.mu`` and ``g.nu``, given the right sides `acc_bar` and ``Scratch.gamma``, with the last factors."""
+    top, w, mu, nu = h.top, h.w, g.mu, g.nu
+    copy(acc_bar, mu)
     if h.solver.pivoted[0] != 0:
-        for d in range(len(rest) - 3):
-            g.right[d] = rest[d]
-        for k in range(len(pairs)):
+        for k in range(len(nu)):
+            copy(w.gamma[k], nu[k])
+        _write_unknowns(h, g)
+        lu.solve_refined(h.solver.pattern, h.solver.factors, g.right, w.solution, w.correction)
+        for d in range(len(mu)):
+            mu[d] = w.solution[d] if d < len(mu) - 3 else 0.0
+        for k in range(len(nu)):
             for r in range(top.rows[k]):
-                g.right[h.solver.row_index[k, r]] = rows[k, r]
-        substitute(h.solver.pattern, h.solver.factors, g.right, g.right)
-        for d in range(len(rest) - 3):
-            rest[d] = g.right[d]
-        for k in range(len(pairs)):
-            for r in range(top.rows[k]):
-                rows[k, r] = g.right[h.solver.row_index[k, r]]
+                nu[k, r] = w.solution[h.solver.row_index[k, r]]
         return
-    for b in range(len(weight)):
+    for b in range(len(top.weight)):
         for i in range(3):
-            rest[3 * b + i] *= weight[b, i]
-    for k in range(len(pairs)):
-        a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
+            mu[3 * b + i] *= top.weight[b, i]
+    accelerations.joint_right_side(top, w, mu, nu)
+    schur.solve(h.solver.schur, nu)
+    accelerations.apply_multipliers(top, w, nu, mu, True)
+    if _misfit(top, w, mu) > REFINED:
+        accelerations.refine_multipliers(top, w, h.solver.schur, mu, nu, True)
+
+
+@subkernel
+def _misfit(top, w, mu):
+    """Return the largest residual of ``Phi_q mu = gamma``, relative to the largest sum of the terms of a row."""
+    worst = size = 0.0
+    for k in range(len(top.pairs)):
+        a, b = 3 * top.pairs[k, PAIR.first], 3 * top.pairs[k, PAIR.second]
         for r in range(2):
-            total = -rows[k, r]
+            x = y = 0.0
             for i in range(3):
-                total += jac[k, 6 * r + i] * rest[a + i] + jac[k, 6 * r + 3 + i] * rest[b + i]
-            rows[k, r] = total if r < top.rows[k] else 0.0
-    schur_solve(h.solver.schur, rows)
-    for k in range(len(pairs)):
-        a, b = pairs[k, PAIR.first], pairs[k, PAIR.second]
-        for i in range(3):
-            rest[3 * a + i] -= weight[a, i] * (jac[k, i] * rows[k, 0] + jac[k, 6 + i] * rows[k, 1])
-            rest[3 * b + i] -= weight[b, i] * (jac[k, 3 + i] * rows[k, 0] + jac[k, 9 + i] * rows[k, 1])
+                x += w.jac[k, 6 * r + i] * mu[a + i]
+                y += w.jac[k, 6 * r + 3 + i] * mu[b + i]
+            worst = max(worst, abs(x + y - w.gamma[k, r]))
+            size = max(size, abs(x) + abs(y) + abs(w.gamma[k, r]))
+    return worst / size if worst > 0.0 else 0.0
 
 
 @separate
@@ -212,8 +238,8 @@ def _by_reactions(h, c, g, t, v, lam):
         k, place = top.frictions[top.reactions[i, MULTIPLIER.friction]], top.reactions[i, MULTIPLIER.parameter]
         g.values[place, 1] = 1.0
         g.rate[0, 0] = h.w.s[k, 0]
-        g.rate[1, 0] = path_rate(k, top.springs, v, h.w.grad)
-        evaluate_law(c.top, c.w, top.springs[k, SPRING.law], c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
+        g.rate[1, 0] = forces.path_rate(k, top.springs, v, h.w.grad)
+        forces.evaluate_law(c.top, c.w, top.springs[k, SPRING.law], c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
         g.values[place, 1] = 0.0
         g.by_reaction[i] = g.tension[spare, TENSION.force, 1]
 
@@ -230,10 +256,12 @@ def _along(h, f, mu):
 
 @subkernel
 def _couple_frictions(h, g):
-    """Add what the part of the solution in ``g.rest`` changes by frictions: the transposed step of Newton's method."""
+    """Change the right side ``Scratch.gamma`` by frictions, for the present ``g.mu``: a transposed step of Newton's
+    method.
+    """
     top, room, count = h.top, g.friction, len(h.top.frictions)
     for f in range(count):
-        room[f, count] = _along(h, f, g.rest)
+        room[f, count] = _along(h, f, g.mu) - room[f, count + 1]
         for j in range(count):
             room[f, j] = 1.0 if f == j else 0.0
         for i in range(len(top.reactions)):
@@ -248,76 +276,80 @@ def _couple_frictions(h, g):
         for j in range(f + 1, count):
             room[f, count] -= room[f, j] * room[j, count]
         room[f, count] /= room[f, f]
-    fill(g.rest, 0.0)
-    fill_rows(g.rest_rows, 0.0)
+        room[f, count + 1] += room[f, count]
     for i in range(len(top.reactions)):
         change = room[top.reactions[i, MULTIPLIER.friction], count] * g.by_reaction[i]
-        g.rest_rows[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] -= change
-    _add_solution(h, g)
-
-
-@subkernel
-def _add_solution(h, g):
-    """Add the solution for the right sides ``g.rest`` and ``g.rest_rows``, which it replaces, to ``g.mu``, ``g.nu``."""
-    _substitute(h, g)
-    for d in range(len(g.mu) - 3):
-        g.mu[d] += g.rest[d]
-    for k in range(len(h.top.pairs)):
-        for r in range(h.top.rows[k]):
-            g.nu[k, r] += g.rest_rows[k, r]
+        h.w.gamma[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] -= change
 
 
 @subkernel
 def _solve_adjoint(h, g, acc_bar):
-    """Solve for ``g.mu`` and ``g.nu`` with one step of refinement; ``g.lam_bar`` has the derivatives by multipliers."""
-    top, jac, pairs = h.top, h.w.jac, h.top.pairs
-    fill(g.mu, 0.0)
-    fill_rows(g.nu, 0.0)
-    for _ in range(2):
-        for d in range(len(g.mu)):
-            g.rest[d] = acc_bar[d] - top.mass[d // 3, d % 3] * g.mu[d]
-        for i in range(3):
-            g.rest[len(g.rest) - 3 + i] = 0.0
-        for k in range(len(pairs)):
-            a, b = 3 * pairs[k, PAIR.first], 3 * pairs[k, PAIR.second]
-            for r in range(2):
-                total = g.lam_bar[k, r]
-                for i in range(3):
-                    g.rest[a + i] -= jac[k, 6 * r + i] * g.nu[k, r]
-                    g.rest[b + i] -= jac[k, 6 * r + 3 + i] * g.nu[k, r]
-                    total -= jac[k, 6 * r + i] * g.mu[a + i] + jac[k, 6 * r + 3 + i] * g.mu[b + i]
-                g.rest_rows[k, r] = total if r < top.rows[k] else 0.0
-        for i in range(3):
-            g.rest[len(g.rest) - 3 + i] = 0.0
+    """Solve for ``g.mu`` and ``g.nu``; ``g.lam_bar`` has the derivatives by multipliers. Overwrites gamma."""
+    top, gamma = h.top, h.w.gamma
+    for k in range(len(top.pairs)):
+        for r in range(2):
+            gamma[k, r] = g.lam_bar[k, r] if r < top.rows[k] else 0.0
+    if len(top.frictions) > 0:
         for i in range(len(top.reactions)):
-            f = top.reactions[i, MULTIPLIER.friction]
-            by_friction = g.pull_bar[top.frictions[f], FORCE] - _along(h, f, g.mu)
-            g.rest_rows[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] += (
-                by_friction * g.by_reaction[i]
-            )
-        _add_solution(h, g)
-        if len(top.frictions) > 0:
+            own = g.pull_bar[top.frictions[top.reactions[i, MULTIPLIER.friction]], FORCE] * g.by_reaction[i]
+            gamma[top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]] += own
+        for f in range(len(top.frictions)):
+            g.friction[f, len(top.frictions) + 1] = 0.0
+        for _ in range(2):
+            _substitute(h, g, acc_bar)
             _couple_frictions(h, g)
+    _substitute(h, g, acc_bar)
 
 
 @subkernel
-def _to_state(h, g, q_bar, v_bar):
-    """Add the products of mu and nu with the tangents to the derivatives with respect to positions and velocities."""
-    n3, source, unknown = len(g.mu) - 3, h.w.source, g.right
-    for d in range(n3):
-        unknown[d] = g.mu[d]
-    for k in range(len(h.top.pairs)):
-        for r in range(h.top.rows[k]):
-            unknown[h.solver.row_index[k, r]] = g.nu[k, r]
-    for e in range(len(g.terms)):
-        column, kind = g.terms[e, 2], g.terms[e, 3]
-        product = source[g.terms[e, 0]] * unknown[g.terms[e, 1]]
-        if kind == GAMMA_V:
-            v_bar[column] += product
-        elif kind == DAMPING:
-            v_bar[column] -= product
-        else:
-            q_bar[column] -= product
+def _pins(h, g, v, acc, lam, points, q_bar, v_bar):
+    """Add the derivatives of the equations of pins with respect to their points and to the states of their bodies.
+
+    Those with respect to angles are those with respect to the arms, the vectors from the centers of mass to the pin.
+    """
+    top, jac, cs, nu, mu = h.top, h.w.jac, h.w.cs, g.nu, g.mu
+    rate, square = 2.0 * top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
+    for k in range(len(top.pairs)):
+        if top.pairs[k, PAIR.kind] != PIN:
+            continue
+        for side in range(2):
+            body, sign = top.pairs[k, PAIR.first + side], 2.0 * side - 1.0
+            angle, cos, sin = 3 * body + 2, cs[body, 0], cs[body, 1]
+            n0, n1, w = sign * nu[k, 0], sign * nu[k, 1], v[angle]
+            inward, turn, along = w * w - square, acc[angle] + rate * w, sign * mu[angle]
+            # derivatives by the arm, and the arm from the columns of the angle in the Jacobian
+            x = n0 * inward - n1 * turn - lam[k, 1] * along
+            y = n1 * inward + n0 * turn + lam[k, 0] * along
+            arm_x, arm_y = sign * jac[k, 8 + 3 * side], -sign * jac[k, 2 + 3 * side]
+            q_bar[angle] += y * arm_x - x * arm_y
+            v_bar[angle] += 2.0 * w * (n0 * arm_x + n1 * arm_y) + rate * (n0 * arm_y - n1 * arm_x)
+            points[k, 2 * side] += cos * x + sin * y
+            points[k, 2 * side + 1] += cos * y - sin * x
+            if rate != 0.0 or square != 0.0:
+                q_bar[3 * body] -= square * n0
+                q_bar[3 * body + 1] -= square * n1
+                v_bar[3 * body] -= rate * n0
+                v_bar[3 * body + 1] -= rate * n1
+
+
+@subkernel
+def _to_state(h, g, v, acc, lam, points, q_bar, v_bar):
+    """Add the products of mu and nu with the tangents to the derivatives with respect to positions and velocities, and
+    for pins to those with respect to their `points`.
+    """
+    _pins(h, g, v, acc, lam, points, q_bar, v_bar)
+    source, terms, unknown = h.w.source, g.terms, g.right
+    if len(terms) == 0:
+        return
+    _write_unknowns(h, g)
+    for e in range(g.by_positions[0]):
+        q_bar[terms[e, 2]] -= source[terms[e, 0]] * unknown[terms[e, 1]]
+    for d in range(
+        len(g.mu) - 3, len(unknown)
+    ):  # gamma_v is on the right side of its equation, and damping on the left
+        unknown[d] = -unknown[d]
+    for e in range(g.by_positions[0], len(terms)):
+        v_bar[terms[e, 2]] -= source[terms[e, 0]] * unknown[terms[e, 1]]
 
 
 @subkernel
@@ -357,7 +389,7 @@ def _law_slopes(h, c, g, t, k, length, rate, by_force, by_potential):
         spare = len(h.top.springs)
         g.rate[0, 0] = length
         g.rate[1, 0] = rate
-        evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
+        forces.evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.tension, spare, 4)
         g.values[begin + 1 + i, 1] = 0.0
         g.law_parameters[begin + 1 + i] += by_force * g.tension[spare, TENSION.force, 1]
         g.law_parameters[begin + 1 + i] += by_potential * g.tension[spare, TENSION.potential, 1]
@@ -370,7 +402,7 @@ def _springs(h, c, g, t, q_bar, v_bar, v):
     for k in range(len(top.springs)):
         if top.springs[k, SPRING.segments] == 0:
             continue
-        law, rate, along = top.springs[k, SPRING.law], path_rate(k, top.springs, v, w.grad), 0.0
+        law, rate, along = top.springs[k, SPRING.law], forces.path_rate(k, top.springs, v, w.grad), 0.0
         for segment in range(k, k + top.springs[k, SPRING.segments]):
             a, b = 3 * top.springs[segment, SPRING.first], 3 * top.springs[segment, SPRING.second]
             for i in range(3):
@@ -389,7 +421,7 @@ def _springs(h, c, g, t, q_bar, v_bar, v):
             by_length += by_potential * slope * stretch
         else:
             if by_potential != 0.0:
-                by_length += by_potential * law_value(top, w, law, length, 0.0, t)
+                by_length += by_potential * forces.law_value(top, w, law, length, 0.0, t)
             if g.wants[LAWS] != 0:
                 _law_slopes(h, c, g, t, k, length, rate, own - along, by_potential)
         if by_length != 0.0 or by_rate != 0.0:
@@ -397,7 +429,7 @@ def _springs(h, c, g, t, q_bar, v_bar, v):
                 a, b = 3 * top.springs[segment, SPRING.first], 3 * top.springs[segment, SPRING.second]
                 for i in range(6):
                     d = a + i if i < 3 else b + i - 3
-                    q_bar[d] += by_length * w.grad[segment, i] + by_rate * rate_slope(top, w, v, segment, i)
+                    q_bar[d] += by_length * w.grad[segment, i] + by_rate * forces.rate_slope(top, w, v, segment, i)
                     v_bar[d] += by_rate * w.grad[segment, i]
         if g.wants[POINTS] != 0 and top.springs[k, SPRING.segments] == 1:
             # the residual has the derivatives of the force and of its direction
@@ -414,9 +446,11 @@ def _springs(h, c, g, t, q_bar, v_bar, v):
 
 
 @subkernel
-def _joints(h, g, acc, lam):
-    """Add the derivatives with respect to the parameters of joints."""
+def _other_joints(h, g, acc, lam):
+    """Add the derivatives with respect to the parameters of joints that are not pins."""
     for k in range(len(h.top.pairs)):
+        if h.top.pairs[k, PAIR.kind] == PIN:
+            continue
         a, b = 3 * h.top.pairs[k, PAIR.first], 3 * h.top.pairs[k, PAIR.second]
         for j in range(6):
             add = 0.0
@@ -445,7 +479,7 @@ def _interactions(h, c, g, t):
                 is_wanted = is_wanted or g.laws_wanted[i] != 0
                 g.values[i, 1 + i - left] = 1.0
             if is_wanted:
-                evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.interaction, k, 6)
+                forces.evaluate_law(c.top, c.w, law, c.v[0, 0], c.v[0, 1], t, c.w.interaction, k, 6)
             for i in range(left, min(left + slots, end)):
                 g.values[i, 1 + i - left] = 0.0
                 for d in range(6 if is_wanted else 0):
@@ -464,8 +498,8 @@ def _bodies_and_loads(h, g, acc):
         for i in range(2):
             g.gravity[i] += g.mu[3 * b + i] * top.mass[b, i]
     for k in range(len(top.loads)):
-        if top.loads[k, LOAD.kind] != TORQUE:
-            fx, fy, _, _ = point_force(top, w, k)
+        if top.loads[k, LOAD.kind] != forces.TORQUE:
+            fx, fy, _, _ = forces.point_force(top, w, k)
             body = top.loads[k, LOAD.body]
             c, s, turn = w.cs[body, 0], w.cs[body, 1], g.mu[3 * body + 2]
             g.load_points[k, 0] += turn * (c * fy - s * fx)
@@ -475,32 +509,31 @@ def _bodies_and_loads(h, g, acc):
 @separate
 def _by_points(c, g, t, q, v):
     """Evaluate Jacobian, gamma and lengths of pathways with their derivatives with respect to points."""
-    if g.wants[POINTS] == 0:
-        return
     top, w, own_q, own_v = c.top, c.w, c.q[0], c.v[1]
     for d in range(len(q)):
         own_q[d] = q[d]
         own_v[d] = v[d]
     prepare(top, w, t, own_q)
     constraint_rows(top, w, own_q, own_v)
-    pathway_lengths(top, w, own_q)
+    forces.pathway_lengths(top, w, own_q)
 
 
 @separate
 def _pull_back(h, c, g, t, v, acc, lam, acc_bar, q_bar, v_bar):
     """Add the derivatives with respect to a state and to numbers of the mechanism, given those with respect to
-    accelerations `acc_bar`, multipliers ``g.lam_bar`` and springs ``g.pull_bar``; requires `evaluate_tangents` and
+    accelerations `acc_bar`, multipliers ``g.lam_bar`` and springs ``g.pull_bar``; requires `_tangents` and
     `_by_points`.
     """
-    _by_reactions(h, c, g, t, v, lam)
+    if len(h.top.reactions) > 0:
+        _by_reactions(h, c, g, t, v, lam)
     _solve_adjoint(h, g, acc_bar)
-    _to_state(h, g, q_bar, v_bar)
+    _to_state(h, g, v, acc, lam, g.pair_parameters, q_bar, v_bar)
     _bodies_and_loads(h, g, acc)
     _springs(h, c, g, t, q_bar, v_bar, v)
     if g.wants[LAWS] != 0:
         _interactions(h, c, g, t)
     if g.wants[POINTS] != 0:
-        _joints(h, g, acc, lam)
+        _other_joints(h, g, acc, lam)
 
 
 @subkernel
@@ -508,6 +541,10 @@ def _reactions(h, g, bars, lam, q_bar):
     """Add what follows from derivatives `bars` (P, 3) with respect to forces and torques of the pairs."""
     top, w = h.top, h.w
     for k in range(len(top.pairs)):
+        if top.pairs[k, PAIR.kind] == PIN:  # the forces are the multipliers, and there is no torque
+            for r in range(2):
+                g.lam_bar[k, r] -= bars[k, r]
+            continue
         b = top.pairs[k, PAIR.second]
         cos, sin = w.cs[b, 0], w.cs[b, 1]
         px, py = top.pair_parameters[k, 2], top.pair_parameters[k, 3]
@@ -557,8 +594,9 @@ def _pull_states(h, c, g, x):
         status = _accelerations(h, t, q, v, acc, lam, True)
         if status != OK:
             return status, r
-        _tangents(h, t, q, v, acc, lam)
-        _by_points(c, g, t, q, v)
+        _tangents(h, g, t, q, v, acc, lam)
+        if g.wants[POINTS] != 0:
+            _by_points(c, g, t, q, v)
         for k in range(len(lam)):
             copy(x.multipliers[r, k], g.lam_bar[k])
         for k in range(len(h.top.springs)):
@@ -571,61 +609,98 @@ def _pull_states(h, c, g, x):
 
 
 @subkernel
-def _keep_factors(h, s, i):
-    """Keep the factors of the Schur complement of stage `i`."""
-    schur = h.solver.schur
-    for k in range(len(schur.diagonal)):
-        for d in range(3):
-            s.diagonal[i, k, d] = schur.diagonal[k, d]
-    for k in range(len(schur.below)):
-        for d in range(4):
-            s.below[i, k, d] = schur.below[k, d]
-    for k in range(len(h.w.response)):
-        copy(h.w.response[k], s.response[i, k])
+def _add(x, y, factor, to_x, to_y):
+    """Add `factor` times `x` and `y` to two other vectors."""
+    for d in range(len(x)):
+        to_x[d] += factor * x[d]
+        to_y[d] += factor * y[d]
+
+
+@subkernel
+def _add_one(x, factor, to_x):
+    """Add `factor` times `x` to another vector."""
+    for d in range(len(x)):
+        to_x[d] += factor * x[d]
 
 
 @subkernel
 def _place_stage(s, n, i, count):
     """Write the state of stage `i` of step `n` from the rates of the first `count` stages."""
-    q, v, size = s.q_stage[i], s.v_stage[i], s.size[n]
+    q, v = s.q_stage[i], s.v_stage[i]
     copy(s.q[n], q)
     copy(s.v[n], v)
     for j in range(count):
-        factor = size * s.a[i, j]
-        if factor != 0.0:
-            for d in range(len(q)):
-                v[d] += factor * s.acc[j, d]
+        if s.a[i, j] != 0.0:
+            _add_one(s.acc[j], s.size[n] * s.a[i, j], v)
     for j in range(count):
-        factor = size * s.a[i, j]
-        if factor != 0.0:
-            for d in range(len(q)):
-                q[d] += factor * s.v_stage[j, d]
+        if s.a[i, j] != 0.0:
+            _add_one(s.v_stage[j], s.size[n] * s.a[i, j], q)
+
+
+@subkernel
+def _row(s, n, i):
+    """Return the number of the row of stage `i` of step `n`."""
+    return n * len(s.b) + i if s.is_kept[0] != 0 else i
+
+
+@subkernel
+def _touch(s, n):
+    """Read a number of each cache line of the kept stages of step `n` and some before it, if it begins such a block.
+
+    Memory is fetched forward, while steps are taken back: without this, a quarter of the time is spent waiting for it.
+    """
+    count = BLOCK // (len(s.b) * len(s.rows[0])) + 1
+    if (n + 1) % count != 0:
+        return
+    total = 0.0
+    for r in range((n + 1 - count) * len(s.b), (n + 1) * len(s.b)):
+        row = s.rows[r]
+        for d in range(0, len(row), LINE):
+            total += row[d]
+    s.touched[0] = total
 
 
 @subkernel
 def _take_stages(h, s, n):
-    """Evaluate the stages of step `n`, and keep the factors of their Schur complements; return a status."""
+    """Evaluate the stages of step `n` unless they are kept; return a status."""
     if s.is_implicit[0] != 0:
         return _iterate_stages(h, s, n)
+    if s.is_kept[0] != 0:
+        _touch(s, n)
     for i in range(len(s.b)):
         _place_stage(s, n, i, i)
+        if s.is_kept[0] != 0:
+            take_stage(s.acc[i], s.lam[i], s.rows[_row(s, n, i)])
+            continue
         t = s.time[n] + s.c[i] * s.size[n]
         status = _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i], False)
         if status != OK:
             return status
-        _keep_factors(h, s, i)
+        keep_stage(h.w, h.solver, s.acc[i], s.lam[i], s.rows[i])
     return OK
 
 
 @subkernel
+def _has_converged(change, largest, before, rounding):
+    """Return whether an iteration ends; see `STALLED`."""
+    is_stalled = change >= STALLED * before and change <= max(NEGLIGIBLE * largest, rounding)
+    return change <= SMALL * largest or is_stalled
+
+
+@subkernel
 def _iterate_stages(h, s, n):
-    """Solve for the accelerations of the stages of step `n`, beginning with those of the last step; return a status."""
+    """Solve for the accelerations of the stages of step `n`; return a status.
+
+    The iteration begins with those of `Steps.guess`, or else with those of the step after this one.
+    """
     stages, before = len(s.b), np.inf
     # forces that cancel leave their round-off in accelerations, which may be small; so do positions
     far = 0.0
     for d in range(len(s.next)):
         far = max(far, abs(s.q[n, d]))
     rounding = SMALL * far / (s.size[n] * s.size[n])
+    for i in range(stages if len(s.guess) > 0 else 0):
+        copy(s.guess[n * stages + i], s.acc[i])
     for _ in range(MOST_ITERATIONS):
         # velocities first: positions depend on those of all stages
         for _ in range(2):
@@ -638,13 +713,12 @@ def _iterate_stages(h, s, n):
             status = _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.next, s.lam[i], False)
             if status != OK:
                 return status
-            _keep_factors(h, s, i)
+            keep_stage(h.w, h.solver, s.next, s.lam[i], s.rows[i])
             for d in range(len(s.next)):
                 change = max(change, abs(s.next[d] - s.acc[i, d]))
                 largest = max(largest, abs(s.next[d]))
             copy(s.next, s.acc[i])
-        limit = max(NEGLIGIBLE * largest, rounding)
-        if change <= SMALL * largest or (change >= STALLED * before and change <= limit):
+        if _has_converged(change, largest, before, rounding):
             return OK
         if not change < np.inf:
             return DIVERGED
@@ -653,19 +727,11 @@ def _iterate_stages(h, s, n):
 
 
 @subkernel
-def _take_factors(h, s, i, t):
-    """Restore the factors of the system of stage `i`; return a status."""
-    solver = h.solver
-    if solver.pivoted[0] != 0:
+def _take_factors(h, s, n, i, t):
+    """Restore the factors of the system of stage `i` of step `n`; return a status."""
+    if h.solver.pivoted[0] != 0:
         return _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i], False)
-    for k in range(len(s.diagonal[i])):
-        for d in range(3):
-            solver.schur.diagonal[k, d] = s.diagonal[i, k, d]
-    for k in range(len(s.below[i])):
-        for d in range(4):
-            solver.schur.below[k, d] = s.below[i, k, d]
-    for k in range(len(h.w.response)):
-        copy(s.response[i, k], h.w.response[k])
+    pass_factors(h.w, h.solver, s.acc[i], s.lam[i], s.rows[_row(s, n, i)], True)
     return OK
 
 
@@ -685,52 +751,48 @@ def _write_stages(h, s, first, end):
 @subkernel
 def _begin_stage(s, n, i):
     """Write the derivatives with respect to stage `i` of step `n` that do not come from other stages."""
-    factor, row = s.size[n] * s.b[i], n * len(s.b) + i
-    for d in range(len(s.next)):
-        s.to_q[i, d] = s.stage_q_bar[row, d] if len(s.stage_q_bar) > 0 else 0.0
-        s.to_v[i, d] = factor * s.q_bar[n + 1, d]
-        if len(s.stage_v_bar) > 0:
-            s.to_v[i, d] += s.stage_v_bar[row, d]
-        s.to_acc[i, d] = factor * s.v_bar[n + 1, d]
+    factor, row, q_bar, v_bar = s.size[n] * s.b[i], n * len(s.b) + i, s.q_bar[n + 1], s.v_bar[n + 1]
+    to_q, to_v, to_acc = s.to_q[i], s.to_v[i], s.to_acc[i]
+    for d in range(len(to_q)):
+        to_q[d] = 0.0
+        to_v[d] = factor * q_bar[d]
+        to_acc[d] = factor * v_bar[d]
+    if len(s.stage_q_bar) > 0:
+        _add(s.stage_q_bar[row], s.stage_v_bar[row], 1.0, to_q, to_v)
 
 
 @subkernel
 def _iterate_derivatives(h, c, g, s, n):
-    """Solve for the derivatives with respect to the stages of an implicit step; return a status."""
+    """Solve for the derivatives with respect to the stages of an implicit step; return a status.
+
+    The iteration begins with those of the step after this one.
+    """
     stages, size, before = len(s.b), s.size[n], np.inf
-    fill_rows(s.by_q, 0.0)
-    fill_rows(s.by_v, 0.0)
-    fill_rows(s.kept, 0.0)
     for i in range(stages):
         t = s.time[n] + s.c[i] * size
-        status = _take_factors(h, s, i, t)
+        status = _take_factors(h, s, n, i, t)
         if status != OK:
             return status
-        _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
-        copy(h.w.source, s.source[i])
+        _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+        copy(h.w.source[: len(s.source[i])], s.source[i])
     for _ in range(MOST_ITERATIONS):
         change = largest = 0.0
         for i in range(stages):
             _begin_stage(s, n, i)
-            for d in range(len(s.next)):
-                s.to_q[i, d] += s.by_q[i, d]
+            _add(s.by_q[i], s.by_v[i], 1.0, s.to_q[i], s.to_v[i])
         for i in range(stages):
             for j in range(stages):
-                for d in range(len(s.next)):
-                    s.to_v[i, d] += size * s.a[j, i] * s.to_q[j, d]
-            for d in range(len(s.next)):
-                s.to_v[i, d] += s.by_v[i, d]
+                _add_one(s.to_q[j], size * s.a[j, i], s.to_v[i])
         for i in range(stages):
             for j in range(stages):
-                for d in range(len(s.next)):
-                    s.to_acc[i, d] += size * s.a[j, i] * s.to_v[j, d]
+                _add_one(s.to_v[j], size * s.a[j, i], s.to_acc[i])
         for i in range(stages):
             t = s.time[n] + s.c[i] * size
-            status = _take_factors(h, s, i, t)
+            status = _take_factors(h, s, n, i, t)
             if status != OK:
                 return status
             if len(h.top.frictions) > 0:
-                _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+                _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
                 _by_reactions(h, c, g, t, s.v_stage[i], s.lam[i])
             else:
                 copy(s.source[i], h.w.source)
@@ -738,13 +800,13 @@ def _iterate_derivatives(h, c, g, s, n):
             fill(s.by_q[i], 0.0)
             fill(s.by_v[i], 0.0)
             _solve_adjoint(h, g, s.to_acc[i])
-            _to_state(h, g, s.by_q[i], s.by_v[i])
+            _to_state(h, g, s.v_stage[i], s.acc[i], s.lam[i], g.unused, s.by_q[i], s.by_v[i])
             for d in range(len(s.next)):
                 # derivatives by positions count as those by velocities, over the step
                 change = max(change, abs(s.by_v[i, d] - s.next[d]), size * abs(s.by_q[i, d] - s.kept[i, d]))
                 largest = max(largest, abs(s.to_v[i, d]), size * abs(s.by_q[i, d]))
             copy(s.by_q[i], s.kept[i])
-        if change <= SMALL * largest or (change >= STALLED * before and change <= NEGLIGIBLE * largest):
+        if _has_converged(change, largest, before, 0.0):
             return OK
         if not change < np.inf:
             return DIVERGED
@@ -753,58 +815,47 @@ def _iterate_derivatives(h, c, g, s, n):
 
 
 @subkernel
-def _through_stage(h, c, g, s, n, i):
+def _through_stage(h, c, g, s, n, i, by_q, by_v):
     """Add what follows from the derivatives with respect to the accelerations of stage `i`; return a status."""
     t = s.time[n] + s.c[i] * s.size[n]
-    is_zero = True
-    for d in range(len(s.next)):
-        is_zero = is_zero and s.to_acc[i, d] == 0.0
-    if is_zero:
-        return OK
-    status = _take_factors(h, s, i, t)
+    status = _take_factors(h, s, n, i, t)
     if status != OK:
         return status
-    _tangents(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
-    _by_points(c, g, t, s.q_stage[i], s.v_stage[i])
-    _pull_back(h, c, g, t, s.v_stage[i], s.acc[i], s.lam[i], s.to_acc[i], s.by_q[i], s.by_v[i])
+    _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+    if g.wants[POINTS] != 0:
+        _by_points(c, g, t, s.q_stage[i], s.v_stage[i])
+    _pull_back(h, c, g, t, s.v_stage[i], s.acc[i], s.lam[i], s.to_acc[i], by_q, by_v)
     return OK
 
 
 @subkernel
 def _sweep_back(h, c, g, s, first, before):
-    stages = len(s.b)
+    is_explicit = s.is_implicit[0] == 0
     fill_rows(g.lam_bar, 0.0)
     fill_rows(g.pull_bar, 0.0)
     for n in range(before - 1, first - 1, -1):
-        size, q_bar, v_bar = s.size[n], s.q_bar[n], s.v_bar[n]
         status = _take_stages(h, s, n)
-        if status == OK and s.is_implicit[0] != 0:
+        if status == OK and not is_explicit:
             status = _iterate_derivatives(h, c, g, s, n)
         if status != OK:
             return status, n + 1
-        for d in range(len(q_bar)):
-            q_bar[d] += s.q_bar[n + 1, d]
-            v_bar[d] += s.v_bar[n + 1, d]
-        if s.is_implicit[0] == 0:
-            for i in range(stages):
-                _begin_stage(s, n, i)
-        for i in range(stages - 1, -1, -1):
-            fill(s.by_q[i], 0.0)
-            fill(s.by_v[i], 0.0)
-            status = _through_stage(h, c, g, s, n, i)
+        for i in range(len(s.b) if is_explicit else 0):
+            _begin_stage(s, n, i)
+        q_bar, v_bar = s.q_bar[n], s.v_bar[n]
+        _add(s.q_bar[n + 1], s.v_bar[n + 1], 1.0, q_bar, v_bar)
+        for i in range(len(s.b) - 1, -1, -1):
+            to_q, to_v, by_q, by_v = s.to_q[i], s.to_v[i], s.next, s.next
+            if is_explicit:  # the others contain what follows from their accelerations already
+                by_q, by_v = to_q, to_v
+            status = _through_stage(h, c, g, s, n, i, by_q, by_v)
             if status != OK:
                 return status, n + 1
-            if s.is_implicit[0] == 0:
-                for d in range(len(q_bar)):
-                    s.to_q[i, d] += s.by_q[i, d]
-                    s.to_v[i, d] += s.by_v[i, d]
-                    for j in range(i):
-                        s.to_v[j, d] += size * s.a[i, j] * s.to_q[i, d]
-                        s.to_acc[j, d] += size * s.a[i, j] * s.to_v[i, d]
-            # the derivatives of an implicit step contain these already
-            for d in range(len(q_bar) - 3):
-                q_bar[d] += s.to_q[i, d]
-                v_bar[d] += s.to_v[i, d]
+            for j in range(i if is_explicit else 0):
+                if s.a[i, j] != 0.0:
+                    _add(to_q, to_v, s.size[n] * s.a[i, j], s.to_v[j], s.to_acc[j])
+            _add(to_q, to_v, 1.0, q_bar, v_bar)
+        for i in range(len(q_bar) - 3, len(q_bar)):
+            q_bar[i] = v_bar[i] = 0.0
     return OK, first
 
 
