@@ -6,11 +6,11 @@ import math
 import re
 from collections.abc import Container, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
 
+from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 
@@ -116,8 +116,7 @@ def si_unit(exponents: Exponents) -> Unit:
         if mass > 0 and time == -2 * mass:  # a power of forces, such as N^2 m^2
             parts = [("N", mass), ("m", length - mass)]
         above = [_power(name, e) for name, e in parts if e > 0]
-        below = [_power(name, -e) for name, e in parts if e < 0]
-        text = "/".join([" ".join(above) or "1", *below])
+        text = "/".join([" ".join(above) or "1", *[_power(name, -e) for name, e in parts if e < 0]])
     return Unit(text, exponents)
 
 

@@ -9,10 +9,9 @@ stay independent during the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
+from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
@@ -200,8 +199,7 @@ class _Analysis:
         q, step = start.q, FAR_MOVE * step
         places: list[_Place] = []
         for _ in range(number):
-            position = self.place_from(self.search, q + step, start)
-            if position is None:
+            if (position := self.place_from(self.search, q + step, start)) is None:
                 break
             places.append(position)
             step = self.allowed(position.q, position.q - q)

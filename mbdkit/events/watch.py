@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any, Literal, cast
 
 import numpy as np
 
+from mbdkit.base.dataclasses import dataclass, field, replace
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.engine.workspace import Workspace
@@ -242,8 +242,7 @@ class Watch:
         if ahead is None or pace.single > 0 or self._fired or not ahead.is_possible:
             pace.single = max(0, pace.single - 1)
             return self.step()
-        wanted = min(pace.steps, ahead.most, self.stepper.steps_to_goal)
-        states = ahead.take(wanted)
+        states = ahead.take(min(pace.steps, ahead.most, self.stepper.steps_to_goal))
         ends = states.every(ahead.parts)
         taken = clear = len(ends.time) - 1
         if self._screen is not None and taken:

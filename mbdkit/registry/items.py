@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol
 
+from mbdkit.base.dataclasses import dataclass, field
 from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.text import listed
 from mbdkit.registry.item import NAME, Given, Item, Plugin, described
@@ -463,8 +463,7 @@ class Command(Item):
     def _check_group(self) -> None:
         if self.group != "" and (not isinstance(self.group, str) or not NAME.fullmatch(self.group)):
             raise PluginError(f"its group {self.group!r} is not made of letters, digits and . _ -")
-        target = vars(self)["target"]
-        if target is not None and not isinstance(target, Target):
+        if (target := vars(self)["target"]) is not None and not isinstance(target, Target):
             raise PluginError(f"its target is {described(target)}, not a Target")
 
     def check_targets(self) -> None:

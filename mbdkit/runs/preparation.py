@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLES, SETTINGS, of_elements, recorded_by
 from mbdkit.base.called_functions import function_at, may_call, returned_before
+from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
@@ -192,8 +192,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
     """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
-    position = start.q0[:-3].reshape(-1, 3)
-    return mechanism_size(spec.mechanism(), position) or start.mechanism.length
+    return mechanism_size(spec.mechanism(), start.q0[:-3].reshape(-1, 3)) or start.mechanism.length
 
 
 def timetable(

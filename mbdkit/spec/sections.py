@@ -5,13 +5,13 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetJsonSchemaHandler, PlainSerializer, model_validator
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
+from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_TITLE, canonical, value_text
 from mbdkit.base.strict_model import StrictModel
@@ -312,10 +312,8 @@ def named(given: object, names: Sequence[str], what: str) -> object:
     if isinstance(given, Mapping) and "name" not in given:
         raise SpecError(f"is missing; it should be the name of a {what}: {listed(names, 'or')}", key="name")
     hint = did_you_mean(name, names) if isinstance(name, str) else ""
-    raise SpecError(
-        f"should be {listed((repr(known) for known in names), 'or')}, not {value_text(name)}{hint}",
-        key="name" if isinstance(given, Mapping) else "",
-    )
+    message = f"should be {listed((repr(known) for known in names), 'or')}, not {value_text(name)}{hint}"
+    raise SpecError(message, key="name" if isinstance(given, Mapping) else "")
 
 
 def _plainly(chosen: object) -> object:
