@@ -16,6 +16,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -23,7 +24,6 @@ import h5py
 import numpy as np
 
 from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import ArchiveError
 from mbdkit.base.files import read_bytes, replace_file
 from mbdkit.base.files_read import FileRead, read_files

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import shown
 from mbdkit.registry.catalogue import Kind

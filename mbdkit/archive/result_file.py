@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -14,7 +15,6 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.part_file import LIBVER, check_target
 from mbdkit.archive.run_writer import utc_now
 from mbdkit.archive.untrusted_file import open_hdf5
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.distributions import own_version
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing

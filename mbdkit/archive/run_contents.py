@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import methodcaller
 from pathlib import Path
@@ -32,7 +33,6 @@ from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.archive.stored_mechanism import StoredMechanism, built_mechanism, read_mechanism
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
-from mbdkit.base.dataclasses import dataclass, field, replace
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.plain_data import canonical_text, parse_path, plain
 from mbdkit.base.text import listed, shown

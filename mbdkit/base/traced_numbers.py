@@ -15,6 +15,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from types import CodeType
@@ -24,7 +25,6 @@ import numpy as np
 
 from mbdkit.base import elementary, higher_layers
 from mbdkit.base.context_values import value_within
-from mbdkit.base.dataclasses import dataclass
 
 Numbers = Sequence[float]
 

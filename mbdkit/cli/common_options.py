@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
@@ -9,7 +10,6 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 import typer
 
 from mbdkit.base import terminal
-from mbdkit.base.dataclasses import dataclass, fields, is_dataclass
 from mbdkit.cli.completion import EXAMPLES
 
 Spec = TypeVar("Spec")

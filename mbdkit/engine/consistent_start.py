@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from typing import Never
 
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.assembly import AssembledState, assemble, search_for
 from mbdkit.engine.compile_mechanism import compile_mechanism, compiled_content

@@ -8,12 +8,12 @@ compiled by Numba, once in every process.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass, field
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels import law_kernels, law_programs

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
-
-from mbdkit.base.dataclasses import dataclass
 
 Level = Literal["position", "velocity", "acceleration"]
 

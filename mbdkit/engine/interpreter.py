@@ -11,13 +11,13 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial, reduce
 from types import BuiltinFunctionType, CellType, CodeType, FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw
 from mbdkit.engine.kernels import angles, equations, law_programs, motions

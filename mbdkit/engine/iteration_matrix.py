@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass, field
 from mbdkit.base.errors import StepError
 from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
 from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE

@@ -9,9 +9,10 @@ stay independent during the motion.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-
-from mbdkit.base.dataclasses import dataclass
 
 Kind = Literal["none", "baumgarte", "projection"]
 

@@ -8,11 +8,11 @@ velocities, and lengths, rates and tensions of pathways; all other quantities ar
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbdkit.base import higher_layers
-from mbdkit.base.dataclasses import dataclass, field
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT

@@ -6,9 +6,9 @@ import functools
 import math
 import re
 from collections import Counter
+from dataclasses import dataclass
 from typing import cast
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import GuidePage

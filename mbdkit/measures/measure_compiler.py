@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import ClassVar
 
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.base.units import Unit, read_unit

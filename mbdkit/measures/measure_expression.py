@@ -13,13 +13,13 @@ Units are checked.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.named_columns import NotRecordedError
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.expressions.operations import REDUCE

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError, blaming
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Attachment, Between

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Never
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import PluginError
 from mbdkit.registry.seam import OwnSeam
 

@@ -6,13 +6,13 @@ import ast
 import json
 import operator
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
 from typing import Literal
 
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.distributions import MBDKIT, normalized_name
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed

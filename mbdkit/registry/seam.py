@@ -21,6 +21,7 @@ import logging
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cache
 from types import UnionType
 from typing import (
@@ -37,7 +38,6 @@ from typing import (
     get_type_hints,
 )
 
-from mbdkit.base.dataclasses import dataclass, field
 from mbdkit.base.errors import PluginError
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.target import Target

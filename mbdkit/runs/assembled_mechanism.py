@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion

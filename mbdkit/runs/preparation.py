@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,6 @@ from typing import Any
 from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLES, SETTINGS, of_elements, recorded_by
 from mbdkit.base.called_functions import function_at, may_call, returned_before
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.writer import ArchiveWriter
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.errors import SpecError
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line

@@ -9,6 +9,7 @@ import functools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, cast
 
 from pydantic import (
@@ -22,7 +23,6 @@ from pydantic import (
 )
 from pydantic_core import CoreSchema, SchemaValidator, core_schema
 
-from mbdkit.base.dataclasses import dataclass
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import value_text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, BeforeValidator, GetJsonSchemaHandler, ValidationError, WithJsonSchema
@@ -12,7 +13,6 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
 from mbdkit.base import higher_layers
-from mbdkit.base.dataclasses import dataclass, replace
 from mbdkit.base.errors import MissingPartError, SpecError, blaming
 from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 import numpy as np
-
-from mbdkit.base.dataclasses import dataclass, field
 
 V = TypeVar("V", float, np.ndarray)
 

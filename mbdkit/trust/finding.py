@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
-
-from mbdkit.base.dataclasses import dataclass
 
 
 @dataclass(frozen=True)
