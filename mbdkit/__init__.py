@@ -5,12 +5,10 @@ Public names are imported on first use, which keeps ``import mbdkit`` fast.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mbdkit.base import higher_layers
-from mbdkit.base.lazy_names import door, import_part
+from mbdkit.base.lazy_names import door
 
 if TYPE_CHECKING:  # `door` imports these when first used; an alias exports a name for type checkers
     # fmt: off
@@ -77,47 +75,3 @@ else:
 
     def __dir__():
         return sorted(__all__)
-
-
-def _of_higher_layer(module: str, name: str, wanted: str = "") -> Callable[..., Any]:
-    """Return a function that, when called, imports a function of another module and calls it.
-
-    `wanted` is what users call it; see `import_part`.
-    """
-
-    def imported(*arguments: object, **named: object) -> object:
-        return getattr(import_part(module, wanted or name), name)(*arguments, **named)
-
-    return imported
-
-
-# Importing any module of the package first runs this file, so that these functions are always available below.
-higher_layers.elementary_functions = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "functions_of_numbers")
-higher_layers.elementary_values = _of_higher_layer("mbdkit.engine.kernels.elementary_calls", "values_of")
-higher_layers.installed_plugins = _of_higher_layer("mbdkit.spec.choices", "RegistryLookup")
-higher_layers.identified_parameters = _of_higher_layer("mbdkit.archive.identified_parameters", "read_identified")
-higher_layers.names_of_mechanisms = _of_higher_layer("mbdkit.mechanism.mechanism", "own_names")
-higher_layers.symbolic_system = _of_higher_layer(
-    "mbdkit_statics.symbolic_equations", "build_system", "Mechanism.to_sympy"
-)
-higher_layers.state_program = _of_higher_layer("mbdkit.events.state_program", "state_program")
-higher_layers.state_values = _of_higher_layer("mbdkit.events.state_program", "state_values")
-higher_layers.check_gradients = _of_higher_layer(
-    "mbdkit_gradients.measure_gradients", "check_gradients", "the key gradients"
-)
-higher_layers.gradients_json = _of_higher_layer(
-    "mbdkit_gradients.measure_gradients", "gradients_json", "the key gradients"
-)
-higher_layers.gradient_of_run = _of_higher_layer(
-    "mbdkit_gradients.measure_gradients", "gradient_of_run_spec", "a gradient"
-)
-higher_layers.run_errors = _of_higher_layer("mbdkit.archive.accuracy_summary", "RunErrors")
-higher_layers.write_answers = _of_higher_layer("mbdkit.archive.headlines", "write_answers")
-higher_layers.run_summary = _of_higher_layer("mbdkit.archive.run_summary", "summary")
-higher_layers.run_frame = _of_higher_layer("mbdkit_report.group_table", "to_frame", "Run.to_frame")
-higher_layers.run_datatree = _of_higher_layer("mbdkit_report.xarray_tree", "to_datatree", "Run.to_xarray")
-higher_layers.prepared_run = _of_higher_layer(
-    "mbdkit_studies.lanes.prepared_run", "PreparedRun", "Simulation.reset with numbers"
-)
-higher_layers.built_in_measures = _of_higher_layer("mbdkit_studies.spec.measures", "built_in_measures")
-higher_layers.html_of = _of_higher_layer("mbdkit_report.notebook.result_views", "html_of")

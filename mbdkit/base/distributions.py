@@ -35,8 +35,7 @@ def entry_points(group: str) -> tuple[list[EntryPoint], list[UnusableDistributio
     unusable: list[UnusableDistribution] = []
     known: set[str] = set()
     for distribution in importlib.metadata.distributions():
-        name = normalized_name(_stem(distribution)[0])
-        if name and name != MBDKIT and name in known:
+        if (name := normalized_name(_stem(distribution)[0])) and name != MBDKIT and name in known:
             continue
         known.add(name)
         try:
@@ -76,6 +75,12 @@ def name_and_version(distribution: Distribution) -> tuple[str, str]:
 def normalized_name(distribution: str) -> str:
     """Return the name of a distribution in the normalized form of PEP 503, in which names are compared."""
     return re.sub(r"[-_.]+", "-", distribution).lower()
+
+
+def version_of(name: str) -> str:
+    """Return the version of an installed distribution; the name of a folder mostly has it, and is quickly read."""
+    distribution = Distribution.from_name(name)
+    return _stem(distribution)[1] or distribution.version
 
 
 @cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import importlib
 import sys
 import time
@@ -166,6 +165,8 @@ class _NotebookBar:
         self._handle = display(self._content(None, ""), raw=True, display_id=True)
 
     def _content(self, share: float | None, note: str) -> dict[str, object]:
+        import html
+
         value = "" if share is None else f' value="{share:.4f}"'
         text = " ".join(filter(None, (self._what, note)))
         bar = f'<progress{value} max="1" style="width: 20em; vertical-align: middle"></progress>'

@@ -277,8 +277,7 @@ def text_with(substitute: Callable[[Callable[[float], str]], str]) -> str:
 
     If the current trace keeps texts, these are the names of traced numbers.
     """
-    trace = _current.get()
-    if trace is None or not trace.keeps_texts:
+    if (trace := _current.get()) is None or not trace.keeps_texts:
         return substitute(repr)
 
     def text(number: Any) -> str:

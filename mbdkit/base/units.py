@@ -116,8 +116,7 @@ def si_unit(exponents: Exponents) -> Unit:
         if mass > 0 and time == -2 * mass:  # a power of forces, such as N^2 m^2
             parts = [("N", mass), ("m", length - mass)]
         above = [_power(name, e) for name, e in parts if e > 0]
-        below = [_power(name, -e) for name, e in parts if e < 0]
-        text = "/".join([" ".join(above) or "1", *below])
+        text = "/".join([" ".join(above) or "1", *[_power(name, -e) for name, e in parts if e < 0]])
     return Unit(text, exponents)
 
 

@@ -20,6 +20,7 @@ import typer
 
 from mbdkit.base.distributions import own_version
 from mbdkit.base.interrupts import INTERRUPTED, stop_as_by_ctrl_c
+from mbdkit.base.one_thread import begin_with_one_thread
 from mbdkit.base.parts import OWN_PACKAGES
 from mbdkit.base.terminal import PlainStream, keep_results_apart, open_streams, show
 from mbdkit.cli.common_options import PLAIN, Debug
@@ -62,12 +63,8 @@ def mbdkit(
 
 def main() -> None:
     """Run the command line."""
-    # Imports create many objects, but little garbage; collecting it at the default rate would take a tenth of a short
-    # run. The imports of a run create 140 000 objects.
-    gc.set_threshold(300_000)
-    # Results are computed with one thread of linear algebra; starting and stopping others would take a fifth of a short
-    # run.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    begin_with_one_thread()
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which it looks for in all installed distributions
     try:
         open_streams()  # first, because the next file opened would get the file descriptor of a closed stream
         stop_as_by_ctrl_c()

@@ -290,10 +290,8 @@ class CompiledMechanism:
     def refuse_side_forces(self, what: str) -> None:
         """Raise SpecError if a joint has a side force; `what` names the computation that does not support them."""
         for force in self.following:
-            raise SpecError(
-                f"{what} does not include {force.side.name} of joint '{force.name}'; set it to 0",
-                key=f"model.joints.{quoted(force.name)}.{force.side.key}",
-            )
+            message = f"{what} does not include {force.side.name} of joint '{force.name}'; set it to 0"
+            raise SpecError(message, key=f"model.joints.{quoted(force.name)}.{force.side.key}")
 
     def refuse_friction_of_shared_reactions(self) -> None:
         """Raise SpecError if a joint with friction has a reaction that is not unique."""

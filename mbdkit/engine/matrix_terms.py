@@ -66,32 +66,19 @@ def matrix_terms(mechanism: CompiledMechanism, offsets: dict[str, int], *, stabi
         top.pairs, top.rows, top.spare, top.springs, top.couplings, top.loads, top.sections, mechanism.row_index,
         top.slopes, top.inputs, top.interactions,
     )  # fmt: skip
-    return _terms(len(mechanism.bodies), tuple(map(_Table.of, tables)), tuple(offsets.items()), stabilized)
-
-
-@dataclass(frozen=True)
-class _Table:
-    """An array of integers that can be compared and hashed."""
-
-    values: bytes
-    shape: tuple[int, ...]
-
-    @classmethod
-    def of(cls, array: np.ndarray) -> _Table:
-        return cls(array.astype(np.int64).tobytes(), array.shape)
-
-    @property
-    def array(self) -> np.ndarray:
-        return np.frombuffer(self.values, np.int64).reshape(self.shape)
+    hashable = tuple([(table.astype(np.int64).tobytes(), table.shape) for table in tables])
+    return _terms(len(mechanism.bodies), hashable, tuple(offsets.items()), stabilized)
 
 
 @lru_cache(maxsize=4)
 def _terms(
-    count: int, tables: tuple[_Table, ...], places: tuple[tuple[str, int], ...], stabilized: bool
+    count: int, tables: tuple[tuple[bytes, tuple[int, ...]], ...], places: tuple[tuple[str, int], ...], stabilized: bool
 ) -> MatrixTerms:
-    """Return the terms of a mechanism with these integer arrays; cached, because runs of a study share them."""
+    """Return the terms of a mechanism with these integer arrays, each as its bytes and its shape; cached, because runs
+    of a study share them.
+    """
     pairs, rows, spare, springs, couplings, loads, sections, row_index, slopes, inputs, interactions = (
-        table.array for table in tables
+        np.frombuffer(values, np.int64).reshape(shape) for values, shape in tables
     )
     terms = _Terms(3 * count, row_index, dict(places))
     diagonal = np.arange(3 * count)
@@ -152,6 +139,8 @@ class _Terms:
         self, kind: str, members: np.ndarray, pairs: np.ndarray, rows: np.ndarray, spare: np.ndarray, stabilized: bool
     ) -> None:
         """Add the terms of the pairs of one kind of constraint."""
+        if not len(members):
+            return
         offsets, bodies = self.offsets, pairs[members, BODIES]
         reduced = np.isin(members, spare[:, SPARE.pair])
 
@@ -195,7 +184,7 @@ class _Terms:
           coordinates the force is differentiated.
         - `entries`: indices of the coordinates that occur.
         """
-        for i, j in product(entries, repeat=2):
+        for i, j in product(entries if len(first) else (), repeat=2):
             place = first + width * i + j
             row, column = _coordinate(bodies[0], i), _coordinate(bodies[1], j)
             self.add(self.offsets[f"{name}_stiff"] + place, row, column, RATE_SQUARED)

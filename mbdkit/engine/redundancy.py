@@ -200,8 +200,7 @@ class _Analysis:
         q, step = start.q, FAR_MOVE * step
         places: list[_Place] = []
         for _ in range(number):
-            position = self.place_from(self.search, q + step, start)
-            if position is None:
+            if (position := self.place_from(self.search, q + step, start)) is None:
                 break
             places.append(position)
             step = self.allowed(position.q, position.q - q)

@@ -172,8 +172,7 @@ class Workspace:
     def _inertial_scale(self) -> np.ndarray:
         """Return (n,) powers of two near M^-1/2 for coordinates and diag(Phi_q M^-1 Phi_q^T)^-1/2 for multipliers."""
         top, jac = self.mechanism.topology, self.scratch.jac.reshape(-1, 2, 2, 3)
-        weight = top.weight[top.pairs[:, table_rows.BODIES]]
-        diagonal = np.einsum("krsc,ksc->kr", jac**2, weight)
+        diagonal = np.einsum("krsc,ksc->kr", jac**2, top.weight[top.pairs[:, table_rows.BODIES]])
         scale = np.ones(self.unknowns)
         scale[: 3 * len(self.mechanism.bodies)] = np.sqrt(top.weight[:-1].ravel())
         for index, value in zip(self.mechanism.row_index.ravel(), diagonal.ravel(), strict=True):
@@ -300,10 +299,10 @@ class Workspace:
 
 def finite_motions(top: Topology, u: np.ndarray) -> bool:
     """Return whether all values of `u` (motions, 3) that are used are finite; the derivatives of loads are not used."""
-    driven = np.unique(top.pairs[:, table_rows.PAIR.motion][top.pairs[:, table_rows.PAIR.motion] >= 0])
+    driven = top.pairs[:, table_rows.PAIR.motion]
     count = len(top.motion_start) - 1
     centers = u[count - OF_CENTER * len(top.centers) : count]
-    return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven], centers))
+    return all(bool(np.all(np.isfinite(x))) for x in (u[:, 0], u[driven[driven >= 0]], centers))
 
 
 def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:

@@ -242,8 +242,7 @@ class Watch:
         if ahead is None or pace.single > 0 or self._fired or not ahead.is_possible:
             pace.single = max(0, pace.single - 1)
             return self.step()
-        wanted = min(pace.steps, ahead.most, self.stepper.steps_to_goal)
-        states = ahead.take(wanted)
+        states = ahead.take(min(pace.steps, ahead.most, self.stepper.steps_to_goal))
         ends = states.every(ahead.parts)
         taken = clear = len(ends.time) - 1
         if self._screen is not None and taken:

@@ -261,13 +261,15 @@ class _Collected:
 
     def add(self, runs: slice, single: Mapping[str, np.ndarray], by_row: Mapping[str, np.ndarray]) -> None:
         """Add the values (..., WIDTH) and (T, ..., WIDTH) of some runs, by name."""
-        for name, lanes in single.items():
-            own = _by_run(lanes, runs)
+        taken = [{name: _by_run(lanes, runs) for name, lanes in arrays.items()} for arrays in (single, by_row)]
+        if runs.stop - runs.start == self.count:
+            self.single, self.by_row = ({name: own.copy() for name, own in arrays.items()} for arrays in taken)
+            return
+        for name, own in taken[0].items():
             if name not in self.single:
                 self.single[name] = np.empty((self.count, *own.shape[1:]), own.dtype)
             self.single[name][runs] = own
-        for name, lanes in by_row.items():
-            own = _by_run(lanes, runs)
+        for name, own in taken[1].items():
             rows, values = own.shape[1], self.by_row.get(name)
             if values is None:
                 self.by_row[name] = values = np.empty((self.count, *own.shape[1:]), own.dtype)

@@ -463,8 +463,7 @@ class Command(Item):
     def _check_group(self) -> None:
         if self.group != "" and (not isinstance(self.group, str) or not NAME.fullmatch(self.group)):
             raise PluginError(f"its group {self.group!r} is not made of letters, digits and . _ -")
-        target = vars(self)["target"]
-        if target is not None and not isinstance(target, Target):
+        if (target := vars(self)["target"]) is not None and not isinstance(target, Target):
             raise PluginError(f"its target is {described(target)}, not a Target")
 
     def check_targets(self) -> None:

@@ -10,7 +10,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Protocol, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import pluggy
 
@@ -28,23 +28,7 @@ GROUP = hookspecs.PROJECT
 log = logging.getLogger("mbdkit")
 
 
-class EntryPoint(Protocol):
-    """The attributes of `importlib.metadata.EntryPoint` that are used here."""
-
-    @property
-    def name(self) -> str:
-        """Name of the entry point."""
-
-    @property
-    def value(self) -> str:
-        """Name of the module."""
-
-    @property
-    def dist(self) -> object:
-        """Distribution, an object with `name` and `version`."""
-
-    def load(self) -> object:
-        """Import the module."""
+EntryPoint: TypeAlias = Any  #: An `importlib.metadata.EntryPoint`, or an object with the same attributes.
 
 
 @functools.cache
@@ -73,7 +57,7 @@ def installed() -> Registry:
     A wrong value of `MBDKIT_STRICT_PLUGINS` is thus reported by commands, not by ``--help``.
     """
     points, unusable = entry_points(GROUP)
-    return load_registry(points, _lenient(), unusable)
+    return load_registry(points, _lenient(), unusable, built_in())
 
 
 @functools.cache
@@ -128,23 +112,24 @@ def checked(loaded: Registry, *, whole: bool = True) -> Registry:
 
 
 def load_registry(
-    points: Iterable[EntryPoint], policy: Policy | None = None, unusable: Iterable[UnusableDistribution] = ()
-) -> Registry:
+    points: Iterable[EntryPoint], policy: Policy | None = None, unusable: Iterable[UnusableDistribution] = (),
+    own: Registry | None = None,
+) -> Registry:  # fmt: skip
     """Load each entry point separately. If one fails, its items are skipped, a warning of one line is printed, and the
     failure is listed in the registry.
 
     `points`: entry points of the group ``mbdkit``. In the registry, the items of mbdkit itself come first, followed by
     the others in the order of their distributions. `policy`: decides which distributions are loaded; by default all of
-    them. `unusable`: distributions whose entry points are not used, which are failures in the registry.
+    them. `unusable`: distributions whose entry points are not used, which are failures in the registry. `own`: what
+    `built_in` has loaded already.
     """
     policy = policy or Policy()
     origins = [(_origin(point), point) for point in points]
     origins.sort(key=lambda pair: (pair[0].distribution != MBDKIT, pair[0].distribution, pair[1].name))
-    manager = pluggy.PluginManager(hookspecs.PROJECT)  # has one plugin at a time
-    manager.add_hookspecs(hookspecs)
-    items: list[Registered] = []
-    known: set[tuple[Kind, str]] = set()
-    reports: list[Report] = []
+    manager = _manager()
+    items = [*own.items] if own else []
+    known = {(item.kind, item.id) for item in items}
+    reports = [*own.reports] if own else []
     present = {(origin.distribution, entry_point.name) for origin, entry_point in origins}
     if not policy.strict and (unknown := policy.unknown(present)):
         log.warning("mbdkit: warning: %s", unknown)
@@ -152,13 +137,16 @@ def load_registry(
         if reason := policy.reason_against(origin.distribution, entry_point.name):
             reports.append(Report(f"{origin.distribution}:{entry_point.name}", None, origin, "disabled", reason, 0.0))
             continue
+        if own and origin.distribution == MBDKIT:
+            continue
         begin = time.perf_counter()
         accepted: list[Registered] = []
         problems: list[tuple[str, Kind | None, str]] = []
         try:
             # stdout is reserved for the output of --json
             with contextlib.redirect_stdout(sys.stderr), in_this_process():
-                check_requirement(entry_point.dist)
+                if origin.distribution != MBDKIT:
+                    check_requirement(entry_point.dist)
                 module = entry_point.load()
                 check_api(module, origin.distribution)
                 for hook, thing in _offered(module, entry_point.name, manager):
@@ -183,6 +171,14 @@ def load_registry(
             reports.append(Report(folder, None, origin, "error", why, 0.0))
             log.warning("mbdkit: warning: the plugins of %s were not loaded: %s", folder, why)
     return Registry(items, reports)
+
+
+@functools.cache
+def _manager() -> pluggy.PluginManager:
+    """Return a manager that has one plugin at a time."""
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    return manager
 
 
 def _offered(module: object, name: str, manager: pluggy.PluginManager) -> Iterator[tuple[str, object]]:

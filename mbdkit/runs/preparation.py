@@ -192,8 +192,7 @@ def recorded_arrays(spec: RunSpec, method: Method, mechanism: CompiledMechanism)
 
 def size_at_start(spec: RunSpec, start: Workspace | MechanismAtStart) -> float:
     """Return the size of the mechanism at its start [m]; its characteristic length if all points coincide."""
-    position = start.q0[:-3].reshape(-1, 3)
-    return mechanism_size(spec.mechanism(), position) or start.mechanism.length
+    return mechanism_size(spec.mechanism(), start.q0[:-3].reshape(-1, 3)) or start.mechanism.length
 
 
 def timetable(

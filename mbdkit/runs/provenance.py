@@ -8,12 +8,11 @@ import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
 from mbdkit.archive import layout
-from mbdkit.base.distributions import MBDKIT, own_version
+from mbdkit.base.distributions import MBDKIT, own_version, version_of
 from mbdkit.base.terminal import command_line
 from mbdkit.engine.native.machine_code import code_id
 from mbdkit.mechanism.joint_kinds import joint_kinds
@@ -30,7 +29,7 @@ from mbdkit.spec.model_spec import ModelSpec
 @cache
 def _versions() -> dict[str, str]:
     packages = ("numpy", "scipy", "h5py", "pydantic", "pluggy")
-    return {"mbdkit": own_version(), **{name: version(name) for name in packages}, "machine_code": code_id()}
+    return {"mbdkit": own_version(), **{name: version_of(name) for name in packages}, "machine_code": code_id()}
 
 
 #: Entries of the provenance, besides plugins, that must be equal for results to be bitwise identical.

@@ -175,19 +175,19 @@ class VariedNumbers:
         for member in left.tolist():
             if (found := self.results(values[member].tolist())) is not None:
                 parts[found[0]].append((np.array([member]), np.array([found[1]])))
-        joined = {variant: [*map(np.concatenate, zip(*some, strict=True))] for variant, some in parts.items()}
+        joined = {variant: [*map(_concatenated, zip(*some, strict=True))] for variant, some in parts.items()}
         if not (known_parts := {variant: part for variant, part in joined.items() if len(part[0])}):
             return None
-        members = np.concatenate([part[0] for part in known_parts.values()])
-        order = np.argsort(members)
+        members = _concatenated([part[0] for part in known_parts.values()])
         names = {name for variant in known_parts for name in self._varying(variant)}
         arrays = {
-            name: np.concatenate([variant.rows(name, results) for variant, (_, results) in known_parts.items()])
+            name: _concatenated([variant.rows(name, results) for variant, (_, results) in known_parts.items()])
             for name in (*STATE, *names.difference(STATE))
         }
-        arrays = {name: array[order] for name, array in arrays.items()}
-        state = {name: arrays.pop(name) for name in STATE}
-        return Stacks(members=members[order], topology=arrays, **state)
+        if len(members) > 1:
+            order = np.argsort(members)
+            members, arrays = members[order], {name: array[order] for name, array in arrays.items()}
+        return Stacks(members=members, topology=arrays, **{name: arrays.pop(name) for name in STATE})
 
     def _varying(self, variant: Variant) -> Iterator[str]:
         """Yield the names of the arrays that differ between the mechanisms of this variant and the first one."""
@@ -210,6 +210,10 @@ class VariedNumbers:
             return None
         self.variants.append(variant)
         return variant
+
+
+def _concatenated(parts: Sequence[np.ndarray]) -> np.ndarray:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def arrays_of(mechanism: Mechanism, compiled: CompiledMechanism) -> dict[str, np.ndarray]:

@@ -312,10 +312,8 @@ def named(given: object, names: Sequence[str], what: str) -> object:
     if isinstance(given, Mapping) and "name" not in given:
         raise SpecError(f"is missing; it should be the name of a {what}: {listed(names, 'or')}", key="name")
     hint = did_you_mean(name, names) if isinstance(name, str) else ""
-    raise SpecError(
-        f"should be {listed((repr(known) for known in names), 'or')}, not {value_text(name)}{hint}",
-        key="name" if isinstance(given, Mapping) else "",
-    )
+    message = f"should be {listed((repr(known) for known in names), 'or')}, not {value_text(name)}{hint}"
+    raise SpecError(message, key="name" if isinstance(given, Mapping) else "")
 
 
 def _plainly(chosen: object) -> object:

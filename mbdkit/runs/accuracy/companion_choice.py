@@ -115,8 +115,7 @@ def guards_of_treatment(spec: RunSpec, method: Method) -> tuple[ChosenTreatment,
     """Return the treatment in guards of a run that determines reactions of elements, the names of the methods, and the
     factors of their steps; None for other runs.
     """
-    chosen = spec.reacting
-    if chosen is None or chosen.item.guards is None:
+    if (chosen := spec.reacting) is None or chosen.item.guards is None:
         return None
     return chosen.replaced(chosen.item.guarded_by), treatment_guards.of(chosen.item.guards)(method)
 
