@@ -174,8 +174,7 @@ def asked_sentence(run: Run) -> str:
     """Return sentences on the requested accuracy, the accuracy reached, and the choice of method; empty if none was
     requested.
     """
-    accuracy = run.accuracy
-    if accuracy is None or math.isnan(accuracy.asked):
+    if (accuracy := run.accuracy) is None or math.isnan(accuracy.asked):
         return ""
     reached = "unknown" if math.isnan(accuracy.reached) else f"{accuracy.reached:.2g}"
     until = "" if accuracy.is_complete or math.isnan(accuracy.reached) else f" until {accuracy.known_until:.4g} s"
@@ -187,8 +186,7 @@ def limit_sentence(run: Run) -> str:
     """Return clauses on what limits the accuracy of positions, angles and forces: the data from which parameters were
     estimated, or the integration; empty without such errors.
     """
-    accuracy = run.accuracy
-    if accuracy is None or not (count := accuracy.rows_known):
+    if (accuracy := run.accuracy) is None or not (count := accuracy.rows_known):
         return ""
     position, reaction = accuracy.position_error_parameters, accuracy.reaction_error_parameters
     if position is None or reaction is None:

@@ -92,8 +92,7 @@ class Table:
         self.series = [Series(array, tuple(sizes[dim] for dim in array.dims[1:])) for array in ordered]
         self.keys = frozenset(series.array.key for series in self.series)
         self._of_key = {series.array.key: series for series in self.series}
-        row_bytes = sum(series.row_bytes for series in self._of_key.values())
-        self._limit = max(1, BUFFER_BYTES // row_bytes)
+        self._limit = max(1, BUFFER_BYTES // sum(series.row_bytes for series in self._of_key.values()))
         self._capacity = 0
         self._buffers: dict[str, np.ndarray] = {}
         self._grow(min(FIRST_ROWS, self._limit))

@@ -23,8 +23,7 @@ class NotRecordedError(MbdkitError, KeyError):
 
     def __init__(self, what: str):
         why = "`output.quantities` in its spec selects the recorded quantities"
-        array = array_at(what)
-        if array is not None and array.optional:
+        if (array := array_at(what)) is not None and array.optional:
             why = "its method, stabilization and events do not produce it"
         if what.startswith("accuracy/"):
             why = "`check: true` in its spec, or `--check`, estimates errors"

@@ -234,10 +234,8 @@ class _Inspection:
     def storage(self, path: str, item: h5d.DatasetID, layout: int) -> int:
         """Return the bytes of the file that an array occupies."""
         stored = int(item.get_storage_size())
-        if layout == h5d.CONTIGUOUS and stored:
-            start = item.get_offset()
-            if start is None or start + stored > self.size:
-                raise self.refused(f"{path} declares {stored:,} bytes, which reach beyond the end of the file")
+        if layout == h5d.CONTIGUOUS and stored and ((start := item.get_offset()) is None or start + stored > self.size):
+            raise self.refused(f"{path} declares {stored:,} bytes, which reach beyond the end of the file")
         return stored
 
     def compressed(self, path: str, item: h5d.DatasetID, plan: h5py.h5p.PropDCID, size: int, is_text: bool) -> None:

@@ -121,10 +121,8 @@ def check_output(path: Path, *, overwrite: bool, source: str | Path | None = Non
                 file=path,
             )
         if file_locks.is_kept_by_a_program(path):
-            raise ResourceError(
-                "this file is open in this or another program, so that Windows cannot replace it; close it there",
-                file=path,
-            )
+            message = "this file is open in this or another program, so that Windows cannot replace it; close it there"
+            raise ResourceError(message, file=path)
     check_writable(path.parent, path)
 
 

@@ -53,8 +53,7 @@ def check_readable(path: str | Path) -> None:
     """
     if "\0" in str(path):
         raise SpecError(f"the name of the file {shown(path)} has a NUL character")
-    known = _KNOWN.get()
-    if known is not None and not known:
+    if (known := _KNOWN.get()) is not None and not known:
         raise SpecError(
             f"its spec names the file {shown(path)}; files are read only with --files (files=True in Python), and only "
             "those that the archive lists"

@@ -178,8 +178,7 @@ def guard(command: Any, words: tuple[str, ...]) -> None:
     """
     for name, subcommand in getattr(command, "commands", {}).items():
         guard(subcommand, (*words, name))
-    function = command.callback
-    if function is None or hasattr(function, "_is_guarded"):
+    if (function := command.callback) is None or hasattr(function, "_is_guarded"):
         return
 
     @functools.wraps(function)

@@ -171,8 +171,7 @@ def process_start(number: int) -> str:
     `os.kill(number, 0)`, which checks this on other systems, ends the process on Windows.
     """
     library = _kernel32()
-    handle = library.OpenProcess(_PROCESS_QUERY_LIMITED_INFORMATION | _SYNCHRONIZE, False, number)
-    if not handle:
+    if not (handle := library.OpenProcess(_PROCESS_QUERY_LIMITED_INFORMATION | _SYNCHRONIZE, False, number)):
         return ""
     try:
         begin, *others = (wintypes.FILETIME() for _ in range(4))

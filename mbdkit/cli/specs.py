@@ -112,8 +112,7 @@ def guide(
     """
     from mbdkit.guide.pages import find_page, pages, search
 
-    topic = " ".join(words or ())
-    if not topic:
+    if not (topic := " ".join(words or ())):
         show(grouped_table((page.group, page.topic, page.summary) for page in pages().values()))
     elif topic not in pages() and (hits := search(topic)):
         for hit in hits:

@@ -216,8 +216,7 @@ class EvaluatedEquations:
         if not len(self.z0):
             self._at(q, v)
             return *self._solved(self._calls.accelerations, t), vector(z, 0).copy()
-        rates = self._forms.evaluated(t, q, v, z, self.solved_by)
-        if rates is None:
+        if (rates := self._forms.evaluated(t, q, v, z, self.solved_by)) is None:
             raise self._not_finite()
         return rates
 

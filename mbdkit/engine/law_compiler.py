@@ -79,8 +79,7 @@ class _Compiler:
 
     def value(self, node: ast.expr) -> int:
         """Append the instructions of an expression; return the index of its value."""
-        number = _number(node)
-        if number is not None:
+        if (number := _number(node)) is not None:
             return self.assembler.constant(number)
         match node:
             case ast.Name(id=name):

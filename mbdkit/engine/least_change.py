@@ -67,8 +67,7 @@ class LeastChange:
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
         """(6 m,) row and column of each entry of the Jacobian, including those of ground."""
         bodies = self.compiled.topology.pairs[self.rows[:, 0], BODIES]
-        columns = (3 * bodies[:, :, None] + np.arange(3)).ravel()
-        return np.repeat(np.arange(len(self.rows)), 6), columns
+        return np.repeat(np.arange(len(self.rows)), 6), (3 * bodies[:, :, None] + np.arange(3)).ravel()
 
     def rates(self, jacobian: Entries, v: np.ndarray, phi_t: np.ndarray) -> np.ndarray:
         """Return ``Phi_q v + Phi_t`` (m,)."""
@@ -85,11 +84,9 @@ class LeastChange:
         if float(np.max(np.abs(self.evaluate(q)[0]))) > tolerance:
             return q
         for _ in range(MOST_DESCENTS):
-            nearest = self.stationary(given, q, tolerance)
-            if nearest is not None:
+            if (nearest := self.stationary(given, q, tolerance)) is not None:
                 return nearest
-            nearer = self.descended(given, q, tolerance)
-            if nearer is None:
+            if (nearer := self.descended(given, q, tolerance)) is None:
                 return q
             q = nearer
         return q

@@ -108,8 +108,7 @@ def _is_clear(own: np.ndarray, largest: float) -> np.ndarray:
     """
     largest_in_step = np.max(np.abs(own), axis=1)
     # a polynomial whose values are larger than its error has no double root, nor has it a root between two samples
-    error = np.max(np.abs(own @ _ERRORS.T), axis=1)
-    is_away = np.min(own @ _CONTROL_POINTS.T, axis=1) > error
+    is_away = np.min(own @ _CONTROL_POINTS.T, axis=1) > np.max(np.abs(own @ _ERRORS.T), axis=1)
     is_noise = largest_in_step <= NOISE * np.maximum(np.maximum.accumulate(largest_in_step), largest)
     # the extremum of the parabola through three values, which `crossings` examines
     a, b, c = own[:, :-2], own[:, 1:-1], own[:, 2:]

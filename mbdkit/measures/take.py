@@ -52,8 +52,7 @@ class SpecMeasure:
         """
         if not self.is_taken:
             return math.nan
-        item = self.measure.item
-        if item is None:
+        if (item := self.measure.item) is None:
             return self._expression().of(run)
         assert isinstance(item.plugin, MeasurePlugin)
         with blaming(f"measure {item.id} failed for run {run.run_id}"):
@@ -106,8 +105,7 @@ class SpecMeasure:
         """
         if shared := not_unique(run):
             quantities = self._expression().quantities
-            taken = [q.name for q in quantities if q.recorded.array.is_shared and q.name in shared]
-            if taken:
+            if taken := [q.name for q in quantities if q.recorded.array.is_shared and q.name in shared]:
                 return (
                     f"the reaction of {taken[0]} is not unique, because joints are redundant; that of least norm is "
                     "taken"

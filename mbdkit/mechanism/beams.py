@@ -151,10 +151,8 @@ class Beam(StrictModel):
             if not math.isfinite(self.highest_frequency):
                 raise SpecError("its stiffness is too large, or its mass or length too small, for double precision")
         if self.start is not None and len(self.start) != self.node_count:
-            raise SpecError(
-                f"should have x, y and angle of each of the {self.node_count} nodes, not {len(self.start)} rows",
-                key="start",
-            )
+            message = f"should have x, y and angle of each of the {self.node_count} nodes, not {len(self.start)} rows"
+            raise SpecError(message, key="start")
         return self
 
     def _check_shape(self) -> None:

@@ -49,10 +49,8 @@ def check_mechanism(
         if isinstance(element, Law) and isinstance(element.pathway, JointAngles):
             _check_joint_angles(f"{key}.pathway.angles", element.pathway, joints, points)
         if (line := _line(element)) is not None and (pin := pins.get(_ends(line))) is not None:
-            raise SpecError(
-                f"joint '{pin}' holds these two points together, so a spring between them has no effect",
-                key=f"{key}.{line.pathway_key}points",
-            )
+            message = f"joint '{pin}' holds these two points together, so a spring between them has no effect"
+            raise SpecError(message, key=f"{key}.{line.pathway_key}points")
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
@@ -82,10 +80,8 @@ def check_tables(motions: Iterable[tuple[str, Motion]], start: float, end: float
         first, last = motion.span
         slack = ROUNDING * max(last - first, end - start)
         if start < first - slack or end > last + slack:
-            raise SpecError(
-                f"the table covers {first!r} s to {last!r} s, but the run goes from {start!r} s to {end!r} s",
-                key=f"{key}.table[0]",
-            )
+            message = f"the table covers {first!r} s to {last!r} s, but the run goes from {start!r} s to {end!r} s"
+            raise SpecError(message, key=f"{key}.table[0]")
 
 
 def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) -> None:
@@ -101,10 +97,8 @@ def check_centers(joints: Mapping[str, Joint], placed: Callable[[str], Body]) ->
         if (outside := joint.center.outside(angle)) is not None:
             key, table = outside
             first, last = table.span
-            raise SpecError(
-                f"the table covers {first:.6g} rad to {last:.6g} rad, but the joint starts at {angle:.6g} rad",
-                key=f"model.joints.{quoted(name)}.center.{key}.table[0]",
-            )
+            message = f"the table covers {first:.6g} rad to {last:.6g} rad, but the joint starts at {angle:.6g} rad"
+            raise SpecError(message, key=f"model.joints.{quoted(name)}.center.{key}.table[0]")
 
 
 def check_springs(forces: Mapping[str, Force], placed: Callable[[str], Body]) -> None:
@@ -193,10 +187,8 @@ def _check_element(key: str, element: Element, bodies: Iterable[str], point_mass
         raise SpecError(f"a {element.type} on the ground has no effect; name a body", key=f"{key}.body")
     for place, body in element.angles():
         if body in point_masses:
-            raise SpecError(
-                f"'{body}' is a point mass (it has no inertia), so it has no angle for a {_described(element)}",
-                key=f"{key}.{place}",
-            )
+            message = f"'{body}' is a point mass (it has no inertia), so it has no angle for a {_described(element)}"
+            raise SpecError(message, key=f"{key}.{place}")
     for place, body, point in element.attachments():
         if body in point_masses and point != (0.0, 0.0):
             raise SpecError(

@@ -161,8 +161,7 @@ def improbable_lengths(mechanism: Mechanism) -> Iterator[str]:
     """
     findings = []
     for name, force in mechanism.forces.items():
-        free = getattr(force, "free_length", None)
-        if free is None or not isinstance(force, SpringDamper | Law):
+        if (free := getattr(force, "free_length", None)) is None or not isinstance(force, SpringDamper | Law):
             continue
         if force.pathway.is_line:
             length = dist(*(mechanism.to_global(body, point) for _, body, point in force.attachments()))

@@ -135,10 +135,8 @@ class Distance(PointJoint, FromTo):
     @model_validator(mode="after")
     def _has_a_length(self) -> Distance:
         if self.length is None and self.points is not None:
-            raise SpecError(
-                "is missing: distance between the two points [m]; it can be omitted only with `from` and `to`",
-                key="length",
-            )
+            message = "is missing: distance between the two points [m]; it can be omitted only with `from` and `to`"
+            raise SpecError(message, key="length")
         return self
 
     @property

@@ -141,8 +141,7 @@ class _Derived:
         cycles = [name for name in names if name in self.units and self.units[name].is_frequency]
         if not self.is_of_time or has_number or not cycles or "t" not in names:
             return
-        unit = self.unit(node)
-        if unit is not None and unit.is_like(_NUMBER):
+        if (unit := self.unit(node)) is not None and unit.is_like(_NUMBER):
             name = cycles[0]
             raise SpecError(
                 f"'{ast.unparse(node)}' is a number of cycles, because {name} has the unit {self.units[name]}; "

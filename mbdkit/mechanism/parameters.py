@@ -359,8 +359,7 @@ class _Texts:
             raise SpecError(f"should be a whole number without a unit, not '{details['input']}'")
         if not abs(value) <= sys.float_info.max:
             raise SpecError(f"should be a finite number, not '{details['input']}'")
-        units = self._units_of(details["loc"])
-        if units is not None and not _suits(unit.fits, units):
+        if (units := self._units_of(details["loc"])) is not None and not _suits(unit.fits, units):
             raise SpecError(misfit(details["input"], unit, units))
         return value
 

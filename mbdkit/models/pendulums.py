@@ -118,8 +118,7 @@ class NPendulumOptions(StrictModel):
     def _lists_agree(self) -> NPendulumOptions:
         count, source = self.n, "n"
         for quantity, many in _QUANTITIES.items():
-            values = getattr(self, many)
-            if values is None:
+            if (values := getattr(self, many)) is None:
                 continue
             if getattr(self, quantity) is not None:
                 raise SpecError(f"give either '{quantity}' for all rods or the list '{many}', not both", key=many)
@@ -132,8 +131,7 @@ class NPendulumOptions(StrictModel):
 
     def each(self, one: str, default: float) -> tuple[float, ...]:
         """Return the quantity with the singular name `one` for each rod."""
-        values = getattr(self, _QUANTITIES[one])
-        if values is not None:
+        if (values := getattr(self, _QUANTITIES[one])) is not None:
             return tuple(values)
         value = getattr(self, one)
         return (default if value is None else value,) * self.count

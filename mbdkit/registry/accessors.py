@@ -80,8 +80,7 @@ def computed(thing: object, name: str, part: str = "") -> Any:
         If the function of the plugin fails, or several distributions have an attribute of this name.
     """
     items = accessors(type(thing)).get(name, [])
-    items = [item for item in items if item.origin.distribution == MBDKIT] or items
-    if not items:
+    if not (items := [item for item in items if item.origin.distribution == MBDKIT] or items):
         raise MissingPartError(f"{type(thing).__name__}.{name}", part)
     if len(items) > 1:
         owners = listed([f"{item.origin.distribution} {item.origin.version}" for item in items], "and")

@@ -125,8 +125,7 @@ def _swing(motion: str, start: float, end: float) -> float:
     Rotations from rest to rest may be those of a motor. They are improbable only up to `MOST_DEGREES`, with few
     decimals.
     """
-    program = Expression.parse(motion).program
-    oscillation = _oscillation(program, np.linspace(start, end, TIMES))
+    oscillation = _oscillation(Expression.parse(motion).program, np.linspace(start, end, TIMES))
     if 2.0 * math.pi < oscillation < math.inf and not _is_whole(math.degrees(oscillation)):
         return oscillation
     jet = jet_of(motion, np.linspace(start, end, SAMPLES))

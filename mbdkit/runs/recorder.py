@@ -152,8 +152,7 @@ class Recorder:
             what = "the energy is not a finite number" if moving[count] else "accelerations are not finite numbers"
             failure = Failure("not-finite", f"{what} at {_at(stretch, count)}.")
         for check in (self._contradiction, self._fallen_apart, self._out_of_range):
-            refused = check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))
-            if refused is not None:
+            if (refused := check(stretch.rows(slice(0, count)), observed.rows(slice(0, count)))) is not None:
                 count, failure = refused
         return count, failure
 

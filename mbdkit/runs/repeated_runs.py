@@ -96,8 +96,7 @@ def _content(value: object, path: Path, numbers: dict[Path, float]) -> Hashable:
 
     Raises TypeError for data of other types.
     """
-    kind = type(value)
-    if kind is float and path[0] in ("model", "parameters"):
+    if (kind := type(value)) is float and path[0] in ("model", "parameters"):
         numbers[path] = value  # type: ignore[assignment]
         return float
     if kind is dict and all(type(key) is str for key in value):  # type: ignore[attr-defined]

@@ -175,8 +175,7 @@ def _finish_replacement(part: Path) -> None:
     new = _replacement(part)
     if not new.is_file():
         return
-    checkpoint = Checkpoint.of(part)
-    if checkpoint is not None and checkpoint.file == new.stat().st_ino:
+    if (checkpoint := Checkpoint.of(part)) is not None and checkpoint.file == new.stat().st_ino:
         with _held(new):
             replace_file(new, part)
 

@@ -266,8 +266,7 @@ def _following(spec: RunSpec, workspace: Workspace, simulation: SimulatedRun, at
 def measured_in(expressions: Sequence[str], spec: RunSpec) -> Sequence[float] | None:
     """Return the values of expressions in a comparison run, in SI units; None if the run fails."""
     try:
-        finished = simulate_arrays(spec, measures=expressions)
-        run = Run(ArrayContents(finished, spec))
+        run = Run(ArrayContents(simulate_arrays(spec, measures=expressions), spec))
         return [MeasureExpression.in_si(text, run) for text in expressions] if run.status == "complete" else None
     except (MbdkitError, ArithmeticError):
         return None

@@ -244,10 +244,8 @@ def _named(source: str | Path) -> Document:
         document.folder = _examples()[str(source)].parent
         return document
     if not exists(path):
-        raise SpecError(
-            f"there is no such file, and no packaged example with this name{nearest_examples(str(source), names)}",
-            file=str(source)[:200],
-        )
+        message = f"there is no such file, and no packaged example with this name{nearest_examples(str(source), names)}"
+        raise SpecError(message, file=str(source)[:200])
     return read_file(path)
 
 

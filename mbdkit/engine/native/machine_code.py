@@ -97,8 +97,7 @@ def folder_of(package: str) -> Path:
     """Return the folder of a package with kernels."""
     if package == CORE:
         return PACKAGE
-    spec = importlib.util.find_spec(package)
-    if spec is None or not spec.submodule_search_locations:
+    if (spec := importlib.util.find_spec(package)) is None or not spec.submodule_search_locations:
         raise MbdkitError(
             f"the package '{package}', which an entry point of the group mbdkit.kernels names, is missing"
         )

@@ -68,8 +68,7 @@ def with_other_steps(spec: RunSpec, step: float, *, fixed: bool, tightest: float
     given = canonical(spec.integrator)
     most = max(2 + round((spec.time.final - spec.time.start) / step), spec.limits.max_steps)
     if fixed:
-        method = {key: given[key] for key in ("name", "stages") if key in given}
-        return _varied(spec, most, method, step)
+        return _varied(spec, most, {key: given[key] for key in ("name", "stages") if key in given}, step)
     return _varied(spec, most, given | {"rtol": max(given["rtol"], tightest), "max_step": step})
 
 

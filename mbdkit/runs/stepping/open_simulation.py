@@ -336,8 +336,7 @@ class Simulation:
             self._return(self._before)  # to the start of the whole step
         self._before = None
         stepper = self.stepper
-        table = stepper.timetable
-        goal = goal_at(table, t, stepper.passed, is_fixed=self._is_fixed)
+        goal = goal_at(stepper.timetable, t, stepper.passed, is_fixed=self._is_fixed)
         if history.is_pending:
             self._set_states(history.changes(self.time, goal.time))
             stepper = self.stepper
@@ -393,8 +392,7 @@ class Simulation:
         while not (advancing.finished or advancing.failure or run.failure or stepper.at_goal):
             if (stretch := run.next_stretch(advancing)) is not None:
                 self._keep(stretch, begin)
-        failure = run.failure or advancing.failure
-        if failure is not None:
+        if (failure := run.failure or advancing.failure) is not None:
             self.ended = f"{failure.code}: {failure.sentence}"
         elif run.watch is not None and run.watch.stopped is not None:
             self.ended = f"event: {run.watch.stopped}."

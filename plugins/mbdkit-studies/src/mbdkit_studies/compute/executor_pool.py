@@ -99,8 +99,7 @@ class Pool:
                         yield task, Outcome("missing", f"no-resources: {self._refusal}")
                     batches = []
                     continue
-                ended = self._next_ended()
-                if ended is None:
+                if (ended := self._next_ended()) is None:
                     outcome = Outcome("missing", "no-resources: the connection to the Dask scheduler is lost.")
                     yield from ((task, outcome) for batch in self._begun.values() for task in batch.tasks)
                     self._begun.clear()

@@ -398,12 +398,10 @@ def _origin(path: Path, settings: tuple[Setting, ...], grid: Grid, given: Mappin
     Also return whether this is the location of the key itself; otherwise, it is that of a key below, of which those
     that are `given` on the command line come first.
     """
-    above = [setting for setting in settings if path[: len(setting.path)] == setting.path]
-    if above:
+    if above := [setting for setting in settings if path[: len(setting.path)] == setting.path]:
         last = max(enumerate(above), key=lambda item: (len(item[1].path), item[0]))[1]
         return (*last.place, *path[len(last.path) :]), True
-    below = [setting for setting in settings if setting.path[: len(path)] == path]
-    if below:
+    if below := [setting for setting in settings if setting.path[: len(path)] == path]:
         return next((one.place for one in below if one.place in given), below[-1].place), False
     return (*grid.base_place, *path), True
 

@@ -56,8 +56,7 @@ class _Measured:
         """Return the Sobol indices from the first `members` of the sample, by default from all; None if the sample does
         not determine them.
         """
-        sample = self.study.spec.sample
-        if sample is None or sample.design != "saltelli":
+        if (sample := self.study.spec.sample) is None or sample.design != "saltelli":
             return None
         try:
             return self.study.sensitivity(self.name, where=self.group.where or None, members=members, **options)

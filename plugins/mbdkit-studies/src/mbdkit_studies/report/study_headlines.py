@@ -149,8 +149,7 @@ def _explained(study: Study, group: SampleGroup, name: str, values: np.ndarray) 
 
     The text is empty if no variable explains a sufficient share, or if this is unknown.
     """
-    sample = study.spec.sample
-    if sample is not None and sample.design == "saltelli":
+    if (sample := study.spec.sample) is not None and sample.design == "saltelli":
         try:
             sobol = study.sensitivity(name, where=group.where or None)
         except MbdkitError as error:  # too few members have a value

@@ -142,8 +142,7 @@ def _glance(study: Study) -> Section:
     asked = f"{listed(few, 'and') if few else 'errors and costs of runs'}, for {over} {listed(list(keys), 'and')}"
     doubts = [text for label, text in notes(study) if label in LEVELS[2:] or label in ("failed", "errors")]
     verdict = ", ".join(f"{levels[level]} {level}" for level in LEVELS if levels[level]) or "no runs"
-    first = next(valid_specs(study.points), None)
-    if first is None:
+    if (first := next(valid_specs(study.points), None)) is None:
         return glance(asked, verdict, doubts, None)
     mechanism = first.mechanism()
     pose = np.array([(*body.position, body.angle) for body in mechanism.bodies.values()])
@@ -170,8 +169,7 @@ def _verdict(study: Study) -> Verdict:
 def _claims(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Yield a label and the numbers of claims by answer; nothing without claims."""
     words = {Answer.YES: "hold", Answer.PARTLY: "hold partly", Answer.NO: "do not hold", Answer.OPEN: "are open"}
-    answers = Counter(claim.answer for claim in verdict.claims)
-    if answers:
+    if answers := Counter(claim.answer for claim in verdict.claims):
         parts = [f"{answers[answer]} {text}" for answer, text in words.items() if answers[answer]]
         yield "claims", f"of {len(verdict.claims)}, {listed(parts, 'and')}"
 
@@ -272,8 +270,7 @@ def _spec_of(study: Study, point: StudyPoint) -> dict[str, object]:
     try:
         return dict(json.loads(point.spec.canonical_json()))
     except SpecError:
-        run = study.run(point)
-        if run is None:
+        if (run := study.run(point)) is None:
             raise
         with run:
             return dict(run.spec)
@@ -286,8 +283,7 @@ def _environment(study: Study) -> Table:
     said: dict[str, dict[str, None]] = {}
     points = [*_read(study), *study.references]
     for point in points[:: math.ceil(len(points) / _LISTED)]:  # opening a thousand archives would take a minute
-        run = study.run(point)
-        if run is None:
+        if (run := study.run(point)) is None:
             continue
         with run:
             for name, found in run.provenance.items():

@@ -54,8 +54,7 @@ def cost_at_error(study: Study) -> Table | None:
     if len(groups) < 2:
         return None
     errors = [float(error) for points in groups.values() for point in points if (error := value(point, ERROR)) > 0]
-    wanted = _targets(errors)
-    if not wanted:
+    if not (wanted := _targets(errors)):
         return None
     rows = []
     for name, points in groups.items():
@@ -101,8 +100,7 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
     if (table := cost_at_error(study)) is not None:
         target = table.columns[1].label.removeprefix("operations for ")
         reached = [row for row in table.rows if row[1] is not None][:3]
-        words = [f"{row[0]} ({row[1]})" for row in reached]
-        if words:
+        if words := [f"{row[0]} ({row[1]})" for row in reached]:
             more = f", before {' and '.join(words[1:])}" if words[1:] else ""
             rows.append((f"fewest operations for an error of {target}", f"{words[0]}{more}"))
     return rows
@@ -128,8 +126,7 @@ def _targets(errors: list[float]) -> list[float]:
     if not errors:
         return []
     low, high = min(errors), max(errors)
-    inside = [target for target in FAVOURITES if low <= target <= high]
-    if inside:
+    if inside := [target for target in FAVOURITES if low <= target <= high]:
         return inside[:MOST]
     middle = 10.0 ** round(0.5 * (math.log10(low) + math.log10(high)))
     return [middle] if low <= middle <= high else []

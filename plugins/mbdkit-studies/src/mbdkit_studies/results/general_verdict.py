@@ -132,8 +132,7 @@ def _text(points: Sequence[StudyPoint], places: dict[int, tuple[int, int]], orde
     text = f"{len(complete)} of {len(points)} runs are complete"
     if complete:
         text += f", with a misalignment of {_between(complete, '.1e')} m"
-    known = [float(order) for order in orders if isinstance(order, float)]
-    if known:
+    if known := [float(order) for order in orders if isinstance(order, float)]:
         text += f"; the observed order of its error is {_between(known, '.2f')}"
     if places:
         first = sum(place == 1 for place, _ in places.values())

@@ -41,8 +41,7 @@ def judge(study: Study) -> Verdict:
     PluginError
         If the verdict function of another distribution fails or returns no Verdict.
     """
-    name = study.spec.verdict
-    if not name:
+    if not (name := study.spec.verdict):
         return with_added_methods(general_verdict(study), study)
     item, function = find_verdict(study.spec)
     try:

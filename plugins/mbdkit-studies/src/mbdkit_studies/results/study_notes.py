@@ -36,8 +36,7 @@ def notes(study: Study) -> list[tuple[str, str]]:
 
 def _use(study: Study) -> Iterator[tuple[str, str]]:
     """Yield notes on the runs that the answers are based on, on intervals, and on errors of the runs."""
-    defined = [measure.name for measure in study.spec.defined_measures()]
-    if not defined:
+    if not (defined := [measure.name for measure in study.spec.defined_measures()]):
         return
     is_bad = _rated(study, "bad")
     states = Counter("bad" if bad else status for bad, status in zip(is_bad, study.statuses(), strict=True))
@@ -49,8 +48,7 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
             f"{states['complete']} of {runs}, without {listed(left, 'and')}; these may differ systematically",
         )
     if study.spec.is_sampled:
-        sample = study.spec.sample
-        if sample is None:
+        if (sample := study.spec.sample) is None:
             how = "they hold if the members were drawn at random and independently"
         elif sample.method == "random":
             how = f"from {sample.n} independent members"
@@ -58,8 +56,7 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
             how = f"as if the {sample.n} members were drawn at random: with {sample.method}, they are usually too wide"
         yield "intervals", f"{100 * CONFIDENCE:g} % confidence, {how}"
     if any(name + ERROR in study.columns() for name in defined):
-        first = next(valid_specs(study.points), None)
-        if first is not None and first.mechanism().beams:
+        if (first := next(valid_specs(study.points), None)) is not None and first.mechanism().beams:
             yield "errors", f"those of the runs do not include {MESH_ERROR}"
     elif "unknown" in study.verdicts():
         advice = "--set check=true, with another folder (-o), estimates those of the runs"

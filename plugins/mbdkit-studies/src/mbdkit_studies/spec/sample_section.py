@@ -101,8 +101,7 @@ def _values(name: str, given: object, names: Sequence[str], needed: Sequence[str
         values = dict(zip(names, given, strict=False))
     else:
         raise SpecError(f"needs its parameters as a list or a mapping, not {value_text(given)}: {text}")
-    missing = [one for one in needed if one not in values]
-    if missing:
+    if missing := [one for one in needed if one not in values]:
         raise SpecError(f"needs {listed([f'`{one}`' for one in missing], 'and')}: {text}")
     values, _ = _in_si(values)
     for key, value in values.items():
@@ -223,8 +222,7 @@ def _check_number(variables: object) -> Any:
 def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
     taken: dict[tuple[str, ...], str] = {}
     for key in variables:
-        path = parse_key(key)
-        if not path:
+        if not (path := parse_key(key)):
             raise SpecError("should be a dotted key of a run spec, such as model.angles.0", key=quoted(key))
         parts = comparable(path)
         if parts in taken:

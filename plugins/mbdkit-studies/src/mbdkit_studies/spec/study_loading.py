@@ -239,8 +239,7 @@ def _write_out_bases(data: dict[str, object], folder: FilePath) -> dict[Path, Do
     """
     documents: dict[Path, Document] = {}
     for path, holder in _holders(data).items():
-        base = holder.get("base")
-        if base is None:
+        if (base := holder.get("base")) is None:
             continue
         document = base_document(base, folder, path_text((*path, "base")), "study")
         holder["base"] = document.data

@@ -105,8 +105,7 @@ def check_axes_of_sample(sample: Sample, axes: tuple[dict[str, Any], ...], place
     for number, axis in enumerate(axes):
         for key in [key for name, values in axis.items() for key in _keys_set(name, values)]:
             path = comparable(parse_key(key))
-            drawn = [variables[path[:end]] for end in range(1, len(path) + 1) if path[:end] in variables]
-            if drawn:
+            if drawn := [variables[path[:end]] for end in range(1, len(path) + 1) if path[:end] in variables]:
                 message = f"sets '{key}', but '{drawn[0]}' is a variable of the sample; remove one of them"
                 raise SpecError(message, key=path_text((*place, number)))
 

@@ -242,8 +242,7 @@ def statistics(
         raise MbdkitError("statistics need a sample: the values on the axes of a study are not drawn at random")
     if not 0 < confidence < 1:
         raise MbdkitError(f"the confidence should be a probability between 0 and 1, such as 0.95, not {confidence!r}")
-    group = statistics_of_group(study, one_group(study, where), measure, confidence)
-    if group is None:
+    if (group := statistics_of_group(study, one_group(study, where), measure, confidence)) is None:
         needed = f"at least {FEWEST} complete runs that are not rated bad"
         raise MbdkitError(f"statistics need values of '{measure}' from {needed}")
     return group

@@ -145,8 +145,7 @@ class _Condition(Compiler):
 
     def column(self, name: str, node: ast.expr) -> np.ndarray:
         """Return a column by its name or alias."""
-        column = self.columns.get(self.aliases.get(name, name))
-        if column is None:
+        if (column := self.columns.get(self.aliases.get(name, name))) is None:
             keys = [key for key in self.columns if key.rpartition(".")[2] == name]
             known = f"; write {listed(keys, 'or')}" if keys else did_you_mean(name, self.columns)
             self.refuse(f"there is no column '{name}'{known or f'; columns: {listed(list(self.columns))}'}", node)

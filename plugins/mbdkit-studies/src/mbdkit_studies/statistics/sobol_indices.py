@@ -308,8 +308,7 @@ def sensitivity(
             f"Sobol indices need values of '{measure}' from all runs of at least two members of the sample"
         )
     indices = sobol_indices(known, confidence=confidence, resamples=resamples, seed=sample.seed).informative()
-    reason = _within_errors(study, measure, group.places, known)
-    if reason:
+    if reason := _within_errors(study, measure, group.places, known):
         indices = sobol_indices(np.zeros_like(known))
     left_out = len(values) - len(known)
     return Sensitivity(measure, tuple(sample.variables), indices, confidence, len(known), left_out, reason)
