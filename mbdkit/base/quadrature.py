@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import math
-from decimal import Context, Decimal, getcontext, localcontext
 from functools import lru_cache
 
+import mpmath
 import numpy as np
 
 DIGITS = 30
 
 
-def legendre_roots(count: int) -> list[Decimal]:
-    """Return the roots of the Legendre polynomial of degree `count` in ascending order, in the precision of the decimal
-    context.
-    """
+def legendre_roots(count: int) -> list[mpmath.mpf]:
+    """Return the roots of the Legendre polynomial of degree `count` in ascending order, in mpmath's precision."""
     roots = []
     for i in range(count, 0, -1):
-        x, change = Decimal(math.cos(math.pi * (i - 0.25) / (count + 0.5))), Decimal(1)
-        while abs(change) > Decimal(10) ** (-getcontext().prec // 2):  # the next change is smaller by the square
+        x = mpmath.cos(mpmath.pi * (i - mpmath.mpf("0.25")) / (count + mpmath.mpf("0.5")))
+        change = mpmath.mpf(1)
+        while abs(change) > mpmath.sqrt(mpmath.eps):  # the next change is smaller by the square
             value, slope = _legendre(count, x)
             change = value / slope
             x -= change
@@ -30,7 +28,7 @@ def legendre_roots(count: int) -> list[Decimal]:
 @lru_cache(maxsize=16)
 def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes and weights (count,) of Gauss-Legendre quadrature over [-1, 1]."""
-    with localcontext(Context(DIGITS)):
+    with mpmath.workdps(DIGITS):
         nodes = legendre_roots(count)
         weights = [2 / ((1 - x * x) * _legendre(count, x)[1] ** 2) for x in nodes]
     return np.array(nodes, dtype=float), np.array(weights, dtype=float)
@@ -49,9 +47,9 @@ def lagrange(times: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.asarray(np.prod(np.where(own, 1.0, factors), axis=2))
 
 
-def _legendre(degree: int, x: Decimal) -> tuple[Decimal, Decimal]:
+def _legendre(degree: int, x: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:
     """Return the Legendre polynomial of a degree, at least 1, and its derivative, inside (-1, 1)."""
-    before, value = Decimal(1), x
+    before, value = mpmath.mpf(1), x
     for k in range(2, degree + 1):
         before, value = value, ((2 * k - 1) * x * value - (k - 1) * before) / k
     return value, degree * (before - x * value) / (1 - x * x)

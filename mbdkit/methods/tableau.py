@@ -7,16 +7,16 @@ import json
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from decimal import Context, Decimal, localcontext
 from fractions import Fraction
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
+
+import mpmath
 
 from mbdkit.base.errors import MbdkitError
 
 if TYPE_CHECKING:
-    import mpmath
     import numpy as np
     import sympy as sp
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 Coefficient = int | float | Fraction | str | Any
 
 _DIGITS = 60
-_CONTEXT = Context(_DIGITS)
-_EXACT, _ROUNDED = Decimal("1e-50"), Decimal("1e-13")
+_EXACT = mpmath.mpf(10) ** -50
+_ROUNDED = mpmath.mpf(10) ** -13
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -62,38 +62,15 @@ def _read(text: str, number: Callable[[str], Any], root: Callable[[Any], Any]) -
 
 
 def _precise(value: Coefficient) -> mpmath.mpf:
-    import mpmath
-
+    if isinstance(value, bool):
+        raise TableauError(f"a coefficient should be a number, not {value!r}")
     if isinstance(value, str):
         return _read(value, mpmath.mpf, mpmath.sqrt)
     if isinstance(value, Fraction):
         return mpmath.mpf(value.numerator) / value.denominator
-    return value._to_mpmath(mpmath.mp.prec) if hasattr(value, "_to_mpmath") else mpmath.mpf(value)
-
-
-def _decimal(value: Coefficient) -> Decimal:
-    if isinstance(value, bool):
-        raise TableauError(f"a coefficient should be a number, not {value!r}")
-    if isinstance(value, str):
-        return cast(Decimal, _read(value, Decimal, Decimal.sqrt))
-    if isinstance(value, Fraction):
-        return Decimal(value.numerator) / value.denominator
-    if isinstance(value, int | float):
-        return Decimal(value)
-    import mpmath
-
-    with mpmath.workdps(_DIGITS + 15):
-        return Decimal(mpmath.nstr(_precise(value), _DIGITS + 15))
-
-
-def _power(x: Decimal, exponent: int) -> Decimal:
-    return x**exponent if exponent else Decimal(1)  # `decimal` does not define 0^0
-
-
-def _shown(defect: Decimal) -> str:
-    import mpmath
-
-    return str(mpmath.nstr(mpmath.mpf(str(defect)), 3))
+    if hasattr(value, "_to_mpmath"):
+        return value._to_mpmath(mpmath.mp.prec)
+    return mpmath.mpf(value)
 
 
 def _exact(value: Coefficient) -> sp.Expr:
@@ -101,7 +78,7 @@ def _exact(value: Coefficient) -> sp.Expr:
 
     if isinstance(value, str):
         return _read(value, sp.Number, sp.sqrt)
-    if hasattr(value, "_mpf_"):
+    if isinstance(value, mpmath.mpf):
         return sp.Float(value, _DIGITS)
     return sp.sympify(value) if isinstance(value, Fraction | int | float) else value
 
@@ -213,16 +190,16 @@ class ButcherTableau:
         return len(self.b)
 
     @cached_property
-    def _numbers(self) -> tuple[list[list[Decimal]], list[Decimal], list[Decimal]]:
-        with localcontext(_CONTEXT):
+    def _numbers(self) -> tuple[list[list[mpmath.mpf]], list[mpmath.mpf], list[mpmath.mpf]]:
+        with mpmath.workdps(_DIGITS):
             return (
-                [[_decimal(x) for x in row] for row in self.a],
-                [_decimal(x) for x in self.b],
-                [_decimal(x) for x in self.c],
+                [[_precise(x) for x in row] for row in self.a],
+                [_precise(x) for x in self.b],
+                [_precise(x) for x in self.c],
             )
 
     @cached_property
-    def _tolerance(self) -> Decimal:
+    def _tolerance(self) -> mpmath.mpf:
         rounded = any(isinstance(x, float) for row in (*self.a, self.b, self.c) for x in row)
         return _ROUNDED if rounded else _EXACT
 
@@ -260,12 +237,12 @@ class ButcherTableau:
         """
         a, b, c = self._numbers
         s = range(self.stages)
-        with localcontext(_CONTEXT):
+        with mpmath.workdps(_DIGITS):
             if any(c[i] == c[j] for i in s for j in range(i)):
                 return False
-            weights = [(row, node) for row, node in zip([*a, b], [*c, Decimal(1)], strict=True)]
+            weights = [(row, node) for row, node in zip([*a, b], [*c, mpmath.mpf(1)], strict=True)]
             defects = [
-                abs(sum(row[j] * _power(c[j], k) for j in s) - node ** (k + 1) / (k + 1))
+                abs(mpmath.fsum(row[j] * c[j] ** k for j in s) - node ** (k + 1) / (k + 1))
                 for row, node in weights
                 for k in s
             ]
@@ -288,7 +265,7 @@ class ButcherTableau:
         """Whether a step of size -h reverses a step of size h: ``a[s-1-i][s-1-j] + a[i][j] = b[j]``."""
         a, b, _ = self._numbers
         s = self.stages
-        with localcontext(_CONTEXT):
+        with mpmath.workdps(_DIGITS):
             defects = [abs(a[s - 1 - i][s - 1 - j] + a[i][j] - b[j]) for i in range(s) for j in range(s)]
             return bool(max(defects) < self._tolerance)
 
@@ -297,7 +274,7 @@ class ButcherTableau:
         """Whether quadratic invariants are conserved: ``b_i a_ij + b_j a_ji = b_i b_j``."""
         a, b, _ = self._numbers
         s = self.stages
-        with localcontext(_CONTEXT):
+        with mpmath.workdps(_DIGITS):
             defects = [abs(b[i] * a[i][j] + b[j] * a[j][i] - b[i] * b[j]) for i in range(s) for j in range(s)]
             return bool(max(defects) < self._tolerance)
 
@@ -312,32 +289,15 @@ class ButcherTableau:
 
         return tuple(np.array(x, dtype=float) for x in self._numbers)
 
-    @cached_property
-    def _is_gauss_like(self) -> bool:
-        """Whether there are two stages with equal diagonal elements and complex eigenvalues of ``a``.
-
-        The arrays of such a tableau have closed forms; importing mpmath takes 4 % of a short run.
-        """
-        a = self._numbers[0]
-        return self.stages == 2 and a[0][0] == a[1][1] and a[0][1] * a[1][0] < 0
-
     def second_order_floats(self) -> tuple[np.ndarray, np.ndarray]:
         """Return ``A A`` (s, s) and ``A^T b`` (s,), the weights of accelerations in positions, each rounded once."""
         import numpy as np
 
-        if self._is_gauss_like:
-            ((mean, up), (down, _)), (b1, b2), _ = self._numbers
-            with localcontext(_CONTEXT):
-                square, weights = mean * mean + up * down, [b1 * mean + b2 * down, b1 * up + b2 * mean]
-                squared = [[square, 2 * mean * up], [2 * mean * down, square]]
-        else:
-            import mpmath
-
-            s = range(self.stages)
-            with mpmath.workdps(_DIGITS):
-                a, b = [[_precise(x) for x in row] for row in self.a], [_precise(x) for x in self.b]
-                squared = [[mpmath.fsum(a[i][k] * a[k][j] for k in s) for j in s] for i in s]
-                weights = [mpmath.fsum(b[i] * a[i][j] for i in s) for j in s]
+        a, b, _ = self._numbers
+        s = range(self.stages)
+        with mpmath.workdps(_DIGITS):
+            squared = [[mpmath.fsum(a[i][k] * a[k][j] for k in s) for j in s] for i in s]
+            weights = [mpmath.fsum(b[i] * a[i][j] for i in s) for j in s]
         return np.array(squared, dtype=float), np.array(weights, dtype=float)
 
     def eigensystem(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -348,20 +308,9 @@ class ButcherTableau:
         """
         import numpy as np
 
-        a, s = self._numbers[0], self.stages
-        if self._is_gauss_like:
-            with localcontext(_CONTEXT):
-                frequency = (-a[0][1] * a[1][0]).sqrt()
-                last = 1 / (1 + (frequency / a[1][0]) ** 2).sqrt()
-                first = frequency / a[1][0] * last
-                value, x, y = complex(a[0][0], frequency), complex(0, first), complex(last)
-                left, right = complex(0, 1 / (2 * first)), complex(1 / (2 * last))
-            pairs = [value.conjugate(), value], [[x.conjugate(), x], [y, y]], [[left, right], [left.conjugate(), right]]
-            return tuple(map(np.array, pairs))  # type: ignore[return-value]
-        import mpmath
-
+        s = self.stages
         with mpmath.workdps(_DIGITS):
-            values, vectors = mpmath.eig(mpmath.matrix([[_precise(x) for x in row] for row in self.a]))
+            values, vectors = mpmath.eig(mpmath.matrix(self._numbers[0]))
             for j in range(s):
                 column = vectors[:, j]
                 last = column[s - 1]
@@ -385,14 +334,14 @@ class ButcherTableau:
         """Raise TableauError if the order condition of a rooted tree with at most `order` vertices fails."""
         a, b, _ = self._numbers
         s = range(self.stages)
-        weights: dict[Tree, list[Decimal]] = {}
+        weights: dict[Tree, list[mpmath.mpf]] = {}
 
-        def stage_weights(tree: Tree) -> list[Decimal]:
+        def stage_weights(tree: Tree) -> list[mpmath.mpf]:
             if tree not in weights:
-                product = [Decimal(1)] * self.stages
+                product = [mpmath.mpf(1)] * self.stages
                 for child in tree:
                     inner = stage_weights(child)
-                    product = [product[i] * sum(a[i][j] * inner[j] for j in s) for i in s]
+                    product = [product[i] * mpmath.fsum(a[i][j] * inner[j] for j in s) for i in s]
                 weights[tree] = product
             return weights[tree]
 
@@ -405,46 +354,48 @@ class ButcherTableau:
                 result *= density(child)
             return result
 
-        with localcontext(_CONTEXT):
+        with mpmath.workdps(_DIGITS):
             for vertices in range(1, order + 1):
                 for tree in rooted_trees(vertices):
                     inner = stage_weights(tree)
-                    defect = sum(b[i] * inner[i] for i in s) - Decimal(1) / density(tree)
+                    defect = mpmath.fsum(b[i] * inner[i] for i in s) - mpmath.mpf(1) / density(tree)
                     if abs(defect) > self._tolerance:
                         raise TableauError(
                             f"{self.name} claims order {order}, but an order condition of order {vertices} "
-                            f"has the defect {_shown(defect)}"
+                            f"has the defect {mpmath.nstr(defect, 3)}"
                         )
 
     def _check(self) -> None:
         a, b, c = self._numbers
-        if not all(x.is_finite() for row in (*a, b, c) for x in row):
+        if not all(mpmath.isfinite(x) for row in (*a, b, c) for x in row):
             raise TableauError(f"{self.name}: every coefficient should be a finite real number")
-        with localcontext(_CONTEXT):
+        with mpmath.workdps(_DIGITS):
             for i, row in enumerate(a):
-                defect = sum(row) - c[i]
+                defect = mpmath.fsum(row) - c[i]
                 if abs(defect) > self._tolerance:
                     raise TableauError(
-                        f"{self.name}: row {i + 1} of a sums to its node plus {_shown(defect)}, "
+                        f"{self.name}: row {i + 1} of a sums to its node plus {mpmath.nstr(defect, 3)}, "
                         f"it should sum to the node c{i + 1}"
                     )
             if not self._simplified_order_reaches(a, b, c):
                 self.check_trees(self.order)
 
-    def _simplified_order_reaches(self, a: list[list[Decimal]], b: list[Decimal], c: list[Decimal]) -> bool:
+    def _simplified_order_reaches(self, a: list[list[mpmath.mpf]], b: list[mpmath.mpf], c: list[mpmath.mpf]) -> bool:
         """Return whether B(p), C(eta) and D(zeta) imply the claimed order."""
         s, p = range(self.stages), self.order
 
-        def holds(defects: Iterator[Decimal]) -> bool:
+        def holds(defects: Iterator[mpmath.mpf]) -> bool:
             return all(abs(d) <= self._tolerance for d in defects)
 
-        if not holds(sum(b[i] * _power(c[i], k - 1) for i in s) - Decimal(1) / k for k in range(1, p + 1)):
+        if not holds(mpmath.fsum(b[i] * c[i] ** (k - 1) for i in s) - mpmath.mpf(1) / k for k in range(1, p + 1)):
             return False
         eta = zeta = 0
-        while eta < p and holds(sum(a[i][j] * _power(c[j], eta) for j in s) - c[i] ** (eta + 1) / (eta + 1) for i in s):
+        while eta < p and holds(
+            mpmath.fsum(a[i][j] * c[j] ** eta for j in s) - c[i] ** (eta + 1) / (eta + 1) for i in s
+        ):
             eta += 1
         while zeta < p and holds(
-            sum(b[i] * _power(c[i], zeta) * a[i][j] for i in s) - b[j] * (1 - c[j] ** (zeta + 1)) / (zeta + 1)
+            mpmath.fsum(b[i] * c[i] ** zeta * a[i][j] for i in s) - b[j] * (1 - c[j] ** (zeta + 1)) / (zeta + 1)
             for j in s
         ):
             zeta += 1
@@ -470,8 +421,6 @@ def collocation(name: str, nodes: Sequence[Coefficient], order: int, reference: 
     ButcherTableau
         The tableau, with ``a_ij`` and ``b_j`` the integrals of the Lagrange polynomials from 0 to ``c_i`` and to 1.
     """
-    import mpmath
-
     with mpmath.workdps(_DIGITS + 15):
         c = [_precise(node) for node in nodes]
         integrals = []
