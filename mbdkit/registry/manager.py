@@ -10,7 +10,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeAlias, TypeVar, cast
+from typing import Protocol, TypeVar, cast
 
 import pluggy
 
@@ -28,7 +28,23 @@ GROUP = hookspecs.PROJECT
 log = logging.getLogger("mbdkit")
 
 
-EntryPoint: TypeAlias = Any  #: An `importlib.metadata.EntryPoint`, or an object with the same attributes.
+class EntryPoint(Protocol):
+    """The attributes of `importlib.metadata.EntryPoint` that are used here."""
+
+    @property
+    def name(self) -> str:
+        """Name of the entry point."""
+
+    @property
+    def value(self) -> str:
+        """Name of the module."""
+
+    @property
+    def dist(self) -> object:
+        """Distribution, an object with `name` and `version`."""
+
+    def load(self) -> object:
+        """Import the module."""
 
 
 @functools.cache

@@ -24,7 +24,7 @@ from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, SPRING
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds
 from mbdkit.integrators.interface import SAME_TIME
-from mbdkit.laws import tabulated
+from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta, Method
 from mbdkit.quantities.names import archive_names
@@ -237,7 +237,7 @@ class AdjointRun:
         for law in (*springs, *top.interactions[:, INTERACTION.law]):
             begin = int(top.laws[law, LAW_ROW.parameters])
             of_springs[begin + 1 : begin + 1 + int(top.law_parameters[begin])] = True
-            if self.workspace.mechanism.laws[law][1].law is tabulated.LAW:
+            if self.workspace.mechanism.laws[law][1].law is TABLE:
                 of_springs[begin + 2 : begin + 4 + int(top.law_parameters[begin + 2])] = False
         return bool(np.any(changed & ~of_springs))
 

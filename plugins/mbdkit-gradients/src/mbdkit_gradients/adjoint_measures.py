@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
-from mbdkit.engine.kernels import acting
+from mbdkit.engine.kernels.acting import ANGLE
 from mbdkit.engine.kernels.applied_forces import PATHWAYS
 from mbdkit.engine.kernels.table_rows import JOINT, LAW_ROW, SPRING
 from mbdkit.engine.native.calls import HAS_POTENTIAL
@@ -74,7 +74,7 @@ class Bars:
             columns = [0, 1] if array == "reaction_force" else [2]
             for pair in self.mechanism.joint_pairs[of]:
                 self.reactions[:, pair, columns] += own[:, : len(columns)]
-        elif kind == "joints" and array == "angle" and top.joints[of, JOINT.kind] == acting.ANGLE:
+        elif kind == "joints" and array == "angle" and top.joints[of, JOINT.kind] == ANGLE:
             self.q[:, 3 * top.joints[of, JOINT.second] + 2] += given[0]
             self.q[:, 3 * top.joints[of, JOINT.first] + 2] -= given[0]
         elif kind == "joints" and array == "friction":

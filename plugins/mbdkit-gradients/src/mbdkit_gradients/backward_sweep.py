@@ -19,7 +19,7 @@ from mbdkit.engine.native.number_arrays import ITEM, new_duals
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.duals.differentiated_stepper import dual_laws
 from mbdkit.integrators.duals.dual_run import Seeds, dual_states, new_dual_run
-from mbdkit.laws import tabulated
+from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit.methods.kinds import ExplicitRungeKutta, ImplicitRungeKutta
 from mbdkit.runs.continuous_motion import MotionPart
 from mbdkit_gradients.adjoint_measures import Bars, NotByAdjointError
@@ -114,10 +114,7 @@ class BackwardSweep:
         is_constant = np.isin(terms.source, np.hstack(of_pins)) | (terms.factor == 0)
         columns = np.column_stack((terms.source, terms.row, terms.column))
         groups = [columns[~is_constant & (terms.factor == 3)], columns[~is_constant & (terms.factor != 3)]]
-        kinds = [
-            0 if law < 0 else 1 + (mechanism.laws[law][1].law is not tabulated.LAW)
-            for law in top.springs[:, SPRING.law]
-        ]
+        kinds = [0 if law < 0 else 1 + (mechanism.laws[law][1].law is not TABLE) for law in top.springs[:, SPRING.law]]
         size, pairs, springs = mechanism.size, len(top.pairs), len(top.springs)
         slots = np.zeros((pairs, 6, 12)), np.zeros((springs, 6, 12))
         for k in range(6):

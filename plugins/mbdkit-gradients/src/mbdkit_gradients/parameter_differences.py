@@ -24,7 +24,7 @@ from mbdkit.base.plain_data import Path
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels.table_rows import LAW_ROW
 from mbdkit.integrators.duals.dual_run import Seeds
-from mbdkit.laws import tabulated
+from mbdkit.laws.tabulated import LAW as TABLE
 from mbdkit_gradients.gradient_parameters import Parameter, refused
 from mbdkit_gradients.table_derivatives import TableValues
 
@@ -200,7 +200,7 @@ class Preparation(ABC):
         """
         top = self.mechanism.topology
         for (_, law), begin in zip(self.mechanism.laws, top.laws[:, LAW_ROW.parameters].tolist(), strict=True):
-            if law.law is tabulated.LAW and np.any(moved[begin + 1 : begin + 1 + int(top.law_parameters[begin])]):
+            if law.law is TABLE and np.any(moved[begin + 1 : begin + 1 + int(top.law_parameters[begin])]):
                 first = begin + 4 + int(top.law_parameters[begin + 2])
                 lengths = top.law_parameters[begin + 3 : first].copy()
                 return TableValues(first, lengths, np.array([*places]), np.array([*places.values()]))

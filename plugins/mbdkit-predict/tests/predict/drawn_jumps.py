@@ -61,10 +61,12 @@ def drawn_jump(number: int) -> DrawnJump:
     steep = 10.0 ** random.uniform(6, 9)
 
     def jump(at: str, size: float) -> str:
-        """Return a load that jumps by a size where an expression becomes positive: three ways to write it."""
+        """Return a load that jumps by a size where an expression becomes positive: three ways to write it, one for
+        times, which are no jumps of the state.
+        """
         ways = (f"{0.5 * size}*(1 + tanh({steep}*({at})))", f"{0.5 * size}*(1 + ({at})/abs({at}))",
                 f"{size}*max(0, min(1, {steep}*({at})))")  # fmt: skip
-        return ways[int(random.integers(3 if kind != "time" else 2)) if kind != "time" else 0]
+        return ways[0 if kind == "time" else int(random.integers(3))]
 
     first, sections = (0.0, 0.0), dict[str, Any]()
     if kind == "place":

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 import mbdkit
 from mbdkit_predict.grid import IntervalGrid
+from predict.drawn_jumps import effort_of_phases, least
 from predict.exact_optima import EFFORT, PUSH, block
 from tests.margins import assert_within
 
@@ -115,22 +115,6 @@ def test_jumps_that_no_change_of_the_motion_moves_are_no_doubts() -> None:
         assert optimum is None or abs(run.objective - optimum) <= run.objective_error
 
 
-def effort_of_phases(ends: Any, states: Any, loads: Any) -> float:
-    """Return the least effort of 1 kg that passes states (x, v) at the ends of phases with constant loads."""
-    total, begin, (place, speed) = 0.0, 0.0, (0.0, 0.0)
-    for end, (x, v), load in zip(ends, states, loads, strict=True):
-        h = end - begin
-        way, change = x - place - speed * h - 0.5 * load * h**2, v - speed - load * h
-        total += 12 * way**2 / h**3 - 12 * way * change / h**2 + 4 * change**2 / h
-        begin, place, speed = end, x, v
-    return total
-
-
-def least(effort: Any, guess: list[float]) -> float:
-    options = {"xatol": 1e-10, "fatol": 1e-13, "maxiter": 20_000, "maxfev": 20_000}
-    return float(minimize(effort, guess, method="Nelder-Mead", options=options).fun)
-
-
 FREE = {"bounds": [0.1, 0.9]}
 PUSHED_BACK = "-5*(1 + tanh(1e6*(block.x - .5)))"
 BY_HAND: dict[str, Any] = {
@@ -153,12 +137,12 @@ def test_a_jump_at_the_end_of_a_phase_is_right(value: str, sections: dict[str, A
     right = {
         # x = 0.5 ends the first phase, after a time T with a velocity v; a force of -10 N acts in the second one
         "place": lambda: least(
-            lambda y: effort_of_phases([y[0], 1.0], [(0.5, y[1]), (1.0, 0.0)], [0.0, -10.0]), [0.6, 1.0]
+            lambda y: effort_of_phases([y[0], 1.0], [(0.5, y[1]), (1.0, 0.0)], [0.0, -10.0]), [[0.6, 1.0]]
         ),
         # a force of -1 N acts while the velocity is above 0.911 m/s, from T on, symmetric about half time
         "speed": lambda: least(
             lambda y: effort_of_phases([y[0], y[1], 1.0], [(y[2], 0.911), (y[3], 0.911), (1.0, 0.0)], [0.0, -1.0, 0.0]),
-            [0.2, 0.8, 0.1, 0.9],
+            [[0.2, 0.8, 0.1, 0.9]],
         ),
     }[exact]()
     run = mbdkit.predict(loaded(value, **sections))
