@@ -27,13 +27,19 @@ class PointHessian:
     conditions
         Names of the conditions of which it contains all second derivatives.
     rest
-        What else the objective contains.
+        The objective as an expression of the unknowns and, linearly, of integrals.
+    sums
+        Symbol of these integrals in it, (I, 1).
+    integrals
+        The integrals as an expression of the unknowns, (I, 1).
     """
 
     variables: ca.MX
     blocks: Callable[[ca.MX, Mapping[str, ca.MX]], ca.MX]
     conditions: tuple[str, ...]
     rest: ca.MX
+    sums: ca.MX
+    integrals: ca.MX
 
     def whole(self, conditions: Mapping[str, ca.MX], unknowns: ca.MX, sizes: np.ndarray) -> ca.Function:
         """Return the upper triangle of the Hessian of all conditions, for unknowns divided by their sizes."""
@@ -44,15 +50,20 @@ class PointHessian:
         multipliers = {name: ca.reshape(part, *value.shape) for (name, value), part in parts}
         others = [ca.dot(multipliers[name], y) for name, y in conditions.items() if name not in self.conditions]
         other = sum(others, start=factor * self.rest)
-        curved = np.flatnonzero(ca.which_depends(other, unknowns, 2, False)).tolist()
+        depends = ca.which_depends(other, ca.vertcat(unknowns, self.sums), 2, False)
+        curved = np.flatnonzero(depends[: x.numel()]).tolist()
         chosen = ca.DM.eye(x.numel())[:, curved]
         few = ca.MX.sym("few", len(curved))
         changed = ca.substitute(other, unknowns, unknowns + ca.mtimes(chosen, few))
-        of_few = ca.substitute(ca.hessian(changed, few)[0], few, ca.MX.zeros(len(curved)))
+        mixed = ca.jacobian(ca.jacobian(changed, self.sums).T, few)
+        given, values = [few, self.sums], [ca.MX.zeros(len(curved)), self.integrals]
+        of_few, mixed = ca.substitute([ca.hessian(changed, few)[0], mixed], given, values)
+        crossed = ca.mtimes([chosen, mixed.T, ca.jacobian(self.integrals, unknowns)])
         blocks = self.blocks(factor, multipliers)
         of_points = ca.MX(ca.diagcat(*ca.horzsplit(blocks.sparsity(), blocks.shape[0])), blocks.nz[:])
         places = ca.sparsify(ca.evalf(ca.jacobian(ca.vec(self.variables), unknowns)))
-        hessian = ca.triu(ca.mtimes([places.T, of_points, places]) + ca.mtimes([chosen, of_few, chosen.T]))
+        of_others = ca.mtimes([chosen, of_few, chosen.T]) + crossed + crossed.T
+        hessian = ca.triu(ca.mtimes([places.T, of_points, places]) + of_others)
         function = ca.Function("hessian", [unknowns, factor, lam], [hessian])
         scale = ca.diag(ca.DM(sizes))
         scaled = ca.mtimes([scale, function(ca.DM(sizes) * x, factor, lam), scale])

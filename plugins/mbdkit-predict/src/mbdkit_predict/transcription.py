@@ -19,6 +19,7 @@ States are continuous from phase to phase, because the end of an interval is the
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
@@ -58,6 +59,7 @@ SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scal
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
 #: Change of controls and numbers, relative to their natural sizes, and of durations [s], which counts as none.
 UNMOVED = 1e-9
+WORTH_THREADS = 1e6  #: Operations of a function at all points from which they take longer than threads do to start.
 NEARBY = 0.01  #: Distance of a second guess from a stationary one, relative to natural sizes.
 
 
@@ -433,13 +435,15 @@ class Transcription:
         stop: Stop,
         most_iterations: int = MOST_ITERATIONS,
         report: Callable[[Mesh], None] = lambda mesh: None,
+        *,
+        threads: int = 1,
     ) -> Mesh:
         """Return the optimum on the grid of a guess; `report` is called with the best iterates in between.
 
         The optimizer stays at any stationary guess, also at a saddle or a maximum, and knows its curvature only after a
         step. Where it stays, the problem is thus solved again from a guess nearby.
         """
-        unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid)
+        unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid, threads)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
         program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, jacobian, hessian, guess.size)
 
@@ -519,7 +523,7 @@ class Transcription:
         return np.concatenate([~of_q, ~(of_q | of_v)]) if n else np.zeros(0, dtype=bool)
 
     def _program(
-        self, grid: IntervalGrid
+        self, grid: IntervalGrid, threads: int = 1
     ) -> tuple[
         dict[str, ca.MX], dict[str, Any], list[ProgramCondition], ca.MX, PointJacobian, PointHessian | None
     ]:  # fmt: skip
@@ -532,7 +536,12 @@ class Transcription:
         times = ca.mtimes(x["duration"].T, ca.DM(grid.points))
         given = [*(x[name] for name in ("q", "v", "a", "lam", "z", "u")), ca.repmat(x["p"], 1, total), times, x["mu"],
                  ca.MX(ca.DM(self.sides_at(grid, s)))]  # fmt: skip
-        values: Any = self.stage.map(total)(*given)
+
+        def mapped(function: ca.Function) -> ca.Function:
+            several = ("thread", threads) if threads > 1 and total * function.n_instructions() > WORTH_THREADS else ()
+            return function.map(total, *several)
+
+        values: Any = mapped(self.stage)(*given)
         sizes = np.cumsum([0, *(value.shape[0] for value in values)]).tolist()
         results = ca.MX.sym("results", sizes[-1], total)
         closed, position_rates, rates, _, balance, path = ca.vertsplit(results, sizes)
@@ -580,17 +589,18 @@ class Transcription:
             conditions.append(ProgramCondition(condition.name, along, condition.low, condition.high, points))
         weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = at_node(system, self.objective.finals)(end, x["p"], duration)
-        objective = self.objective.value(ca.mtimes(integrands, weighted), finals, x["peak"], duration)
+        integrals = ca.mtimes(integrands, weighted)
+        objective = self.objective.value(integrals, finals, x["peak"], duration)
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
         outer = [condition.value for condition in conditions]
         column: Any = ca.vertcat(*map(ca.vec, outer))
-        jacobian = PointJacobian(
-            variables, results, self.functions.slopes.map(total)(*given), column, ca.vertcat(*values)
-        )
+        jacobian = PointJacobian(variables, results, mapped(self.functions.slopes)(*given), column, ca.vertcat(*values))
         columns: Any = ca.substitute(outer, [results], [jacobian.values])
         conditions = [condition._replace(value=value) for condition, value in zip(conditions, columns, strict=True)]
-        slope = self._slope_of_integrals()
-        if slope is None or self.has_nodes:  # projections are curved, too
+        sums = ca.MX.sym("integrals", integrands.shape[0])
+        (rest,) = self.objective.value.call([sums, finals, x["peak"], duration], True, False)  # not as a call
+        slope = ca.jacobian(rest, sums)
+        if self.has_nodes or ca.depends_on(slope, sums):  # projections are curved, too
             return x, bounds, conditions, objective, jacobian, None
 
         def blocks(factor: ca.MX, multipliers: Mapping[str, ca.MX]) -> ca.MX:
@@ -598,23 +608,15 @@ class Transcription:
                 ca.mtimes(multipliers[path.name], ca.DM.eye(total)[self._points(grid, path).tolist(), :])
                 for path in self._path
             ]
-            weight = factor * ca.DM(np.outer(slope, np.tile(self.b, count)))
-            return self.functions.curvature.map(total)(
+            weight = factor * ca.mtimes(slope.T, ca.DM(np.tile(self.b, count)[None]))
+            return mapped(self.functions.curvature)(
                 variables, multipliers[COLLOCATION], multipliers[MOTION], ca.vertcat(ca.MX(0, total), *of_path), weight,
                 given[-1],
             )  # fmt: skip
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
-        rest = self.objective.value(ca.MX.zeros(len(slope)), finals, x["peak"], duration)
-        return x, bounds, conditions, objective, jacobian, PointHessian(variables, blocks, names, rest)
-
-    def _slope_of_integrals(self) -> np.ndarray | None:
-        """Return the derivatives of the objective by its integrals; None if they are not constant."""
-        given = self.objective.value.sx_in()
-        if all(low == high for low, high in self._totals):
-            given[3] = ca.SX(float(sum(low for low, _ in self._totals)))
-        slope = ca.densify(ca.jacobian(self.objective.value(*given), given[0]))
-        return np.array(ca.DM(slope)).ravel() if slope.is_constant() else None
+        hessian = PointHessian(variables, blocks, names, rest, sums, integrals)
+        return x, bounds, conditions, objective, jacobian, hessian
 
     def multipliers(self, mesh: Mesh, integrals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return derivatives of the objective: by integrals; and as functions of time, (rows, N s) at the collocation
@@ -842,7 +844,8 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
     """Return the optima of problems on the grids of guesses in at most so many iterations, each found in a process of
     its own; best iterates, or the guesses themselves, if `stop` says to stop.
     """
-    results = results_of([partial(method.solved, guess, stop, most) for method, guess, most in problems], stop)
+    solve = partial(Transcription.solved, threads=max(1, (os.cpu_count() or 1) // len(problems)))
+    results = results_of([partial(solve, method, guess, stop, most) for method, guess, most in problems], stop)
     return [
         replace(guess, solution=Solution(guess.values, method.objective_at(guess, guess.values["u"]), {}))
         if mesh is None

@@ -18,7 +18,7 @@ import mbdkit
 from mbdkit import MbdkitError, SpecError
 from mbdkit.cli import app
 from mbdkit.plugin.specs import write_yaml
-from mbdkit_predict import nonlinear_program
+from mbdkit_predict import nonlinear_program, transcription
 from mbdkit_predict.nonlinear_program import _Watcher
 from mbdkit_predict.predict_loading import compared_spec, load_predict_spec
 from mbdkit_predict.predicted_run import transcribed
@@ -509,18 +509,28 @@ def test_finer_meshes_of_a_squat_with_active_limits_confirm_its_spring() -> None
     assert abs(run.sensitivities["final: knee.angle"]) < 1.0
 
 
-def test_derivatives_of_points_and_ends_are_those_of_the_whole_program() -> None:
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(
+    "minimize",
+    [
+        "integral(forces.push.value**2) + final(t)**2 + final(block.vx)**2",
+        "mean(forces.push.value**2)*(2 + final(block.vx)) + mean(block.vx**2) - integral(block.x**3)*final(t)",
+    ],
+)
+def test_derivatives_of_points_and_ends_are_those_of_the_whole_program(
+    minimize: str, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(transcription, "WORTH_THREADS", 0)
     phases = [
         {"duration": {"bounds": [0.1, 1.0]}, "subject_to": {"slow": {"value": "block.vx**2", "max": 3}}},
         {"duration": {"bounds": [0.2, 1.0]}, "intervals": 3, "final": {"block.x**3": 1}},
     ]
     spec = block(
         phases=phases, forces=DRAG | spring(3.0), parameters={"forces.spring.stiffness": {"bounds": [0, 10]}},
-        minimize="integral(forces.push.value**2) + final(t)**2 + final(block.vx)**2",
-        collocation={"points": 2, "intervals": 2},
+        minimize=minimize, collocation={"points": 2, "intervals": 2},
     )  # fmt: skip
     problem = transcribed(load_predict_spec({k: x for k, x in spec.items() if k not in ("duration", "final")}))
-    unknowns, _, conditions, objective, jacobian, hessian = problem._program(problem.guess().grid)
+    unknowns, _, conditions, objective, jacobian, hessian = problem._program(problem.guess().grid, threads)
     x, factor = ca.vertcat(*map(ca.vec, unknowns.values())), ca.MX.sym("factor")
     values = ca.vertcat(*(ca.vec(condition.value) for condition in conditions))
     lam, random = ca.MX.sym("lam", values.numel()), np.random.default_rng(0)
