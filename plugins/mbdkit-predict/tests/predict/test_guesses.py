@@ -101,16 +101,21 @@ def test_the_optimum_of_a_simpler_problem_is_a_guess() -> None:
         assert caught.value.key.startswith(key)
 
 
-@pytest.mark.slow  # one and a half minutes
-def test_ground_reactions_of_half_a_step_carry_the_walker() -> None:
-    run = mbdkit.predict("half-step")
+@pytest.mark.slow  # half a minute, and three minutes
+@pytest.mark.parametrize("name", ["half-step", "predicted-walking"])
+def test_ground_reactions_carry_the_walker(name: str) -> None:
+    run = mbdkit.predict(name)
     assert run.verdict == "good", run.verdict_reasons
     # half a period of a periodic motion: no change of momentum
     mechanism, contacts = run.mechanism, ("heel", "ball", "heel_left", "ball_left")
     weight = 9.81 * sum(body.mass for body in mechanism.bodies.values())
     force = sum(run.contacts[name].normal_force for name in contacts)
     assert np.trapezoid(force, run.time) / run.time[-1] == pytest.approx(weight, rel=0.01)
-    assert run["trunk"].position[-1, 0] == pytest.approx(0.625)
+    push = sum(run.contacts[name].friction_force for name in contacts)
+    assert abs(np.trapezoid(push, run.time)) < 0.01 * np.trapezoid(abs(push), run.time)
+    assert run["trunk"].position[-1, 0] == pytest.approx(1.25 * run.time[-1])
+    if name == "predicted-walking":  # R. Browning et al. (2007): the mean of persons without a load; the page `walking`
+        assert 0.5 / run.time[-1] * np.sqrt(0.9 / 9.81) == pytest.approx(0.268, rel=0.03)
     np.testing.assert_allclose(run["thigh"].angle[-1], run["thigh_left"].angle[0], atol=1e-9)
     activation = run.muscles["soleus"].activation
     np.testing.assert_allclose(activation[-1], run.muscles["soleus_left"].activation[0], atol=1e-9)
