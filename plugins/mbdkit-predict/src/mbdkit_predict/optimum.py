@@ -85,7 +85,8 @@ class Optimum:
     jumps
         Where forces, rates, integrands or conditions jump as functions of the state.
     starts
-        Objective from each first guess, on the mesh that begins the sequence; nan where no optimum was found.
+        Objective from each first guess, on the mesh that begins the sequence; nan where no optimum was found, or one
+        that is an artefact of the mesh while others are not.
     start
         Index of the start that led to this motion.
     rows
@@ -328,7 +329,10 @@ class _MeshSearch:
         if switching:
             why = f"phases end at jumps: t = {listed([f'{t:.4g}' for t in switching.times], 'and')} s"
         else:
-            self.starts = [_solution(x).objective if _solution(x).is_optimum else np.nan for x in meshes]
+            known = [
+                k for k, x in enumerate(meshes) if _solution(x).is_optimum and is_credible[k] >= is_credible[start]
+            ]
+            self.starts = [_solution(x).objective if k in known else np.nan for k, x in enumerate(meshes)]
             self.start = start
         self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
         if coarser is not None and not is_credible[start] and _solution(self.first).is_optimum and self._can_begin:

@@ -59,6 +59,7 @@ SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scal
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
 #: Change of controls and numbers, relative to their natural sizes, and of durations [s], which counts as none.
 UNMOVED = 1e-9
+SLACK = 1e-11  #: Slack of conditions of a pose, with which the lowest place of an arm is inside them.
 WORTH_THREADS = 1e6  #: Operations of a function at all points from which they take longer than threads do to start.
 NEARBY = 0.01  #: Distance of a second guess from a stationary one, relative to natural sizes.
 
@@ -587,9 +588,8 @@ class Transcription:
             points = self._points(grid, condition)
             along = path[k, points.tolist()] - (0.0 if condition.peak is None else x["peak"][condition.peak])
             conditions.append(ProgramCondition(condition.name, along, condition.low, condition.high, points))
-        weighted = ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T
         finals = at_node(system, self.objective.finals)(end, x["p"], duration)
-        integrals = ca.mtimes(integrands, weighted)
+        integrals = ca.mtimes(integrands, ca.mtimes(h, ca.kron(each, ca.DM(self.b).T)).T)
         objective = self.objective.value(integrals, finals, x["peak"], duration)
         variables = ca.vertcat(*(x[name] for name in OF_POINTS), ca.repmat(x["p"], 1, total), times, lengths)
         outer = [condition.value for condition in conditions]
@@ -615,8 +615,7 @@ class Transcription:
             )  # fmt: skip
 
         names = (MOTION, COLLOCATION, *(path.name for path in self._path))
-        hessian = PointHessian(variables, blocks, names, rest, sums, integrals)
-        return x, bounds, conditions, objective, jacobian, hessian
+        return x, bounds, conditions, objective, jacobian, PointHessian(variables, blocks, names, rest, sums, integrals)
 
     def multipliers(self, mesh: Mesh, integrals: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return derivatives of the objective: by integrals; and as functions of time, (rows, N s) at the collocation
@@ -830,7 +829,7 @@ class Transcription:
         low, high = (np.array([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)]) for k in (1, 2))
         # an arm that points away from its aim does not turn by itself
         turns = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()]
-        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low, ubg=high) for turn in turns]
+        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low - SLACK, ubg=high + SLACK) for turn in turns]
         at = ca.Function("at", [system.q], [program["g"]])
 
         def misses(pose: np.ndarray) -> bool:

@@ -10,7 +10,7 @@ import pytest
 import mbdkit
 from mbdkit_predict.grid import IntervalGrid
 from predict.drawn_jumps import effort_of_phases, least
-from predict.exact_optima import EFFORT, PUSH, block
+from predict.exact_optima import EFFORT, PUSH, block, swing_up
 from tests.margins import assert_within
 
 TRIANGLE = {"table": [[0, 0.5166, 0.5206, 0.5246, 1], [0, 0, 1000, 0, 0]], "interpolation": "linear"}
@@ -215,7 +215,8 @@ def test_objectives_of_any_magnitude_have_bars_of_their_size(mass: float) -> Non
     assert other.objective_error < 1e-6 * other.objective
 
 
-def test_a_jump_over_the_pivot_is_refused_by_name() -> None:
+@pytest.mark.parametrize("coordinates", ["joint", "absolute"])
+def test_a_point_mass_swings_up_about_its_cart_and_a_jump_over_the_pivot_is_refused_by_name(coordinates: str) -> None:
     # the swing-up of a cart-pole whose bob is a point at a distance from the cart
     model = {
         "name": "mechanism", "bodies": {"cart": {"mass": 1, "inertia": 1}, "bob": {"mass": 0.3, "position": [0, -0.5]}},
@@ -231,9 +232,13 @@ def test_a_jump_over_the_pivot_is_refused_by_name() -> None:
             "mbdkit_predict": 1, "base": {"model": model}, "duration": 2.0, "minimize": EFFORT,
             "controls": {PUSH: {"bounds": [-20, 20]}}, "initial": {"cart.x": 0, "bob.x": 0, "bob.y": -0.5, **rest},
             "final": {"cart.x": 1, "bob.x": 1, "bob.y": 0.5, **rest}, "limits": {"wall_time": 30},
-            "collocation": {"intervals": 10},
+            "collocation": {"intervals": 10}, "coordinates": coordinates,
         }
     )  # fmt: skip
+    if coordinates == "joint":  # the local optimum of the rod of `cart-pole`
+        assert run.verdict == "good", run.verdict_reasons
+        assert_within(run.objective - swing_up(5, 80), run.objective_error)
+        return
     assert (run.status, run.verdict) == ("failed", "bad")
     assert run.status_reason.startswith("jump: between t = ")
     assert "the joint 'rod' is closed at the collocation points only" in run.status_reason

@@ -614,4 +614,4 @@ def test_a_search_whose_meshes_wander_begins_anew(monkeypatch: pytest.MonkeyPatc
 def test_an_optimum_that_no_second_guess_finds_after_wandering_is_doubtful() -> None:
     run = mbdkit.predict(chain(5, angle=0.6) | {"collocation": {"intervals": 8}, "tolerance": 1e-4})
     assert run.verdict == "doubtful"
-    assert "1 of 2 starts end here, the best of the others is" in run.verdict_reasons[0]
+    assert run.verdict_reasons[0].endswith("Local minimum: 1 of 2 starts end here.")  # the other one is an artefact
