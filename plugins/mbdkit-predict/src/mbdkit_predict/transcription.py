@@ -821,15 +821,15 @@ class Transcription:
     def _nearest(self, q: np.ndarray, conditions: Mapping[str, tuple[ca.SX, float, float]], t: float) -> np.ndarray:
         """Return the positions nearest to `q` that satisfy the constraints, and conditions of positions only."""
         system = self.system
-        others = [system.symbols[name] for name in ("v", "z") if system.symbols[name].numel()]
-        wanted = [row for row in conditions.values() if not any(ca.depends_on(row[0], x) for x in others)]
+        others = ca.vertcat(system.v, system.z)
+        wanted = [row for row in conditions.values() if not ca.depends_on(row[0], others)]
         rows = ca.vertcat(system.constraints(*system.symbols.values())[0], *(row[0] for row in wanted))
         still = ca.vertcat(system.q, ca.SX.zeros(len(q) + len(system.z0)))
         program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": at_node(system, rows)(still, system.p0, t)}
         low, high = (np.array([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)]) for k in (1, 2))
         # an arm that points away from its aim does not turn by itself
-        turns = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()]
-        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low - SLACK, ubg=high + SLACK) for turn in turns]
+        turns, slack = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()], SLACK * system.is_arm.any()
+        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low - slack, ubg=high + slack) for turn in turns]
         at = ca.Function("at", [system.q], [program["g"]])
 
         def misses(pose: np.ndarray) -> bool:
