@@ -329,10 +329,8 @@ class _MeshSearch:
         if switching:
             why = f"phases end at jumps: t = {listed([f'{t:.4g}' for t in switching.times], 'and')} s"
         else:
-            known = [
-                k for k, x in enumerate(meshes) if _solution(x).is_optimum and is_credible[k] >= is_credible[start]
-            ]
-            self.starts = [_solution(x).objective if k in known else np.nan for k, x in enumerate(meshes)]
+            ended = [_solution(x).objective if _solution(x).is_optimum else np.nan for x in meshes]
+            self.starts = np.where(np.less(is_credible, is_credible[start]), np.nan, ended).tolist()
             self.start = start
         self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
         if coarser is not None and not is_credible[start] and _solution(self.first).is_optimum and self._can_begin:

@@ -25,9 +25,6 @@ from mbdkit.base.errors import RunError
 
 GRACE = 0.25  #: Time after which a process that should stop is ended [s].
 LOOK = 0.05  #: Time between two looks at whether to stop [s].
-#: Values of M_TRIM_THRESHOLD and M_MMAP_MAX of `mallopt`, with which a process keeps memory that it frees: the linear
-#: solver asks for large blocks in each iteration, and the system would clear them each time.
-KEPT_MEMORY = {-1: 2**31 - 1, -4: 0}
 
 T = TypeVar("T")
 #: A function that returns a result; its argument is a function that takes intermediate results.
@@ -118,10 +115,11 @@ def _started(task: Task[T]) -> _Child[T]:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
         receiving.close()
+        # keep memory that is freed: the linear solver asks for large blocks in each iteration, which the system clears
         library = ctypes.CDLL(None)
         if hasattr(library, "mallopt"):  # the C library of GNU
-            for option, value in KEPT_MEMORY.items():
-                library.mallopt(option, value)
+            library.mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
+            library.mallopt(-4, 0)  # M_MMAP_MAX
         try:
             sending.send(("last", task(lambda result: sending.send(("intermediate", result)))))
         except Exception as error:

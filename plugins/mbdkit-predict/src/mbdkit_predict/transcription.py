@@ -59,7 +59,7 @@ SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scal
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
 #: Change of controls and numbers, relative to their natural sizes, and of durations [s], which counts as none.
 UNMOVED = 1e-9
-SLACK = 1e-11  #: Slack of conditions of a pose, with which the lowest place of an arm is inside them.
+SLACK = 1e-11  #: Slack of the conditions of a pose at an extreme of a coordinate, such as the top of a swing.
 WORTH_THREADS = 1e6  #: Operations of a function at all points from which they take longer than threads do to start.
 NEARBY = 0.01  #: Distance of a second guess from a stationary one, relative to natural sizes.
 
@@ -828,15 +828,19 @@ class Transcription:
         program = {"x": system.q, "f": ca.sumsqr(system.q - q), "g": at_node(system, rows)(still, system.p0, t)}
         low, high = (np.array([*[0.0] * len(system.constraint_names), *(row[k] for row in wanted)]) for k in (1, 2))
         # an arm that points away from its aim does not turn by itself
-        turns, slack = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()], SLACK * system.is_arm.any()
-        poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=low - slack, ubg=high + slack) for turn in turns]
+        turns = (0.0, 0.5 * np.pi, -0.5 * np.pi)[: 1 + 2 * system.is_arm.any()]
         at = ca.Function("at", [system.q], [program["g"]])
 
         def misses(pose: np.ndarray) -> bool:
             values = np.array(at(pose)).ravel()
             return bool(np.maximum(low - values, values - high).max(initial=0.0) > 1e-6)
 
-        return min(poses, key=lambda pose: (misses(pose), np.linalg.norm(pose - q)))
+        def nearest(least: np.ndarray, most: np.ndarray) -> np.ndarray:
+            poses = [solve_pose(program, x0=q + turn * system.is_arm, lbg=least, ubg=most) for turn in turns]
+            return min(poses, key=lambda pose: (misses(pose), np.linalg.norm(pose - q)))
+
+        found = nearest(low, high)
+        return nearest(low - SLACK, high + SLACK) if misses(found) else found
 
 
 def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Stop) -> list[Mesh]:
