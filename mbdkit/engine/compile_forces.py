@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from typing import Any, Never
 
 import numpy as np
@@ -13,7 +12,7 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.traced_numbers import as_float, float_array
 from mbdkit.engine.compiled_mechanism import ActingForce, CompiledInput, ElementState, ForceElement, SampledController
-from mbdkit.engine.force_laws import CompiledLaw, bind_law
+from mbdkit.engine.force_laws import CompiledLaw, NativeLaw, bind_law, native_law
 from mbdkit.engine.friction_forces import FollowingForce, FrictionForce, following_forces, friction_forces
 from mbdkit.engine.kernels import table_rows as rows
 from mbdkit.engine.kernels.applied_forces import (
@@ -24,14 +23,14 @@ from mbdkit.engine.kernels.applied_forces import (
     TORQUE,
     VELOCITY_INPUT,
 )
+from mbdkit.engine.kernels.law_programs import run_program
 from mbdkit.engine.kernels.motions import OPCODES
 from mbdkit.engine.kernels.pose_functions import POSE
-from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression
+from mbdkit.engine.state_expressions import STATE_INPUT, Numbering, StateExpression, laws_of
 from mbdkit.expressions.parser import Expression
 from mbdkit.expressions.program import Program, derivative_of
 from mbdkit.mechanism.angle_function import AngleFunction, Center, expression_of
 from mbdkit.mechanism.element_kinds import element_kinds, forces_of
-from mbdkit.mechanism.force_law import ExpressionLaw, TracedLaw
 from mbdkit.mechanism.forces import AppliedLoad, Force, PointForce, SpringDamper, Torque, TorsionSpring
 from mbdkit.mechanism.joint_base import PoseFunction
 from mbdkit.mechanism.law_element import Law
@@ -132,6 +131,9 @@ Numbers = tuple[float, ...]
 LOADS = {"torque": TORQUE, "point_force": POINT_FORCE, "body_force": BODY_FORCE}
 
 
+#: Law whose value is its only parameter, and an example of its parameters.
+_OF_PARAMETER = laws_of((("constant", 0),), 0)[0], {"constant_0": 0.0}
+
 FRICTION = 200  #: Kinds of elements of lower order are compiled before the friction in joints.
 
 
@@ -143,7 +145,7 @@ def table(entries: Sequence[tuple[int, ...]], columns: tuple[int, ...]) -> np.nd
 class Lowering:
     """Collects the force elements on pathways, loads and first-order states of a mechanism in flat lists.
 
-    Kinds of elements of plugins add theirs with `force`, `state`, `wrench`, `law`, `pair` and `expression`.
+    Kinds of elements of plugins add theirs with `force`, `guide`, `state`, `wrench`, `law`, `pair` and `expression`.
     """
 
     def __init__(self, mechanism: Mechanism, number: dict[str, int], motions: CompiledMotions):
@@ -254,6 +256,23 @@ class Lowering:
         self._add_law(name, force, key)
         self.acting.append(acting)
         return acting
+
+    def guide(self, acting: ActingForce, function: Callable[[Any], Sequence[Any]]) -> None:
+        """Give the guided segment of a force element its function of the relative angle, which is recorded: the length,
+        and the components of the pull on the second body, in its frame, for a tension of 1.
+        """
+        from mbdkit.engine.law_compiler import program_of_guide
+
+        (k,) = (
+            k
+            for k, row in enumerate(self.springs)
+            if row.pathway == PATHWAYS["guided"] and self.spring_places[k] == acting.place
+        )
+        place = sum(row.guide >= 0 for row in self.springs)
+        self.springs[k] = self.springs[k]._replace(guide=len(self.laws), place=place)
+        law = native_law(NativeLaw(run_program, tuple(program_of_guide(function).tolist())))
+        self._add_law_row(acting.name, law, len(self.law_parameters))
+        self.law_parameters.append(0.0)
 
     def _add_law(self, name: str, force: LawForce, kind: str) -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)
@@ -403,7 +422,7 @@ class Lowering:
     def _add_input(self, item: CompiledInput) -> None:
         value = self.state(f"inputs.{item.name}", item.unit, item.initial)
         if item.is_linear:
-            law, _ = bind_law(_slope_law(), {"slope": 0.0}, item.name)
+            law, _ = bind_law(*_OF_PARAMETER, item.name)
             self._add_law_row(item.name, law, len(self.law_parameters))  # the next state is its parameter
             self.set_rate(value, len(self.laws) - 1)
             self.state(f"inputs.{item.name}.slope", f"{item.unit}/s", 0.0)
@@ -424,7 +443,7 @@ class Lowering:
 
     def held_load(self, element: str, name: str, unit: str) -> int:
         """Add a state that the method sets, and a law with its value for `wrench`; return the index of the law."""
-        law, _ = bind_law(_held_law(), {"held": 0.0}, element)
+        law, _ = bind_law(*_OF_PARAMETER, element)
         self._add_law_row(element, law, len(self.law_parameters))  # the state is its parameter
         self.state(name, unit, 0.0, by_method=True)
         return len(self.laws) - 1
@@ -503,15 +522,3 @@ def _numbered(inputs: Mapping[str, Input], first: int) -> Iterator[CompiledInput
         slope = first + 1 if item.hold == "linear" else -1
         yield CompiledInput(name, item.unit, item.initial, item.bounds, first, slope)
         first += 2 if item.hold == "linear" else 1
-
-
-@cache
-def _slope_law() -> ExpressionLaw:
-    import sympy as sp
-
-    return ExpressionLaw(sp.Symbol("slope", real=True), parameters=dict)
-
-
-@cache
-def _held_law() -> TracedLaw:
-    return TracedLaw(lambda length, rate, time, p: p["held"], dict, has_derivatives=False)

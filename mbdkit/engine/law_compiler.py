@@ -1,147 +1,95 @@
 """Programs of force laws (`mbdkit.engine.kernels.law_programs`) that are SymPy expressions or Python functions.
 
-SymPy writes the source of an expression with all derivatives, and the operations of this source become the
-instructions. A Python function is called once, with numbers that record its operations.
+SymPy differentiates an expression, whose operations are recorded. A Python function is called once, with numbers that
+record its operations.
 """
 
 from __future__ import annotations
 
-import ast
-import operator
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, reduce
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import PluginError
-from mbdkit.engine.function_program import Assembler, block
+from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels.law_programs import OPCODES
-from mbdkit.expressions.recorded import Recorder
+from mbdkit.expressions.recorded import Recorded, Recorder
 from mbdkit.expressions.recorded_derivatives import derivative
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, TracedLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, RecordedExpression, TracedLaw
+
+if TYPE_CHECKING:
+    import sympy
 
 
 @cache
 def program_of(law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float], ...]) -> np.ndarray:
     """Return the program of a law as integers, some of which are the bits of constants."""
-    if isinstance(law, TracedLaw):
-        return _recorded(law, list(dict(example)))
-    from mbdkit.symbolic.symbolic_law import law_source
-
-    return _compiled(law_source(law, dict(example)), len(example))
-
-
-def _recorded(law: TracedLaw, names: Sequence[str]) -> np.ndarray:
-    """Return the program of a law that is a Python function, with derivatives if they are needed, else 0."""
-    recorder = Recorder()
+    names, recorder = list(dict(example)), Recorder()
     length, rate, time = arguments = [recorder.input(name) for name in ARGUMENTS]
     parameters = {name: recorder.input(f"parameter {name}") for name in names}
-    value = recorder.constant(law.function(length, rate, time, parameters))
-    slopes = [derivative(value, by) for by in (length, rate)] if law.has_derivatives else [0.0, 0.0]
-    return block([*arguments, *parameters.values()], [value, *slopes, 0.0])
+    inputs = [*arguments, *parameters.values()]
+    if isinstance(law, TracedLaw | RecordedExpression):
+        value = recorder.constant(law.function(length, rate, time, parameters))
+        slopes = [derivative(value, by) for by in (length, rate)] if law.has_derivatives else [0.0, 0.0]
+        return block(inputs, [value, *slopes, 0.0])
+    import sympy as sp
+
+    from mbdkit.symbolic.symbolic_law import law_results
+
+    symbols = (sp.Symbol(name, real=True) for name in (*ARGUMENTS, *names))
+    return block(inputs, _of_sympy(law_results(law, dict(example)), dict(zip(symbols, inputs, strict=True))))
 
 
-_BINARY = {
-    ast.Add: "add", ast.Sub: "subtract", ast.Mult: "multiply", ast.Div: "divide", ast.Mod: "remainder",
+@cache
+def program_of_guide(function: Callable[[Recorded], Sequence[Recorded]]) -> np.ndarray:
+    """Return the program of a guided segment, whose results are those of `mbdkit_statics.element_definitions.GUIDE`."""
+    recorder = Recorder()
+    inputs = angle, *_ = [recorder.input(name) for name in ARGUMENTS]
+    results = []
+    for value in map(recorder.constant, function(angle)):
+        slope = derivative(value, angle)
+        results += [value, slope, derivative(slope, angle)]
+    return block(inputs, results)
+
+
+#: Operations of classes of SymPy with other names.
+_NAMES = {
+    "Add": "add", "Mul": "multiply", "Pow": "power", "Mod": "remainder", "StrictLessThan": "less",
+    "LessThan": "less_equal", "StrictGreaterThan": "greater", "GreaterThan": "greater_equal", "Equality": "equal",
+    "Unequality": "not_equal", "And": "and", "Or": "or", "Not": "not", "Abs": "abs", "ceiling": "ceil",
+    "loggamma": "lgamma", "ITE": "select",
 }  # fmt: skip
-_COMPARED = {
-    ast.Lt: "less", ast.LtE: "less_equal", ast.Gt: "greater", ast.GtE: "greater_equal", ast.Eq: "equal",
-    ast.NotEq: "not_equal",
-}  # fmt: skip
-_FOLDED: Mapping[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv,
-}  # fmt: skip
-_NAMES = {"abs": "abs", "fabs": "abs", "ceil": "ceil", "floor": "floor"}
-_CONSTANTS = {"pi": np.pi, "e": np.e, "inf": np.inf, "nan": np.nan}
 
 
-def _compiled(source: str, parameters: int) -> np.ndarray:
-    """Return the program of the source of a law, a function that returns four numbers."""
-    (function,) = ast.parse(source).body
-    assert isinstance(function, ast.FunctionDef)
-    compiler = _Compiler(parameters)
-    for statement in function.body:
-        if isinstance(statement, ast.Assign):
-            (target,) = statement.targets
-            assert isinstance(target, ast.Name)
-            compiler.names[target.id] = compiler.value(statement.value)
-    assert isinstance(statement, ast.Return)
-    assert isinstance(statement.value, ast.Tuple)
-    return compiler.assembler.block([compiler.value(result) for result in statement.value.elts])
+def _of_sympy(expressions: Sequence[sympy.Basic], known: Mapping[sympy.Basic, Recorded]) -> list[Recorded]:
+    """Return expressions of SymPy as recorded numbers, given their symbols."""
+    import sympy as sp
 
+    recorder, found = next(iter(known.values())).recorder, dict(known)
 
-class _Compiler:
-    """Appends the operations of the source of a law, in their order, which determines the rounding errors."""
+    def value(node: sympy.Basic) -> Recorded:
+        if node not in found:
+            found[node] = computed(node)
+        return found[node]
 
-    def __init__(self, parameters: int):
-        self.assembler = Assembler(3 + parameters)
-        self.names: dict[str, int] = {name: i for i, name in enumerate(ARGUMENTS)}
+    def computed(node: sympy.Basic) -> Recorded:
+        if isinstance(node, sp.Piecewise):
+            result = recorder.constant(np.nan)
+            for branch, condition in reversed(node.args):
+                result = recorder.apply("select", [value(condition), value(branch), result])
+            return result
+        if not node.args:  # numbers, true and false
+            return recorder.constant(float(node) if isinstance(node, sp.Expr) else float(bool(node)))
+        top, bottom = sp.fraction(node, exact=True) if isinstance(node, sp.Expr) else (node, 1)
+        if bottom != 1:
+            return recorder.apply("divide", [value(top), value(bottom)])
+        name, operands = _NAMES.get(type(node).__name__, type(node).__name__), [*map(value, node.args)]
+        if name not in OPCODES:
+            raise PluginError(f"'{node}' in its force or a derivative cannot be compiled")
+        if name == "select" or len(operands) == 1:
+            return recorder.apply(name, operands)
+        return reduce(lambda x, y: recorder.apply(name, [x, y]), operands)
 
-    def value(self, node: ast.expr) -> int:
-        """Append the instructions of an expression; return the index of its value."""
-        if (number := _number(node)) is not None:
-            return self.assembler.constant(number)
-        match node:
-            case ast.Name(id=name):
-                return self.names[name] if name in self.names else self.assembler.constant(_CONSTANTS[name])
-            case ast.Subscript(slice=ast.Constant(value=int(index))):
-                return 3 + index
-            case ast.UnaryOp(op=ast.USub()):
-                return self.assembler.append("negate", self.value(node.operand))
-            case ast.UnaryOp(op=ast.Not()):
-                return self.assembler.append("not", self.value(node.operand))
-            case ast.UnaryOp(op=ast.UAdd()):
-                return self.value(node.operand)
-            case ast.BinOp(op=ast.Pow()):
-                return self._power(node)
-            case ast.BinOp():
-                return self.assembler.append(_BINARY[type(node.op)], self.value(node.left), self.value(node.right))
-            case ast.Compare(ops=[sign], comparators=[right]):
-                return self.assembler.append(_COMPARED[type(sign)], self.value(node.left), self.value(right))
-            case ast.BoolOp():
-                name = "and" if isinstance(node.op, ast.And) else "or"
-                result, *others = (self.value(operand) for operand in node.values)
-                for other in others:
-                    result = self.assembler.append(name, result, other)
-                return result
-            case ast.IfExp():
-                return self.assembler.append("select", *map(self.value, (node.test, node.body, node.orelse)))
-            case ast.Call(func=ast.Name(id="float")):
-                return self.value(node.args[0])
-            case ast.Call(func=ast.Name(id=name)) if _NAMES.get(name, name) in OPCODES:
-                return self.assembler.append(_NAMES.get(name, name), *map(self.value, node.args))
-        raise PluginError(f"'{ast.unparse(node)}' in its force or a derivative cannot be compiled")
-
-    def _power(self, node: ast.BinOp) -> int:
-        exponent = _number(node.right)
-        base = self.value(node.left)
-        if isinstance(exponent, int):
-            if exponent == 0:
-                return self.assembler.constant(1.0)
-            return self.assembler.append("power_of_integer", base, exponent)
-        if exponent == 0.5:
-            return self.assembler.append("sqrt", base)
-        if exponent == 2.0:
-            return self.assembler.append("multiply", base, base)
-        return self.assembler.append("power", base, self.value(node.right))
-
-
-def _number(node: ast.expr) -> int | float | None:
-    """Return the value of a constant expression, such as ``-3/2``; None if it is not constant."""
-    match node:
-        case ast.Constant(value=bool(value)):
-            return float(value)
-        case ast.Constant(value=int() | float() as value):
-            return value
-        case ast.UnaryOp(op=ast.USub()):
-            inner = _number(node.operand)
-            return None if inner is None else -inner
-        case ast.BinOp(op=op) if type(op) in _FOLDED:
-            left, right = _number(node.left), _number(node.right)
-            if left is None or right is None:
-                return None
-            try:
-                return _FOLDED[type(op)](left, right)
-            except ZeroDivisionError:
-                return None
-    return None
+    return [*map(value, expressions)]

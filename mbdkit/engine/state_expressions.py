@@ -9,21 +9,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cache, partial
+from itertools import count
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbdkit.base import higher_layers
+import numpy as np
+
+from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT
-from mbdkit.expressions.parser import symbolic_operation
-from mbdkit.expressions.program import Program, execute
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.parser import symbolic
+from mbdkit.expressions.program import Formula, Instruction, Program, execute
 from mbdkit.mechanism.element_kinds import element_kinds
-from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.force_law import RecordedExpression
 
 if TYPE_CHECKING:
     import sympy
 
+    from mbdkit.expressions.recorded import Recorded
     from mbdkit.mechanism.mechanism import Mechanism
 
 STATE_INPUT = -1  #: Code of an input that is a first-order state.
@@ -76,12 +81,18 @@ class Numbering:
         """
         program, quantities = higher_layers.state_program(text, self.mechanism)
         terms = _Terms(self)
-        written = tuple(terms.written(*quantity) for quantity in quantities)
+        written = [terms.written(*quantity).program for quantity in quantities]
         constants = [number for operation, number in program if operation == "const"]
-        form = tuple((operation, 0.0 if operation == "const" else number) for operation, number in program)
-        value, slopes = _laws(form, written, len(terms.inputs), tuple(terms.constants))
-        values = [0.0] * len(terms.inputs) + list(terms.constants.values()) + constants
-        names = [*_names(len(terms.inputs)), *terms.constants, *(f"number_{i}" for i in range(len(constants)))]
+        places, whole = count(), list[Instruction]()
+        for operation, number in program:
+            if operation == "get":
+                whole += written[int(number)]
+            else:  # constants become parameters, too
+                whole.append(("number", next(places)) if operation == "const" else (operation, number))
+        value, slopes = laws_of(tuple(whole), len(terms.inputs))
+        counts = {"input": len(terms.inputs), "constant": len(terms.constants), "number": len(constants)}
+        names = [f"{kind}_{i}" for kind, size in counts.items() for i in range(size)]
+        values = [0.0] * len(terms.inputs) + terms.constants + constants
         options = dict(zip(names, values, strict=True))
         compiled, block = bind_law(value, options, name)
         bound = [
@@ -92,18 +103,14 @@ class Numbering:
         return StateExpression(compiled, tuple(terms.inputs), tuple(bound), block)
 
 
-def _names(count: int) -> list[str]:
-    return [f"input_{i}" for i in range(count)]
-
-
 class _Terms:
     def __init__(self, numbering: Numbering):
         self.numbering = numbering
         self.inputs: list[ExpressionInput] = []
-        self.constants: dict[str, float] = {}
+        self.constants: list[float] = []
 
-    def written(self, kind: str, name: str, attribute: str) -> str:
-        """Return a quantity as SymPy source."""
+    def written(self, kind: str, name: str, attribute: str) -> Formula:
+        """Return a quantity as a program of inputs and constants."""
         mechanism = self.numbering.mechanism
         match kind:
             case "states":
@@ -124,80 +131,95 @@ class _Terms:
                 return self._input(codes[value], self.numbering.springs[spring])
             case "forces" if f"forces.{name}" in self.numbering.springs:
                 code = {"length": LENGTH_INPUT, "rate": RATE_INPUT, "value": TENSION_INPUT}[attribute]
-                text, force = self._input(code, self.numbering.springs[f"forces.{name}"]), mechanism.forces[name]
+                given, force = self._input(code, self.numbering.springs[f"forces.{name}"]), mechanism.forces[name]
                 pathway = getattr(force, "pathway", None)
                 turns = attribute == "value" and pathway is not None and pathway.length_unit == "rad"
-                return f"(-{text})" if turns else text
+                return -given if turns else given
         raise SpecError(
             f"'forces.{name}.{attribute}' is a quantity of a load; an expression of the state can contain those of "
             "springs and laws"
         )
 
-    def _input(self, kind: int, index: int) -> str:
+    def _input(self, kind: int, index: int) -> Formula:
         given = ExpressionInput(kind, index)
         if given not in self.inputs:
             self.inputs.append(given)
-        return f"input_{self.inputs.index(given)}"
+        return Formula((("input", self.inputs.index(given)),))
 
-    def _constant(self, value: float) -> str:
-        name = f"constant_{len(self.constants)}"
-        self.constants[name] = float(value)
-        return name
+    def _constant(self, value: float) -> Formula:
+        self.constants.append(float(value))
+        return Formula((("constant", len(self.constants) - 1),))
 
-    def _of_body(self, name: str, attribute: str) -> str:
+    def _of_body(self, name: str, attribute: str) -> Formula:
         if name == "ground":
-            return "0"
+            return Formula.of(0.0)
         kind, places = (POSITION_INPUT, POSITIONS) if attribute in POSITIONS else (VELOCITY_INPUT, VELOCITIES)
         return self._input(kind, 3 * self.numbering.bodies[name] + places[attribute])
 
-    def _of_point(self, body: str, point: Sequence[float], attribute: str) -> str:
-        px, py = (self._constant(coordinate) for coordinate in point)
+    def _of_point(self, body: str, point: Sequence[float], attribute: str) -> Formula:
+        px, py = map(self._constant, point)
         angle, spin = self._of_body(body, "angle"), self._of_body(body, "angular_velocity")
-        x = f"({px}*cos({angle}) - {py}*sin({angle}))"
-        y = f"({px}*sin({angle}) + {py}*cos({angle}))"
-        moved = {"x": x, "y": y, "vx": f"(-{spin}*{y})", "vy": f"({spin}*{x})"}[attribute]
-        return f"({self._of_body(body, attribute)} + {moved})"
+        c, s = elementary.cos(angle), elementary.sin(angle)
+        x, y = px * c - py * s, px * s + py * c
+        return self._of_body(body, attribute) + {"x": x, "y": y, "vx": -spin * y, "vy": spin * x}[attribute]
 
-    def _coordinate(self, name: str) -> str:
+    def _coordinate(self, name: str) -> Formula:
         joint = self.numbering.mechanism.joints[name]
         a, b = joint.bodies
         if joint.travel is None:
-            return f"({self._of_body(b, 'angle')} - {self._of_body(a, 'angle')})"
-        ax, ay, bx, by, ux, uy = joint.travel
+            return self._of_body(b, "angle") - self._of_body(a, "angle")
+        *point, ux, uy = map(self._constant, (joint.travel[i] for i in (0, 1, 4, 5)))
         turn = self._of_body(a, "angle")
-        x = f"({self._of_point(b, (bx, by), 'x')} - {self._of_body(a, 'x')})"
-        y = f"({self._of_point(b, (bx, by), 'y')} - {self._of_body(a, 'y')})"
-        along = f"(cos({turn})*{x} + sin({turn})*{y} - {self._constant(ax)})"
-        across = f"(cos({turn})*{y} - sin({turn})*{x} - {self._constant(ay)})"
-        return f"({self._constant(ux)}*{along} + {self._constant(uy)}*{across})"
+        c, s = elementary.cos(turn), elementary.sin(turn)
+        x, y = (self._of_point(b, joint.travel[2:4], axis) - self._of_body(a, axis) for axis in "xy")
+        return ux * (c * x + s * y - point[0]) + uy * (c * y - s * x - point[1])
 
 
 @cache
-def _laws(
-    program: Program, written: tuple[str, ...], inputs: int, constants: tuple[str, ...]
-) -> tuple[ExpressionLaw, tuple[ExpressionLaw, ...]]:
-    """Compile a program of quantities to a law and the laws of its derivatives with respect to the inputs.
+def laws_of(program: Program, inputs: int) -> tuple[RecordedExpression, tuple[RecordedExpression, ...]]:
+    """Return the law of a program of inputs, constants and numbers, and those of its derivatives by the inputs."""
 
-    Constants of the program become parameters of the law.
-    """
+    def law(by: str) -> RecordedExpression:
+        return RecordedExpression(
+            partial(_symbolic, program, by), parameters=dict, function=partial(_value, program, by)
+        )
+
+    return law(""), tuple(law(f"input_{i}") for i in range(inputs))
+
+
+def _value(program: Program, by: str, _length: Any, _rate: Any, time: Recorded, p: Mapping[str, Recorded]) -> Recorded:
+    """Return the value of a program, or its derivative with respect to a parameter, with a choice for each corner."""
+    from mbdkit.expressions.recorded_derivatives import derivative  # most mechanisms have no such expression
+
+    sizes: dict[int, Recorded] = {}
+
+    def step(operation: str, number: float, *operands: Any) -> Any:
+        if operation in ("min", "max"):
+            a, b = operands
+            return np.where(a <= b if operation == "min" else a >= b, a, b)
+        if operation == "abs":
+            (x,) = operands
+            size: Any = np.where(x >= 0.0, x, -x)
+            sizes[size.index] = x
+            return size
+        if operation == "div" and operands[1].index in sizes:
+            x = sizes[operands[1].index]  # a choice between values that differ is known as a jump
+            return operands[0] * np.where(x >= 0.0, 1.0 / x, -1.0 / x)
+        if operands:
+            return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
+        if operation == "const":
+            return time.recorder.constant(number)
+        return time if operation == "t" else p[f"{operation}_{int(number)}"]
+
+    value: Recorded = execute(program, step)
+    return derivative(value, p[by]) if by else value
+
+
+def _symbolic(program: Program, by: str) -> sympy.Expr:
+    """Return the same as a SymPy expression."""
     import sympy as sp
 
-    symbols = {name: sp.Symbol(name, real=True) for name in (*_names(inputs), *constants)}
-    quantities = [sp.sympify(text, locals=symbols) for text in written]
-    numbers = iter(range(len(program)))
-
-    def step(operation: str, number: float, *operands: sympy.Expr) -> sympy.Expr:
-        match operation:
-            case "const":
-                return sp.Symbol(f"number_{next(numbers)}", real=True)
-            case "t":
-                return sp.Symbol("time", real=True)
-            case "get":
-                return quantities[int(number)]
-            case "powi":
-                return operands[0] ** int(number)
-        return symbolic_operation(operation)(*operands)
-
-    value = execute(program, step).rewrite(sp.Piecewise)
-    slopes = tuple(ExpressionLaw(value.diff(symbols[name]), parameters=dict) for name in _names(inputs))
-    return ExpressionLaw(value, parameters=dict), slopes
+    names = {"t": "time"}
+    value = symbolic(program, lambda operation, number: names.get(operation, f"{operation}_{int(number)}"))
+    value = value.rewrite(sp.Piecewise)
+    return value.diff(sp.Symbol(by, real=True)) if by else value

@@ -107,27 +107,26 @@ class Expression:
 
     def to_sympy(self) -> sympy.Expr:
         """Return the expression in SymPy, with the real symbol ``t``."""
-        import sympy as sp
-
-        def step(operation: str, number: float, *operands: sympy.Expr) -> sympy.Expr:
-            if operation == "const":
-                return sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
-            if operation == "t":
-                return sp.Symbol("t", real=True)
-            if operation == "powi":
-                return operands[0] ** sp.Integer(int(number))
-            return symbolic_operation(operation)(*operands)
-
-        return execute(self.program, step)
+        return symbolic(self.program, lambda operation, number: operation)
 
 
-def symbolic_operation(operation: str) -> Callable[..., sympy.Expr]:
-    """Return an operation, by its name in programs, on SymPy expressions."""
+def symbolic(program: Program, name_of: Callable[[str, float], str]) -> sympy.Expr:
+    """Return a program as a SymPy expression, with real symbols of these names for what it pushes."""
     import sympy as sp
 
     functions = {"abs": sp.Abs, "min": sp.Min, "max": sp.Max, "pow": sp.Pow}
-    of_numbers: Callable[..., sympy.Expr] = OPERATIONS[operation].number
-    return functions.get(operation) or (getattr(sp, operation) if OPERATIONS[operation].is_function else of_numbers)
+
+    def step(operation: str, number: float, *operands: sympy.Expr) -> sympy.Expr:
+        if operation == "const":
+            return sp.Integer(int(number)) if number.is_integer() else sp.Float(number)
+        if not operands:
+            return sp.Symbol(name_of(operation, number), real=True)
+        if operation == "powi":
+            return operands[0] ** sp.Integer(int(number))
+        own = OPERATIONS[operation]
+        return (functions.get(operation) or (getattr(sp, operation) if own.is_function else own.number))(*operands)
+
+    return execute(program, step)
 
 
 @lru_cache(maxsize=4096)

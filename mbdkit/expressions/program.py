@@ -86,9 +86,9 @@ def derivative_of(program: Program) -> Program:
     for derivatives use only operations; the rule for ``cos``, for example, uses ``sin``.
     """
 
-    def step(operation: str, number: float, *operands: tuple[_Term, _Term]) -> tuple[_Term, _Term]:
+    def step(operation: str, number: float, *operands: tuple[Formula, Formula]) -> tuple[Formula, Formula]:
         if operation in ("const", "t"):
-            return _Term(((operation, number),)), _Term.of(1.0 if operation == "t" else 0.0)
+            return Formula(((operation, number),)), Formula.of(1.0 if operation == "t" else 0.0)
         return with_slope(operation, number, operands, _ZERO)
 
     return execute(program, step)[1].program
@@ -109,74 +109,76 @@ def with_slope(operation: str, number: float, operands: Sequence[tuple[Any, Any]
     return value, slope * dx
 
 
-class _Term:
-    """A program as an operand of rules; sums with 0, products with 0 or 1, and quotients by 1 are simplified."""
+class Formula:
+    """A program as an operand, as of rules; sums with 0, products with 0 or 1, and quotients by 1 are simplified."""
 
     def __init__(self, program: Program):
         self.program = program
 
     @staticmethod
-    def of(value: Any) -> _Term:
-        return value if isinstance(value, _Term) else _Term((("const", float(value)),))
+    def of(value: Any) -> Formula:
+        """Return a formula, or a number as one."""
+        return value if isinstance(value, Formula) else Formula((("const", float(value)),))
 
-    def then(self, operation: str, *others: _Term, number: float = 0.0) -> _Term:
-        return _Term((*self.program, *(i for other in others for i in other.program), (operation, number)))
+    def then(self, operation: str, *others: Formula, number: float = 0.0) -> Formula:
+        """Return an operation on this formula and others."""
+        return Formula((*self.program, *(i for other in others for i in other.program), (operation, number)))
 
     def __eq__(self, other: object) -> bool:
-        return self.program == _Term.of(other).program
+        return self.program == Formula.of(other).program
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __neg__(self) -> _Term:
+    def __neg__(self) -> Formula:
         return self.then("neg")
 
-    def __add__(self, other: _Term | float) -> _Term:
-        other = _Term.of(other)
+    def __add__(self, other: Formula | float) -> Formula:
+        other = Formula.of(other)
         if other == 0.0:
             return self
         return other if self == 0.0 else self.then("add", other)
 
-    def __sub__(self, other: _Term | float) -> _Term:
-        other = _Term.of(other)
+    def __sub__(self, other: Formula | float) -> Formula:
+        other = Formula.of(other)
         if other == 0.0:
             return self
         return -other if self == 0.0 else self.then("sub", other)
 
-    def __rsub__(self, other: float) -> _Term:
-        return _Term.of(other) - self
+    def __rsub__(self, other: float) -> Formula:
+        return Formula.of(other) - self
 
-    def __mul__(self, other: _Term | float) -> _Term:
-        other = _Term.of(other)
+    def __mul__(self, other: Formula | float) -> Formula:
+        other = Formula.of(other)
         if self == 0.0 or other == 0.0:
             return _ZERO
         if self == 1.0:
             return other
         return self if other == 1.0 else self.then("mul", other)
 
-    def __rmul__(self, other: float) -> _Term:
-        return _Term.of(other) * self
+    def __rmul__(self, other: float) -> Formula:
+        return Formula.of(other) * self
 
-    def __truediv__(self, other: _Term | float) -> _Term:
-        other = _Term.of(other)
+    def __truediv__(self, other: Formula | float) -> Formula:
+        other = Formula.of(other)
         return self if self == 0.0 or other == 1.0 else self.then("div", other)
 
-    def __rtruediv__(self, other: float) -> _Term:
-        return _Term.of(other) / self
+    def __rtruediv__(self, other: float) -> Formula:
+        return Formula.of(other) / self
 
-    def __pow__(self, exponent: Any) -> _Term:
-        if isinstance(exponent, _Term):
+    def __pow__(self, exponent: Any) -> Formula:
+        if isinstance(exponent, Formula):
             return self.then("pow", exponent)
         if exponent in (0, 1):
-            return self if exponent else _Term.of(1.0)
+            return self if exponent else Formula.of(1.0)
         return self.then("powi", number=float(exponent))
 
-    def __array_ufunc__(self, function: Any, method: str, x: _Term, *others: Any) -> Any:
+    def __array_ufunc__(self, function: Any, method: str, x: Formula, *others: Any) -> Any:
         """Apply the operation of a NumPy function."""
         if others:
             if function.__name__ != "power":  # no other function of two operands is in rules that are differentiated
                 return NotImplemented
-            return _Term.of(x).__pow__(others[0])
+            return Formula.of(x).__pow__(others[0])
         return x.then(next(operation.name for operation in OPERATIONS.values() if operation.ufunc is function))
 
 
-_ZERO: _Term = _Term.of(0.0)
+_ZERO: Formula = Formula.of(0.0)

@@ -152,6 +152,20 @@ class TracedLaw:
     potential: ClassVar[None] = None
 
 
+@dataclass(frozen=True, eq=False)
+class RecordedExpression(ExpressionLaw):
+    """An expression law whose program is recorded, without SymPy; its form in SymPy, `force`, follows when it is asked.
+
+    Parameters
+    ----------
+    function
+        See `TracedLaw`.
+    """
+
+    function: Any = None
+    has_derivatives: ClassVar[bool] = False
+
+
 ForceLaw = ExpressionLaw | FunctionLaw | TracedLaw
 
 

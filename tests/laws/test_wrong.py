@@ -36,7 +36,7 @@ def with_law(law: str, **options: Any) -> Mechanism:
         ("not-compilable", {}, "cannot be compiled: TypingError"),
         ("not-numbers", {}, "its function returns other types, not the four numbers"),
         ("not-smooth", {}, "SymPy cannot differentiate its force f(length)"),
-        ("bessel", {}, "its force besselj(0, length) contains functions that cannot be compiled"),
+        ("bessel", {}, "'besselj(0, length)' in its force or a derivative cannot be compiled"),
         ("named-length", {}, "its parameter 'length' has the name of an argument of the law"),
         ("not-an-expression", {}, "an object of type str is not a SymPy expression"),
         ("unknown-symbol", {"stiffness": 1.0}, "the symbol 'stifness' of its force is not one of"),

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import count, pairwise
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -88,6 +87,8 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
 
 def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the state at the end of an interval, given its start, its end and the discontinuities in between."""
+    from scipy.integrate import solve_ivp  # `processes` loads it while others work
+
     absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
     options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}
     for span in pairwise(stops):
