@@ -326,11 +326,12 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
     source[:n3] = top.mass[:-1].ravel()
     views = {name: source[offsets[name] : offsets[name] + r * c].reshape(r, c) for name, (r, c) in shapes.items()}
     changing = any(map(len, (top.states, top.inputs, top.reactions, top.interactions, top.functions)))
+    guides = np.count_nonzero(top.springs[:, table_rows.SPRING.guide] >= 0)
     frictions, reactions = len(top.frictions), mechanism.size if mechanism.reacting is not None else 0
     zeros = {
         "time": 1, "u": (len(top.motion_start) - 1 + ROWS * len(top.functions), 3), "stack": (MAX_DEPTH, 3),
         "force": mechanism.size, "phi": (p, 2), "phi_t": (p, 2), "gamma": (p, 2), "refinement": (p, 2),
-        "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "tension": (s + 1, len(table_rows.TENSION)),
+        "s": (s, 1), "grad": (s, 6), "hess": (s, 36), "guide": (guides, 9), "tension": (s + 1, len(table_rows.TENSION)),
         "interaction": (len(top.interactions), 6), "interaction_slopes": (1, 72),
         "section": (sections, STATE), "section_force": (sections, 4), "section_stress": (sections, 3),
         "section_energy": (sections, 2), "section_stiff": (sections, 16), "section_damp": (sections, 16),

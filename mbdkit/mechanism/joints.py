@@ -351,7 +351,9 @@ class Driver(JointBase):
 
     def constraints(self, start: Pose) -> list[Constraint]:
         """Return the constraints of the joint."""
-        return [Constraint(f"driver_{self.coordinate}", 0, 1, (0.0, 0.0, *self.point), motion=self.motion)]
+        if self.travel is None:
+            return [Constraint("driver_angle", 0, 1, motion=self.motion)]
+        return [Constraint("driver_travel", 0, 1, self.travel[:4], self.travel[4:], self.motion)]
 
 
 if TYPE_CHECKING:

@@ -160,7 +160,11 @@ class Coordinate(Between):
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
         """Return the segments of the pathway in a mechanism with these joints."""
-        return (Segment(f"coordinate_{self.coordinate}", self.bodies, (0.0, 0.0, *self.point)),)
+        return (
+            Segment(
+                "travel", self.bodies, (0.0, 0.0, *self.point), (1.0, 0.0) if self.coordinate == "x" else (0.0, 1.0)
+            ),
+        )
 
     def attachments(self) -> list[Attachment]:
         """Return (key, body name, point in the body's frame [m]) of each body-fixed point of the element."""

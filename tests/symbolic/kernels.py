@@ -39,6 +39,7 @@ class Element:
         self.u = rng.normal(size=(1, 3))
         self.lam = rng.normal(size=(1, 2))
         self.center = rng.normal(size=(2, 5)) if kind == "moving_center" else None
+        self.guide = rng.normal(size=(3, 5)) if kind == "guided" else None
         self.cubic = rng.normal(size=(3, *[VARIABLES] * 3)) if kind == "function" else None
         if kind == "function":  # the motion is the time
             self.u[0, 1:] = 1.0, 0.0
@@ -56,7 +57,11 @@ class Element:
         if self.cubic is not None:
             arguments = (*arguments[:-1], (self.function_at(q, arguments[-1][0][0, 0]), *arguments[-1][1:]))
         before, after = arguments[:-1], arguments[-1]
-        motion = (0,) if self.kind in element_kernels.CONSTRAINT_KINDS else ()
+        motion = (0,) if self.kind in (*element_kernels.CONSTRAINT_KINDS, "guided") else ()
+        if self.guide is not None:
+            angle = q[3 * self.second + 2] - q[3 * self.first + 2]
+            values = [np.polyval(np.polyder(one, order), angle) for one in self.guide for order in range(3)]
+            after = (np.array([values]), *after)
         function(0, self.first, self.second, *motion, q, *before, cs, self.p, *after)
 
     def center_at(self, q: Any) -> np.ndarray:

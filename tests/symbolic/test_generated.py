@@ -33,7 +33,7 @@ def test_a_mask_names_exactly_the_entries_that_its_kernel_writes(
     names = function.__code__.co_varnames[: function.__code__.co_argcount]
     inputs = {"k": 0, "a": 0, "b": 1, "m": 0}
     rng = np.random.default_rng(3)
-    shapes = {"q": 9, "v": 9, "acc": 9, "cs": (3, 2), "p": (1, 6), "u": (19, 3), "lam": (1, 2)}
+    shapes = {"q": 9, "v": 9, "acc": 9, "cs": (3, 2), "p": (1, 6), "u": (19, 3), "lam": (1, 2), "guide": (1, 9)}
     outputs = {name: np.full((1, 36), np.nan) for name in names if name not in shapes and name not in inputs}
     arrays = {name: rng.random(shapes[name]) for name in names if name in shapes}
     function(**{name: (inputs | arrays | outputs)[name] for name in names})

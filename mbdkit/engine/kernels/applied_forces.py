@@ -37,7 +37,7 @@ from mbdkit.engine.native.calls import HAS_POTENTIAL, PASSIVE, call_law
 from mbdkit.engine.native.functions import inlined, subkernel
 
 PATHWAYS = {name: code for code, name in enumerate(e.PATHWAY_KINDS)}
-_TWO_POINTS, _RELATIVE_ANGLE, _COORDINATE_X, _COORDINATE_Y, _PULLEY, _LIFTED, _TRAVEL, _TANGENT = range(len(PATHWAYS))
+_TWO_POINTS, _RELATIVE_ANGLE, _PULLEY, _LIFTED, _TRAVEL, _TANGENT, _GUIDED = PATHWAYS.values()
 BEHIND = np.pi / 6  #: A string sweeps an angle from minus this to 2 pi minus this about its circle.
 #: Beyond this angle, a string would change sides, and its length would jump; a step turns it by less than `BEHIND`.
 FARTHEST = 2.0 * np.pi - 2.0 * BEHIND
@@ -47,11 +47,10 @@ POSITION_INPUT, VELOCITY_INPUT, LENGTH_INPUT, RATE_INPUT, TENSION_INPUT = range(
 TORQUE, POINT_FORCE, BODY_FORCE = range(3)
 
 two_points_gradient, relative_angle_gradient = e.two_points_gradient, e.relative_angle_gradient
-coordinate_x_gradient, coordinate_y_gradient = e.coordinate_x_gradient, e.coordinate_y_gradient
 pulley_gradient, lifted_gradient, tangent_gradient = e.pulley_gradient, e.lifted_gradient, e.tangent_gradient
 travel_gradient, travel_hessian = e.travel_gradient, e.travel_hessian
+guided_gradient, guided_hessian = e.guided_gradient, e.guided_hessian
 two_points_hessian, lifted_hessian, tangent_hessian = e.two_points_hessian, e.lifted_hessian, e.tangent_hessian
-coordinate_x_hessian, coordinate_y_hessian = e.coordinate_x_hessian, e.coordinate_y_hessian
 
 
 @inlined
@@ -77,10 +76,6 @@ def pathway_lengths(top, w, q):
                     grad[k, i] = where(s[k, 0] == 0.0, 0.0, grad[k, i])
         elif springs[k, SPRING.pathway] == _RELATIVE_ANGLE:
             relative_angle_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, SPRING.pathway] == _COORDINATE_X:
-            coordinate_x_gradient(k, a, b, q, cs, points, s, grad)
-        elif springs[k, SPRING.pathway] == _COORDINATE_Y:
-            coordinate_y_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, SPRING.pathway] == _PULLEY:
             pulley_gradient(k, a, b, q, cs, points, s, grad)
         elif springs[k, SPRING.pathway] == _LIFTED:
@@ -89,6 +84,10 @@ def pathway_lengths(top, w, q):
                 choose_side_of_circle(k, points, s, grad)
         elif springs[k, SPRING.pathway] == _TRAVEL:
             travel_gradient(k, a, b, q, cs, points, s, grad)
+        elif springs[k, SPRING.pathway] == _GUIDED:
+            m, angle = springs[k, SPRING.place], q[3 * b + 2] - q[3 * a + 2]
+            evaluate_law(top, w, springs[k, SPRING.guide], angle, 0.0 * angle, w.time[0], w.guide, m, 9)
+            guided_gradient(k, a, b, m, q, cs, points, w.guide, s, grad)
         else:
             tangent_gradient(k, a, b, q, cs, points, s, grad)
     for k in range(len(springs)):
@@ -286,7 +285,7 @@ def rate_slope(top, w, v, k, column):
     """Return the derivative ``(s_q v)_q`` of the rate of segment `k` with respect to a coordinate of its two bodies."""
     a, b = top.springs[k, SPRING.first], top.springs[k, SPRING.second]
     bend = 0.0 * w.cs[0, 0]
-    if top.springs[k, SPRING.pathway] in (_TWO_POINTS, _COORDINATE_X, _COORDINATE_Y, _LIFTED, _TRAVEL, _TANGENT):
+    if top.springs[k, SPRING.pathway] != _RELATIVE_ANGLE and top.springs[k, SPRING.pathway] != _PULLEY:
         for i in range(3):
             bend += w.hess[k, 6 * i + column] * v[3 * a + i] + w.hess[k, 6 * (3 + i) + column] * v[3 * b + i]
     return where(w.s[k, 0] != 0.0, bend, 0.0)
@@ -420,12 +419,10 @@ def pathway_hessian(top, w, k, q):
         curved = w.s[k, 0] != 0.0
         if any_of(curved):
             two_points_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, SPRING.pathway] == _COORDINATE_X:
-        coordinate_x_hessian(k, a, b, q, cs, points, hess)
-    elif springs[k, SPRING.pathway] == _COORDINATE_Y:
-        coordinate_y_hessian(k, a, b, q, cs, points, hess)
     elif springs[k, SPRING.pathway] == _TRAVEL:
         travel_hessian(k, a, b, q, cs, points, hess)
+    elif springs[k, SPRING.pathway] == _GUIDED:
+        guided_hessian(k, a, b, springs[k, SPRING.place], q, cs, points, w.guide, hess)
     elif springs[k, SPRING.pathway] == _LIFTED or springs[k, SPRING.pathway] == _TANGENT:
         if springs[k, SPRING.pathway] == _LIFTED:
             lifted_hessian(k, a, b, q, cs, points, hess)

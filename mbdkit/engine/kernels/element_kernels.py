@@ -30,18 +30,17 @@ from mbdkit.engine.native.functions import subkernel
 
 
 
-CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_x', 'driver_y', 'point_on_line', 'fixed_angle', 'moving_center', 'function')
+CONSTRAINT_KINDS = ('revolute', 'distance', 'driver_angle', 'driver_travel', 'point_on_line', 'fixed_angle', 'moving_center', 'function')
 
 
-PATHWAY_KINDS = ('two_points', 'relative_angle', 'coordinate_x', 'coordinate_y', 'pulley', 'lifted', 'travel', 'tangent')
+PATHWAY_KINDS = ('two_points', 'relative_angle', 'pulley', 'lifted', 'travel', 'tangent', 'guided')
 
 
 JACOBIAN_ENTRIES = {
     "revolute": (0, 2, 3, 5, 7, 8, 10, 11),
     "distance": (0, 1, 2, 3, 4, 5),
     "driver_angle": (2, 5),
-    "driver_x": (0, 1, 2, 3, 4, 5),
-    "driver_y": (0, 1, 2, 3, 4, 5),
+    "driver_travel": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (2, 5),
     "moving_center": (0, 2, 3, 5, 7, 8, 10, 11),
@@ -53,8 +52,7 @@ STIFFNESS_ENTRIES = {
     "revolute": (14, 35),
     "distance": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
     "driver_angle": (),
-    "driver_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
-    "driver_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
+    "driver_travel": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "point_on_line": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "fixed_angle": (),
     "moving_center": (14, 17, 32, 35),
@@ -66,8 +64,7 @@ GAMMA_V_ENTRIES = {
     "revolute": (2, 5, 8, 11),
     "distance": (0, 1, 2, 3, 4, 5),
     "driver_angle": (),
-    "driver_x": (0, 1, 2, 3, 4, 5),
-    "driver_y": (0, 1, 2, 3, 4, 5),
+    "driver_travel": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
     "moving_center": (2, 5, 8, 11),
@@ -79,8 +76,7 @@ RESIDUAL_Q_ENTRIES = {
     "revolute": (2, 5, 8, 11),
     "distance": (0, 1, 2, 3, 4, 5),
     "driver_angle": (),
-    "driver_x": (0, 1, 2, 3, 4, 5),
-    "driver_y": (0, 1, 2, 3, 4, 5),
+    "driver_travel": (0, 1, 2, 3, 4, 5),
     "point_on_line": (0, 1, 2, 3, 4, 5),
     "fixed_angle": (),
     "moving_center": (2, 5, 8, 11),
@@ -91,24 +87,22 @@ RESIDUAL_Q_ENTRIES = {
 GRADIENT_ENTRIES = {
     "two_points": (0, 1, 2, 3, 4, 5),
     "relative_angle": (2, 5),
-    "coordinate_x": (0, 1, 2, 3, 4, 5),
-    "coordinate_y": (0, 1, 2, 3, 4, 5),
     "pulley": (2, 5),
     "lifted": (0, 1, 2, 3, 4, 5),
     "travel": (0, 1, 2, 3, 4, 5),
     "tangent": (0, 1, 2, 3, 4, 5),
+    "guided": (0, 1, 2, 3, 4, 5),
 }
 
 
 HESSIAN_ENTRIES = {
     "two_points": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
     "relative_angle": (),
-    "coordinate_x": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
-    "coordinate_y": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "pulley": (),
     "lifted": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
     "travel": (2, 8, 12, 13, 14, 15, 16, 17, 20, 26, 32, 35),
     "tangent": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 32, 33, 34, 35),
+    "guided": (2, 5, 8, 11, 12, 13, 14, 15, 16, 17, 20, 23, 26, 29, 30, 31, 32, 33, 34, 35),
 }
 
 
@@ -415,182 +409,112 @@ def driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, r
 
 
 @subkernel
-def driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t):
-    """Phi = x of b's point in a's frame - u(t), and Phi_t."""
+def driver_travel_position(k, a, b, m, q, cs, p, u, phi, phi_t):
+    """Phi = coordinate of b's point in a's frame, along a direction, - u(t), and Phi_t."""
     xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
     ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
     u_value, u_dot = u[m, 0], u[m, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    phi[k, 0] = ca*(bx - xa + xb) + sa*(by - ya + yb) - u_value
-    phi_t[k, 0] = -u_dot
-
-
-@subkernel
-def driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
-    """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    u_ddot = u[m, 2]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = by - ya + yb
-    t1 = bx - xa + xb
-    jac[k, 0] = -ca
-    jac[k, 1] = -sa
-    jac[k, 2] = ca*t0 - sa*t1
-    jac[k, 3] = ca
-    jac[k, 4] = sa
-    jac[k, 5] = bx*sa - by*ca
-    gamma[k, 0] = ca*vya*wa - ca*vyb*wa - sa*vxa*wa + sa*vxb*wa + u_ddot - wa*(ca*(bx*wb - t1*wa - vya + vyb) + sa*(by*wb - t0*wa + vxa - vxb)) - wb*(wa - wb)*(bx*ca + by*sa)
-
-
-@subkernel
-def driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
-    """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
-    axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    lam0 = lam[k, 0]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = lam0*sa
-    t1 = ca*lam0
-    t2 = -t1
-    t3 = bx - xa + xb
-    t4 = by - ya + yb
-    t5 = ca*t3 + sa*t4
-    t6 = -t0
-    t7 = bx*ca
-    t8 = by*sa
-    t9 = t7 + t8
-    t10 = lam0*t9
-    t11 = 2*wa
-    t12 = sa*t11
-    t13 = ca*t11
-    t14 = t9*wb
-    t15 = bx*wb
-    t16 = t15 - t3*wa - vya + vyb
-    t17 = by*wb
-    t18 = t17 - t4*wa + vxa - vxb
-    t19 = wa - wb
-    t20 = ala*sa
-    t21 = (wa*wa)
-    t22 = ca*t21 + t20
-    t23 = ala*ca
-    t24 = -sa*t21 + t23
-    t25 = sa*t19
-    t26 = ca*t19
-    stiff[k, 2] = stiff[k, 12] = t0
-    stiff[k, 8] = stiff[k, 13] = t2
-    stiff[k, 14] = -lam0*t5
-    stiff[k, 15] = stiff[k, 20] = t6
-    stiff[k, 16] = stiff[k, 26] = t1
-    stiff[k, 17] = stiff[k, 32] = t10
-    stiff[k, 35] = -t10
-    gamma_v[k, 0] = -t12
-    gamma_v[k, 1] = t13
-    gamma_v[k, 2] = -ca*t16 + ca*vya - ca*vyb - sa*t18 - sa*vxa + sa*vxb - t14 + t5*wa
-    gamma_v[k, 3] = t12
-    gamma_v[k, 4] = -t13
-    gamma_v[k, 5] = t14 - t19*t7 - t19*t8 - t9*wa
-    res_q[k, 0] = t22
-    res_q[k, 1] = -t24
-    res_q[k, 2] = ca*(-ala*t3 + alb*bx - aya + ayb + t17*t19 + t18*wa + vxa*wa - vxb*wa) - sa*(ala*t4 - alb*by - axa + axb + t15*t19 + t16*wa - vya*wa + vyb*wa)
-    res_q[k, 3] = -t22
-    res_q[k, 4] = t24
-    res_q[k, 5] = bx*(-alb*ca + t23 - t25*wa + t25*wb) + by*(-alb*sa + t20 + t26*wa - t26*wb)
-
-
-@subkernel
-def driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t):
-    """Phi = y of b's point in a's frame - u(t), and Phi_t."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    u_value, u_dot = u[m, 0], u[m, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    phi[k, 0] = ca*(by - ya + yb) - sa*(bx - xa + xb) - u_value
-    phi_t[k, 0] = -u_dot
-
-
-@subkernel
-def driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
-    """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    u_ddot = u[m, 2]
-    p2, p3 = p[k, 2], p[k, 3]
+    p2, p3, p4, p5 = p[k, 2], p[k, 3], p[k, 4], p[k, 5]
     bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
     t0 = bx - xa + xb
     t1 = by - ya + yb
-    jac[k, 0] = sa
-    jac[k, 1] = -ca
-    jac[k, 2] = -ca*t0 - sa*t1
-    jac[k, 3] = -sa
-    jac[k, 4] = ca
-    jac[k, 5] = bx*ca + by*sa
-    gamma[k, 0] = -ca*vxa*wa + ca*vxb*wa - sa*vya*wa + sa*vyb*wa + u_ddot - wa*(ca*(by*wb - t1*wa + vxa - vxb) - sa*(bx*wb - t0*wa - vya + vyb)) - wb*(wa - wb)*(-bx*sa + by*ca)
+    phi[k, 0] = p4*(ca*t0 + sa*t1) + p5*(ca*t1 - sa*t0) - u_value
+    phi_t[k, 0] = -u_dot
 
 
 @subkernel
-def driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
+def driver_travel_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma):
+    """Jacobian Phi_q and right-hand side gamma of Phi_q a = gamma."""
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    u_ddot = u[m, 2]
+    p2, p3, p4, p5 = p[k, 2], p[k, 3], p[k, 4], p[k, 5]
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    t0 = ca*p4 - p5*sa
+    t1 = ca*p5 + p4*sa
+    t2 = by - ya + yb
+    t3 = bx - xa + xb
+    t4 = p4*t2 - p5*t3
+    t5 = p4*t3 + p5*t2
+    t6 = wa - wb
+    jac[k, 0] = -t0
+    jac[k, 1] = -t1
+    jac[k, 2] = ca*t4 - sa*t5
+    jac[k, 3] = t0
+    jac[k, 4] = t1
+    jac[k, 5] = bx*t1 - by*t0
+    gamma[k, 0] = t0*vya*wa - t0*vyb*wa - t1*vxa*wa + t1*vxb*wa + u_ddot - wa*(ca*(-p4*vya + p4*vyb + p5*vxa - p5*vxb - t5*wa + wb*(bx*p4 + by*p5)) - sa*(-p4*vxa + p4*vxb - p5*vya + p5*vyb + t4*wa + wb*(bx*p5 - by*p4))) - wb*(bx*t0*t6 + by*t1*t6)
+
+
+@subkernel
+def driver_travel_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q):
     """d(Phi_q^T lam)/dq, d gamma/dv and d(Phi_q a - gamma)/dq."""
     xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
     vxa, vya, wa, vxb, vyb, wb = v[3*a+0], v[3*a+1], v[3*a+2], v[3*b+0], v[3*b+1], v[3*b+2]
     axa, aya, ala, axb, ayb, alb = acc[3*a+0], acc[3*a+1], acc[3*a+2], acc[3*b+0], acc[3*b+1], acc[3*b+2]
     ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
+    p2, p3, p4, p5 = p[k, 2], p[k, 3], p[k, 4], p[k, 5]
     lam0 = lam[k, 0]
     bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = ca*lam0
-    t1 = lam0*sa
-    t2 = by - ya + yb
-    t3 = bx - xa + xb
-    t4 = -ca*t2 + sa*t3
-    t5 = -t0
-    t6 = -t1
-    t7 = bx*sa
-    t8 = -by*ca + t7
-    t9 = -lam0*t8
-    t10 = 2*wa
-    t11 = ca*t10
-    t12 = sa*t10
-    t13 = -t8*wb
-    t14 = by*wb
-    t15 = t14 - t2*wa + vxa - vxb
-    t16 = bx*wb
-    t17 = t16 - vya + vyb
-    t18 = wa - wb
-    t19 = ala*ca
-    t20 = (wa*wa)
-    t21 = -sa*t20 + t19
-    t22 = ala*sa
-    t23 = ca*t20 + t22
-    t24 = ca*t18
-    t25 = sa*t18
-    stiff[k, 2] = stiff[k, 12] = t0
-    stiff[k, 8] = stiff[k, 13] = t1
-    stiff[k, 14] = lam0*t4
-    stiff[k, 15] = stiff[k, 20] = t5
-    stiff[k, 16] = stiff[k, 26] = t6
-    stiff[k, 17] = stiff[k, 32] = t9
-    stiff[k, 35] = lam0*t8
-    gamma_v[k, 0] = -t11
-    gamma_v[k, 1] = -t12
-    gamma_v[k, 2] = -ca*t15 - ca*vxa + ca*vxb - sa*vya + sa*vyb + sa*(t17 - t3*wa) - t13 - t4*wa
-    gamma_v[k, 3] = t11
-    gamma_v[k, 4] = t12
-    gamma_v[k, 5] = -by*ca*t18 + t13 + t18*t7 + t8*wa
-    res_q[k, 0] = t21
-    res_q[k, 1] = t23
-    res_q[k, 2] = -ca*(ala*t2 - alb*by - axa + axb + t16*t18 - vya*wa + vyb*wa + wa*(t17 - t3*wa)) - sa*(-ala*t3 + alb*bx - aya + ayb + t14*t18 + t15*wa + vxa*wa - vxb*wa)
-    res_q[k, 3] = -t21
-    res_q[k, 4] = -t23
-    res_q[k, 5] = -bx*(-alb*sa + t22 + t24*wa - t24*wb) + by*(-alb*ca + t19 - t25*wa + t25*wb)
+    t0 = ca*p5 + p4*sa
+    t1 = lam0*t0
+    t2 = ca*p4 - p5*sa
+    t3 = lam0*t2
+    t4 = bx - xa + xb
+    t5 = by - ya + yb
+    t6 = p4*t4 + p5*t5
+    t7 = p4*t5
+    t8 = -p5*t4 + t7
+    t9 = ca*t6 + sa*t8
+    t10 = -t1
+    t11 = bx*t2
+    t12 = by*t0 + t11
+    t13 = lam0*t12
+    t14 = bx*p4 + by*p5
+    t15 = bx*p5 - by*p4
+    t16 = ca*t14 - sa*t15
+    t17 = 2*wa
+    t18 = t0*t17
+    t19 = t17*t2
+    t20 = t12*wb
+    t21 = p4*vya
+    t22 = p5*vxb
+    t23 = -p4*vyb - p5*vxa - t14*wb + t21 + t22 + t6*wa
+    t24 = p4*vxb
+    t25 = p5*vyb
+    t26 = p4*vxa
+    t27 = p5*vya
+    t28 = t15*wb + t24 + t25 - t26 - t27
+    t29 = wa - wb
+    t30 = -t29
+    t31 = ala*t0
+    t32 = (wa*wa)
+    t33 = t2*t32 + t31
+    t34 = ala*t2
+    t35 = -t0*t32 + t34
+    t36 = t29*wa
+    stiff[k, 2] = stiff[k, 12] = t1
+    stiff[k, 8] = -lam0*t2
+    stiff[k, 13] = -t3
+    stiff[k, 14] = -lam0*t9
+    stiff[k, 15] = stiff[k, 20] = t10
+    stiff[k, 16] = stiff[k, 26] = t3
+    stiff[k, 17] = t13
+    stiff[k, 32] = lam0*t16
+    stiff[k, 35] = -t13
+    gamma_v[k, 0] = -t18
+    gamma_v[k, 1] = t19
+    gamma_v[k, 2] = ca*t23 + sa*(t28 + t8*wa) - t0*vxa + t0*vxb + t2*vya - t2*vyb - t20 + t9*wa
+    gamma_v[k, 3] = t18
+    gamma_v[k, 4] = -t19
+    gamma_v[k, 5] = by*t0*t30 - t11*t29 - t16*wa + t20
+    res_q[k, 0] = t33
+    res_q[k, 1] = -t35
+    res_q[k, 2] = -ca*(ala*t6 - alb*t14 - axa*p5 + axb*p5 + aya*p4 - ayb*p4 + t15*t29*wb + t24*wa + t25*wa - t26*wa - t27*wa + wa*(t28 + wa*(-p5*t4 + t7))) - sa*(ala*t8 + alb*t15 - axa*p4 + axb*p4 - aya*p5 + ayb*p5 + p4*vyb*wa + p5*vxa*wa + t14*t29*wb - t21*wa - t22*wa - t23*wa)
+    res_q[k, 3] = -t33
+    res_q[k, 4] = t35
+    res_q[k, 5] = bx*(-alb*t2 - t0*t30*wb - t0*t36 + t34) - by*(alb*t0 + t2*t29*wb - t2*t36 - t31)
 
 
 @subkernel
@@ -1114,14 +1038,12 @@ def constraint_positions(pairs, p, q, cs, u, phi, phi_t):
         elif kind == 2:
             driver_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == 3:
-            driver_x_position(k, a, b, m, q, cs, p, u, phi, phi_t)
+            driver_travel_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         elif kind == 4:
-            driver_y_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        elif kind == 5:
             point_on_line_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        elif kind == 6:
+        elif kind == 5:
             fixed_angle_position(k, a, b, m, q, cs, p, u, phi, phi_t)
-        elif kind == 7:
+        elif kind == 6:
             moving_center_position(k, a, b, m, q, cs, p, u, phi, phi_t)
         else:
             function_position(k, a, b, m, q, cs, p, u, phi, phi_t)
@@ -1140,14 +1062,12 @@ def constraint_accelerations(pairs, p, q, v, cs, u, jac, gamma):
         elif kind == 2:
             driver_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == 3:
-            driver_x_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
+            driver_travel_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         elif kind == 4:
-            driver_y_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        elif kind == 5:
             point_on_line_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        elif kind == 6:
+        elif kind == 5:
             fixed_angle_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
-        elif kind == 7:
+        elif kind == 6:
             moving_center_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
         else:
             function_acceleration(k, a, b, m, q, v, cs, p, u, jac, gamma)
@@ -1166,14 +1086,12 @@ def constraint_tangents(pairs, p, q, v, acc, cs, u, lam, stiff, gamma_v, res_q):
         elif kind == 2:
             driver_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == 3:
-            driver_x_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
+            driver_travel_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         elif kind == 4:
-            driver_y_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        elif kind == 5:
             point_on_line_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        elif kind == 6:
+        elif kind == 5:
             fixed_angle_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
-        elif kind == 7:
+        elif kind == 6:
             moving_center_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
         else:
             function_tangent(k, a, b, m, q, v, acc, cs, p, u, lam, stiff, gamma_v, res_q)
@@ -1261,81 +1179,6 @@ def relative_angle_gradient(k, a, b, q, cs, p, s, grad):
     s[k, 0] = -tha + thb
     grad[k, 2] = -1.0
     grad[k, 5] = 1.0
-
-
-@subkernel
-def coordinate_x_gradient(k, a, b, q, cs, p, s, grad):
-    """Length s = x of b's point in a's frame [m] and its gradient."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = bx - xa + xb
-    t1 = by - ya + yb
-    s[k, 0] = ca*t0 + sa*t1
-    grad[k, 0] = -ca
-    grad[k, 1] = -sa
-    grad[k, 2] = ca*t1 - sa*t0
-    grad[k, 3] = ca
-    grad[k, 4] = sa
-    grad[k, 5] = bx*sa - by*ca
-
-
-@subkernel
-def coordinate_x_hessian(k, a, b, q, cs, p, hess):
-    """Second derivatives of the length s = x of b's point in a's frame [m]."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = -ca
-    t1 = -sa
-    t2 = bx*ca + by*sa
-    hess[k, 2] = hess[k, 12] = sa
-    hess[k, 8] = hess[k, 13] = t0
-    hess[k, 14] = -ca*(bx - xa + xb) - sa*(by - ya + yb)
-    hess[k, 15] = hess[k, 20] = t1
-    hess[k, 16] = hess[k, 26] = ca
-    hess[k, 17] = hess[k, 32] = t2
-    hess[k, 35] = -t2
-
-
-@subkernel
-def coordinate_y_gradient(k, a, b, q, cs, p, s, grad):
-    """Length s = y of b's point in a's frame [m] and its gradient."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = by - ya + yb
-    t1 = bx - xa + xb
-    s[k, 0] = ca*t0 - sa*t1
-    grad[k, 0] = sa
-    grad[k, 1] = -ca
-    grad[k, 2] = -ca*t1 - sa*t0
-    grad[k, 3] = -sa
-    grad[k, 4] = ca
-    grad[k, 5] = bx*ca + by*sa
-
-
-@subkernel
-def coordinate_y_hessian(k, a, b, q, cs, p, hess):
-    """Second derivatives of the length s = y of b's point in a's frame [m]."""
-    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
-    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
-    p2, p3 = p[k, 2], p[k, 3]
-    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
-    t0 = -ca
-    t1 = -sa
-    t2 = bx*sa - by*ca
-    t3 = -t2
-    hess[k, 2] = hess[k, 12] = ca
-    hess[k, 8] = hess[k, 13] = sa
-    hess[k, 14] = -ca*(by - ya + yb) + sa*(bx - xa + xb)
-    hess[k, 15] = hess[k, 20] = t0
-    hess[k, 16] = hess[k, 26] = t1
-    hess[k, 17] = hess[k, 32] = t3
-    hess[k, 35] = t2
 
 
 @subkernel
@@ -1540,6 +1383,72 @@ def tangent_hessian(k, a, b, q, cs, p, hess):
     hess[k, 23] = hess[k, 33] = t22
     hess[k, 29] = hess[k, 34] = t17
     hess[k, 35] = bx*t0*t11*tangent_x + by*t0*t11*tangent_y - t11
+
+
+@subkernel
+def guided_gradient(k, a, b, m, q, cs, p, guide, s, grad):
+    """Length s = f(theta_b - theta_a) + h (p_b - p_a) [m], h in b's frame a function of theta_b - theta_a and its gradient."""
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    guide0, guide1, guide3, guide4, guide6, guide7 = guide[m, 0], guide[m, 1], guide[m, 3], guide[m, 4], guide[m, 6], guide[m, 7]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
+    t0 = cb*guide6 + guide3*sb
+    t1 = cb*guide3 - guide6*sb
+    t2 = guide1 + guide4*(cb*gx + gy*sb) + guide7*(cb*gy - gx*sb)
+    s[k, 0] = guide0 + gx*t1 + gy*t0
+    grad[k, 0] = -t1
+    grad[k, 1] = -t0
+    grad[k, 2] = -ax*t0 + ay*t1 - t2
+    grad[k, 3] = t1
+    grad[k, 4] = t0
+    grad[k, 5] = bx*t0 - by*t1 + cb*(guide3*gy - guide6*gx) - sb*(guide3*gx + guide6*gy) + t2
+
+
+@subkernel
+def guided_hessian(k, a, b, m, q, cs, p, guide, hess):
+    """Second derivatives of the length s = f(theta_b - theta_a) + h (p_b - p_a) [m], h in b's frame a function of theta_b - theta_a."""
+    xa, ya, xb, yb = q[3*a+0], q[3*a+1], q[3*b+0], q[3*b+1]
+    ca, sa, cb, sb = cs[a, 0], cs[a, 1], cs[b, 0], cs[b, 1]
+    guide2, guide3, guide4, guide5, guide6, guide7, guide8 = guide[m, 2], guide[m, 3], guide[m, 4], guide[m, 5], guide[m, 6], guide[m, 7], guide[m, 8]
+    p0, p1, p2, p3 = p[k, 0], p[k, 1], p[k, 2], p[k, 3]
+    ax, ay = ca*p0 - p1*sa, ca*p1 + p0*sa
+    bx, by = cb*p2 - p3*sb, cb*p3 + p2*sb
+    gx, gy = -ax + bx - xa + xb, -ay + by - ya + yb
+    t0 = cb*guide4
+    t1 = guide7*sb
+    t2 = t0 - t1
+    t3 = cb*guide6 + guide3*sb
+    t4 = -t0 + t1 + t3
+    t5 = cb*guide7 + guide4*sb
+    t6 = cb*guide3 - guide6*sb
+    t7 = t5 + t6
+    t8 = -t7
+    t9 = cb*gx
+    t10 = gy*sb
+    t11 = cb*gy - gx*sb
+    t12 = guide2 + guide5*(t10 + t9) + guide8*t11
+    t13 = guide4*(ax*sb - ay*cb) + guide7*(ax*cb + ay*sb) + t12
+    t14 = -t2
+    t15 = -t5
+    t16 = guide4*gy - guide7*gx
+    t17 = guide4*gx + guide7*gy
+    t18 = -t4
+    t19 = guide4*(bx*sb - by*cb + t11) + guide7*(bx*cb + by*sb - t10 - t9) + t12
+    hess[k, 2] = hess[k, 12] = t2
+    hess[k, 5] = hess[k, 30] = t4
+    hess[k, 8] = hess[k, 13] = t5
+    hess[k, 11] = hess[k, 31] = t8
+    hess[k, 14] = ax*t5 + ax*t6 - ay*t2 + ay*t3 + t13
+    hess[k, 15] = hess[k, 20] = t14
+    hess[k, 16] = hess[k, 26] = t15
+    hess[k, 17] = -bx*t5 + by*t2 - cb*(ax*guide3 + ay*guide6 + t16) + sb*(ax*guide6 - ay*guide3 + t17) - t13
+    hess[k, 23] = hess[k, 33] = t18
+    hess[k, 29] = hess[k, 34] = t7
+    hess[k, 32] = -ax*t7 - ay*t4 - t19
+    hess[k, 35] = -bx*t6 + bx*t7 - by*t3 + by*t4 + cb*(bx*guide3 + by*guide6 - guide3*gx - guide6*gy + t16) - sb*(bx*guide6 - by*guide3 + guide3*gy - guide6*gx + t17) + t19
 
 
 @subkernel

@@ -133,6 +133,7 @@ class Scratch(NamedTuple):
     s: Annotated[RealMatrix, 1]  #: (S, 1) length of the pathway of each segment, the sum over its segments.
     grad: Annotated[RealMatrix, 6]  #: (S, 6) gradients s_q of the segments.
     hess: Annotated[RealMatrix, 36]  #: (S, 36) second derivatives s_qq of the segments.
+    guide: Annotated[RealMatrix, 9]  #: `mbdkit_statics.element_definitions.GUIDE` of each guided segment.
     #: (S + 1, 4) force, its derivatives and potential of the spring of each segment; the last row is a work array.
     tension: Annotated[RealMatrix, len(columns.TENSION)]
     #: (C, 6) forces and torques of the interactions on their first and second bodies.

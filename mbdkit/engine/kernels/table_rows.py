@@ -48,6 +48,8 @@ class SpringRow(NamedTuple):
     law: int  #: Row of the table of laws; -1 for a linear spring.
     leader: int  #: First segment of the same spring.
     segments: int  #: Number of segments of the spring; 0 for all but its first one.
+    guide: int = -1  #: Row of the law of a guided segment; -1 for others.
+    place: int = -1  #: Row of ``Scratch.guide`` of a guided segment.
 
 
 class CouplingRow(NamedTuple):
@@ -171,7 +173,7 @@ class JointRow(NamedTuple):
 PAIR = PairRow(*range(4))
 FUNCTION = FunctionRow(*range(5))
 SPARE = SpareRow(*range(2))
-SPRING = SpringRow(*range(6))
+SPRING = SpringRow(*range(8))
 COUPLING = CouplingRow(*range(2))
 LINEAR = LinearColumns(*range(3))
 TENSION = TensionColumns(*range(4))

@@ -8,7 +8,7 @@ from mbdkit import SpecError
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.muscles.muscle_path import MusclePath
-from mbdkit_biomech.muscles.patella import ANGLE, FLEXION, SHARE, contact_share
+from mbdkit_biomech.muscles.patella import ANGLE, FLEXION, SHARE, contact_share, lever_arm
 
 FLEXIONS = np.radians(np.arange(0.0, 121.0, 5.0))
 
@@ -107,13 +107,54 @@ def test_the_knee_carries_the_ligament(flexion, tendon):
         np.testing.assert_allclose(run.knees["knee"].patellofemoral_force, pressed)
 
 
-def test_a_patella_needs_a_pin_below_the_thigh_and_is_refused_in_runs():
+def acting(patella, integrator, formulation="index-1", **muscle):
+    """Return a run of the leg, whose muscle acts."""
+    model, time = leg(excitation="0.1 + 0.1*sin(9*t)", patella=patella, **muscle), {"end": 0.3, "step": 0.002}
+    spec = {"mbdkit": 1, "model": model, "formulation": formulation}
+    return mbdkit.run({**spec, "integrator": integrator, "time": time})
+
+
+@pytest.mark.parametrize(
+    ("tendon", "integrator", "formulation", "limit"),
+    [
+        ("rigid", "rk4", "index-1", 1e-5),  # the knee opens by 2e-8 m
+        ("rigid", "gauss", "joint-coordinates", 1e-9),
+        ("elastic", "radau-iia", "index-1", 1e-8),
+    ],
+)
+def test_in_a_run_the_patella_extends_the_knee_and_the_knee_carries_the_ligament(
+    tendon, integrator, formulation, limit
+):
+    # equations of motion of the shank, with the published lever arm, direction and share of the ligament
+    with acting({"scale": 1.1}, {"name": integrator}, formulation, tendon=tendon) as run:
+        pose, acceleration = (run.array(f"trajectory/{name}")[:, 0] for name in ("position", "acceleration"))
+        flexion, tension = -pose[:, 2], run.muscles["vasti"].force
+        assert flexion[-1] < -1.0
+        moment = 1.1 * lever_arm(flexion) * tension + 9.81 * 3.5 * pose[:, 0]
+        np.testing.assert_allclose((0.05 + 3.5 * 0.19**2) * acceleration[:, 2], moment, rtol=0, atol=limit)
+        along = np.interp(flexion, FLEXION, ANGLE) + flexion
+        ligament = np.interp(flexion, FLEXION, SHARE) * tension * [np.sin(along), np.cos(along)]
+        total = run.joints["knee"].reaction_force + ligament.T + [0.0, 9.81 * 3.5] - 3.5 * acceleration[:, :2]
+        np.testing.assert_allclose(total, 0.0, atol=limit)
+        length = path_of(leg(patella={"scale": 1.1}), flexion).length
+        np.testing.assert_allclose(run.muscles["vasti"].length, length, rtol=0, atol=limit)
+
+
+def test_a_run_and_inverse_dynamics_know_the_same_arm_of_another_person():
+    with acting({"deviations": -1.0}, {"name": "gauss", "stages": 2}) as run:
+        flexion = -run["shank"].angle
+        chosen = flexion > -1.0
+        length = path_of(leg(patella={"deviations": -1.0}), flexion[chosen]).length
+        # inverse dynamics sums scatter in steps of 1 degree, from -60 degrees on
+        np.testing.assert_allclose(run.muscles["vasti"].length[chosen], length, rtol=0, atol=1e-6)
+
+
+def test_a_patella_needs_a_pin_below_the_thigh():
     path = [{"body": "ground", "point": [0.04, 0.22]}, {"body": "shank", "point": [0.04, 0.1]}]
     with pytest.raises(SpecError, match="revolute joint whose first body is 'shank'"):
         path_of(leg(path=path), FLEXIONS)
-    spec = {"mbdkit": 1, "model": leg(excitation=0.1), "integrator": {"name": "rk4"}, "time": {"end": 0.1, "step": 0.1}}
-    with pytest.raises(SpecError, match=r"muscles\.vasti\.patella: in a run, muscles have no patella"):
-        mbdkit.run(spec)
+    with pytest.raises(SpecError, match=r"model\.muscles\.vasti\.patella\.joint: there is no joint 'kne'"):
+        acting({"joint": "kne"}, {"name": "rk4"})
 
 
 def squat(muscles, degrees=105):

@@ -57,6 +57,7 @@ _READS = {
     **{f"cx{i}": f"u[m, {i}]" for i in range(3)},
     **{f"cy{i}": f"u[m + 2, {i}]" for i in range(3)},
     **{str(symbol): f"u[m + {i // 3}, {i % 3}]" for i, symbol in enumerate(d.FUNCTION.values())},
+    **{str(symbol): f"guide[m, {i}]" for i, symbol in enumerate(d.GUIDE)},
     "cx3": "u[m + 1, 2]",
     "cy3": "u[m + 3, 2]",
     **{f"p{i}": f"p[k, {i}]" for i in range(6)},
@@ -226,12 +227,11 @@ def _loop_over_pairs(level: str, kinds: Sequence[str]) -> str:
 
 def _pathway_kernels(name: str, note: str, terms: dict[str, sp.Matrix]) -> list[str]:
     outputs = [("s", terms["length"]), ("grad", terms["gradient"])]
-    kernels = [_kernel(f"{name}_gradient", "k, a, b, q, cs, p, s, grad", f"Length {note} and its gradient.", outputs)]
+    given = "k, a, b, m, q, cs, p, guide" if terms["length"].has(*d.GUIDE) else "k, a, b, q, cs, p"
+    kernels = [_kernel(f"{name}_gradient", f"{given}, s, grad", f"Length {note} and its gradient.", outputs)]
     if _mask(terms["hessian"]):
         bend = [("hess", terms["hessian"])]
-        kernels.append(
-            _kernel(f"{name}_hessian", "k, a, b, q, cs, p, hess", f"Second derivatives of the length {note}.", bend)
-        )
+        kernels.append(_kernel(f"{name}_hessian", f"{given}, hess", f"Second derivatives of the length {note}.", bend))
     return kernels
 
 

@@ -183,7 +183,7 @@ def test_every_law_is_that_of_the_machine_code(options: dict[str, Any], along: s
 
 
 def arm(**properties: Any) -> Mechanism:
-    """Return an arm with three muscles: over two joints, around a circle, and with points beside the plane."""
+    """Return an arm with muscles over two joints, around a circle, beside the plane, and with a patella."""
     m = Mechanism()
     m.body("upper", mass=2.0, inertia=0.02, position=(0.0, -0.15), angle=-1.2)
     m.body("lower", mass=1.0, inertia=0.01, position=(0.1, -0.4), angle=-0.4)
@@ -197,6 +197,8 @@ def arm(**properties: Any) -> Mechanism:
     m.muscle("around", around, excitation={"table": [[0, 1, 2], [0.1, 0.5, 0.2]]}, **own)
     beside = [{"body": "ground", "point": (0.02, 0.12, 0.03)}, {"body": "upper", "point": (0.05, -0.03, -0.02)}]
     m.muscle("beside", beside, excitation="0.2 + 0.1*elbow.angle", **own)
+    led = [{"body": "upper", "point": (x, -0.03)} for x in (0.0, 0.12)]
+    m.muscle("led", led, excitation=0.2, patella={"joint": "elbow", "flexion": "elbow.angle", "deviations": 0.5}, **own)
     return m
 
 
@@ -218,7 +220,7 @@ def test_unknowns_of_fibers_are_in_equilibrium_at_the_values_of_the_machine_code
     both = [wanted.expression(f"{name}.{key}") for name in names for key in ("fiber_rate", "force")]
     values = np.array(wanted.function("both", {"both": ca.vertcat(*both)})(*state, [], [], 0.3)).ravel()
     muscle = m.muscles["long"]
-    u = values / np.tile([muscle.max_velocity * muscle.optimal_length, muscle.max_force], 3)
+    u = values / np.tile([muscle.max_velocity * muscle.optimal_length, muscle.max_force], len(m.muscles))
     assert_within(np.array(system.equilibrium(*state, u, [], 0.3)), 1e-12)
     assert np.abs(np.array(system.equilibrium(*state, 1.1 * u, [], 0.3))).min() > 1e-4
     for found, expected in ((system.residual, wanted.residual), (system.rates, wanted.rates)):
@@ -311,7 +313,7 @@ def test_parameters_take_the_place_of_numbers() -> None:
         m.bodies["lower"] = m.bodies["lower"].model_copy(update={"mass": mass})
         m.joints["elbow"] = m.joints["elbow"].model_copy(update={"points": ((0.15, 0.0), (x, 0.0))})
         m.torsion_spring("spring", "upper", "lower", stiffness=stiffness)
-        for name in ("around", "beside"):
+        for name in ("around", "beside", "led"):
             m.muscles[name] = m.muscles[name].model_copy(update={"max_force": 400.0})
         return m
 

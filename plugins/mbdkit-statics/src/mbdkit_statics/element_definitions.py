@@ -49,6 +49,10 @@ FUNCTION = {
     for order in range(4)
     for chosen in combinations_with_replacement(range(VARIABLES), order)
 }
+#: Length of a guide and components of its pull in the frame of the second body, as functions of ``theta_b - theta_a``,
+#: each with its first two derivatives.
+GUIDE = sp.symbols("guide0:9", real=True)
+arc, pull_x, pull_y = GUIDE[::3]
 #: Position of the second body's point relative to the first body's centre of mass, in the frame of the first body.
 in_x, in_y = sp.symbols("in_x in_y", real=True)
 
@@ -135,6 +139,8 @@ _turning = {  # derivatives of the angle of the tangent
 }
 _DERIVATIVES[tangent_x] = {q: -tangent_y * _turning[q] for q in BODY_COORDINATES}
 _DERIVATIVES[tangent_y] = {q: tangent_x * _turning[q] for q in BODY_COORDINATES}
+for _i in (0, 1, 3, 4, 6, 7):
+    _DERIVATIVES[GUIDE[_i]] = {tha: -GUIDE[_i + 1], thb: GUIDE[_i + 1]}
 for _i in range(3):  # each vector rotates with the first body and depends on the relative angle
     (_hx, _hy), (_next_hx, _next_hy) = ((_TURNED[0][_k], _TURNED[1][_k]) for _k in (_i, _i + 1))
     _DERIVATIVES[_hx] = {tha: -_hy - _next_hx, thb: _next_hx}
@@ -171,18 +177,25 @@ class ConstraintKind:
 _ARM = (xb + bx - xa, yb + by - ya)
 #: Position of the second body's point relative to the first body's centre of mass, in the frame of the first body.
 _IN_A = (ca * _ARM[0] + sa * _ARM[1], ca * _ARM[1] - sa * _ARM[0])
+_TRAVEL = PARAMETERS[4] * _IN_A[0] + PARAMETERS[5] * _IN_A[1]
+#: Name and LaTeX of the components of a unit vector in the frame of the first body.
+_DIRECTION = (("e_x", "e^{x}"), ("e_y", "e^{y}"))
 
 CONSTRAINTS = (
     ConstraintKind("revolute", (gx, gy), "Phi = p_b - p_a of two points that coincide"),
     ConstraintKind("distance", (length - PARAMETERS[4],), "Phi = |p_b - p_a| - length", (("L", "L"),)),
     ConstraintKind("driver_angle", (thb - tha - u,), "Phi = theta_b - theta_a - u(t)"),
-    ConstraintKind("driver_x", (_IN_A[0] - u,), "Phi = x of b's point in a's frame - u(t)"),
-    ConstraintKind("driver_y", (_IN_A[1] - u,), "Phi = y of b's point in a's frame - u(t)"),
+    ConstraintKind(
+        "driver_travel",
+        (_TRAVEL - u,),
+        "Phi = coordinate of b's point in a's frame, along a direction, - u(t)",
+        _DIRECTION,
+    ),
     ConstraintKind(
         "point_on_line",
         (nx * gx + ny * gy,),
         "Phi = distance of b's point from the line through a's",
-        (("e_x", "e^{x}"), ("e_y", "e^{y}")),
+        _DIRECTION,
     ),
     ConstraintKind(
         "fixed_angle", (thb - tha - PARAMETERS[4],), "Phi = theta_b - theta_a - angle", (("phi", r"\varphi"),)
@@ -218,8 +231,6 @@ class PathwayKind:
 PATHWAYS = (
     PathwayKind("two_points", length, "s = |p_b - p_a| [m]"),
     PathwayKind("relative_angle", thb - tha, "s = theta_b - theta_a [rad]"),
-    PathwayKind("coordinate_x", _IN_A[0], "s = x of b's point in a's frame [m]"),
-    PathwayKind("coordinate_y", _IN_A[1], "s = y of b's point in a's frame [m]"),
     PathwayKind(
         "pulley",
         PARAMETERS[5] - PARAMETERS[4] * (thb - tha),
@@ -227,12 +238,7 @@ PATHWAYS = (
         (("r", "r"), ("L", "L")),
     ),
     PathwayKind("lifted", sp.sqrt(length**2 + PARAMETERS[4] ** 2), "s = sqrt(|p_b - p_a|^2 + h^2) [m]", (("h", "h"),)),
-    PathwayKind(
-        "travel",
-        PARAMETERS[4] * _IN_A[0] + PARAMETERS[5] * _IN_A[1],
-        "s = coordinate of b's point in a's frame, along a direction [m]",
-        (("e_x", "e^{x}"), ("e_y", "e^{y}")),
-    ),
+    PathwayKind("travel", _TRAVEL, "s = coordinate of b's point in a's frame, along a direction [m]", _DIRECTION),
     # The slopes are the derivatives of the length of the tangent plus r times the angle of its direction. The length of
     # a string around a circle is the sum of two such terms with opposite r, up to multiples of 2 pi r. Each term
     # depends on only two bodies.
@@ -242,6 +248,12 @@ PATHWAYS = (
         "s = sqrt(|p_b - p_a|^2 - r^2) [m] of a tangent (derivatives: of s + r psi, psi the angle of its direction)",
         (("r", "r"),),
         (tangent_x, tangent_y),
+    ),
+    # Both points are the center of a joint, where what leads the path around the joint pulls the second body.
+    PathwayKind(
+        "guided",
+        arc + (cb * pull_x - sb * pull_y) * gx + (sb * pull_x + cb * pull_y) * gy,
+        "s = f(theta_b - theta_a) + h (p_b - p_a) [m], h in b's frame a function of theta_b - theta_a",
     ),
 )
 

@@ -133,8 +133,11 @@ class _SystemBuilder:
         return symbol
 
     def parameter(self, value: float, letter: str, *owners: str, tex: str = "") -> sp.Expr:
-        """Return a parameter as a number, as which zero is always returned, or as a symbol with its owners as index."""
-        if self.numbers or value == 0:
+        """Return a parameter as a number, as which zero is always returned, or as a symbol with its owners as index.
+
+        In directions, 1 is a number, too.
+        """
+        if self.numbers or value == 0 or (letter in ("e_x", "e_y") and abs(value) == 1.0):
             return _number(value)
         key = (value, letter, owners)
         if key not in self.known:

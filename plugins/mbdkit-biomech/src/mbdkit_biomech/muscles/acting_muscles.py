@@ -26,7 +26,7 @@ from mbdkit.expressions.program import Program
 from mbdkit.integrators.loop.failed_steps import obstacle_clause, stiffness_clause
 from mbdkit.mechanism.element_kinds import element_forces
 from mbdkit.mechanism.force_law import TracedLaw
-from mbdkit.mechanism.joints import Joint
+from mbdkit.mechanism.joints import Joint, Revolute
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit.mechanism.pathways import Segment
@@ -132,8 +132,8 @@ class MuscleForce:
         return float(time[worst]), float(value[worst])
 
     def segments(self, joints: Mapping[str, Joint]) -> tuple[Segment, ...]:
-        """Return the segments of the path: straight ones and, for each circle, its two tangents and the straight line
-        past it.
+        """Return the segments of the path: straight ones; for each circle, its two tangents and the straight line
+        past it; and that with the patella.
         """
         found: list[Segment] = []
         path = self.muscle.path
@@ -147,6 +147,11 @@ class MuscleForce:
                 radius = item.wrap.radius if item.wrap.side == "left" else -item.wrap.radius
                 found += [_segment("tangent", before, item, radius), _segment("tangent", item, after, -radius)]
                 found.append(_segment("lifted", before, after, 0.0))
+        if self.muscle.patella is not None:
+            knee = joints[self.muscle.patella.joint]
+            assert isinstance(knee, Revolute)  # `PatellaPath` says so
+            assert knee.points is not None
+            found.append(Segment("guided", knee.bodies, (*knee.points[0], *knee.points[1])))
         return tuple(found)
 
     def fiber_length_at(self, length: float) -> float:
@@ -234,9 +239,13 @@ element_forces(forces_of)
 
 @lowering
 def lower(
-    _muscles: Mapping[str, Muscle], _lowering: Lowering, acting: tuple[ActingForce, ...]
+    _muscles: Mapping[str, Muscle], lowering: Lowering, acting: tuple[ActingForce, ...]
 ) -> tuple[ActingMuscle, ...]:
     """Return the muscles of a mechanism that is compiled, whose forces have been added."""
+    for one in acting:
+        path = MusclePath(one.name, cast("MuscleForce", one.force).muscle, QuantityNames(lowering.mechanism))
+        if path.patella is not None:
+            lowering.guide(one, path.patella.guide)
     return tuple(ActingMuscle(cast("MuscleForce", one.force), one.state, one.place) for one in acting)
 
 
@@ -314,7 +323,9 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
 @run_check
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
+    names = QuantityNames(mechanism)
     for name, muscle in mechanism.muscles.items():
+        MusclePath(name, muscle, names)
         for key, sentence in _unsupported(name, muscle):
             raise SpecError(sentence, key=f"model.muscles.{quoted(name)}.{key}")
 
@@ -331,9 +342,6 @@ def _unsupported(name: str, muscle: Muscle) -> Iterator[tuple[str, str]]:
     if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
         why = "undamped fibres cannot be in equilibrium with every force of an elastic tendon"
         yield "damping", f"should be greater than 0: with the curves millard, {why}"
-    if muscle.patella is not None:
-        instead = "it is for inverse dynamics only: lead the path around a circle to the shank instead"
-        yield "patella", f"in a run, muscles have no patella; {instead}"
     for index, item in enumerate(muscle.path):
         key = f"path[{index}]"
         if item.wrap is not None:

@@ -17,7 +17,11 @@ al., Eng. Med. 9 (1980) 189-194).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
@@ -41,6 +45,8 @@ SCATTER = np.array([0.11, 0.11, 0.11, 0.12, 0.13, 0.14, 0.14, 0.15, 0.15, 0.2, 0
 SHARE = np.array([1.05, 1.05, 1.0, 0.95, 0.88, 0.81, 0.74, 0.67, 0.62, 0.58, 0.56, 0.55, 0.55])
 ARM = (0.046, 2.8e-4, -1.3e-5, 8e-8)  #: Coefficients of the powers of x in the lever arm [m].
 FARTHEST = 100.0  #: Flexion from which the lever arm is constant [deg].
+#: Flexions [rad] at which polynomial pieces of these functions begin and end; the outer pieces go on.
+KNOTS = np.radians(np.arange(-10.0, 131.0, 10.0))
 
 
 class Patella(StrictModel):
@@ -89,6 +95,47 @@ def scatter_of_length(flexion: np.ndarray) -> np.ndarray:
     return np.asarray(np.interp(flexion, at, whole - whole[60]))
 
 
+@dataclass(frozen=True)
+class PatellaGuide:
+    """The part of a path from the patella to the shank in a run: the function of a guided segment.
+
+    The flexion is `sign` times the angle of the shank relative to the thigh, plus `offset` [rad]. For `scale` and
+    `deviations` see `Patella`.
+    """
+
+    sign: float
+    offset: float
+    scale: float
+    deviations: float
+
+    def __call__(self, angle: Any) -> tuple[Any, Any, Any]:
+        """Return the length [m] at a recorded relative angle [rad], and what its derivative by the displacement of the
+        shank from the centre of the joint is in the frame of the shank: the share of the ligament, downward.
+        """
+        flexion = self.sign * angle + self.offset
+        share, pull = (angle.recorder.table(KNOTS, _pieces(values), flexion) for values in (SHARE, ANGLE))
+        return angle.recorder.table(KNOTS, self._lengths, flexion), -share * np.sin(pull), -share * np.cos(pull)
+
+    @property
+    def _lengths(self) -> np.ndarray:
+        found = np.zeros((len(KNOTS) - 1, 6))
+        for piece, begin, spread in zip(found, KNOTS, _pieces(SCATTER), strict=False):
+            arm = Polynomial([float(lever_arm(begin))])
+            if 0.0 <= begin < np.radians(FARTHEST):
+                arm = Polynomial(ARM)(Polynomial([np.degrees(begin), np.degrees(1.0)]))
+            length = (self.scale * arm * (1.0 + self.deviations * Polynomial(spread))).integ().coef
+            piece[: len(length)] = length
+        steps = found @ FLEXION[1] ** np.arange(6)
+        found[:, 0] = np.cumsum(steps) - steps - steps[0]
+        return found
+
+
+def _pieces(values: np.ndarray) -> np.ndarray:
+    """Return coefficients (K - 1, 2), between `KNOTS`, of values (13,) at `FLEXION`, which are constant outside."""
+    ends = np.pad(values, 1, mode="edge")
+    return np.stack([ends[:-1], np.diff(ends) / FLEXION[1]], axis=1)
+
+
 class PatellaPath:
     """The part of a path from the patella to the shank.
 
@@ -112,6 +159,14 @@ class PatellaPath:
             Point(GROUND if body == names.mechanism.ground else names.body(body, f"{key}.joint"), *point)
             for body, point in zip(joint.bodies, joint.points, strict=True)
         ]
+
+    @property
+    def guide(self) -> PatellaGuide:
+        """The function of this part as a guided segment."""
+        at = np.zeros((1, 1 + max(3 * end.body + 2 for end in self._ends)))
+        turn, shank = np.zeros_like(at), self._ends[1]
+        self._flexion.add_gradient(at, turn)
+        return PatellaGuide(float(turn[0, 3 * shank.body + 2]), float(self.flexion(at)[0]), self._scale, self._longer)
 
     def flexion(self, q: np.ndarray) -> np.ndarray:
         """Return the flexion of the knee (T,) [rad] at positions (T, n)."""
