@@ -181,7 +181,7 @@ def test_another_optimizer_finds_the_packaged_curve_from_three_starts() -> None:
     rows = np.vstack([slopes * width / 120.0, curvatures * width / 1000.0])
     options = {"maxiter": 40, "gtol": 1e-5, "xtol": 1e-5, "barrier_tol": 1e-5, "initial_barrier_parameter": 0.01}
     best = searches(problem, spec.optimizer, evaluator.first)[0].cost
-    for share in (evaluator.first, np.full(40, 0.3), np.linspace(0.3, 0.8, 40)):
+    for share in (evaluator.first, np.full(40, 0.3), np.linspace(0.1, 0.6, 40)):
         found = minimize(
             problem.cost,
             share,
