@@ -243,8 +243,10 @@ def lower(
 ) -> tuple[ActingMuscle, ...]:
     """Return the muscles of a mechanism that is compiled, whose forces have been added."""
     for one in acting:
-        path = MusclePath(one.name, cast("MuscleForce", one.force).muscle, QuantityNames(lowering.mechanism))
-        if path.patella is not None:
+        muscle = cast("MuscleForce", one.force).muscle
+        if muscle.patella is not None:
+            path = MusclePath(one.name, muscle, QuantityNames(lowering.mechanism))
+            assert path.patella is not None
             lowering.guide(one, path.patella.guide)
     return tuple(ActingMuscle(cast("MuscleForce", one.force), one.state, one.place) for one in acting)
 
@@ -323,9 +325,9 @@ def stiffest(muscles: tuple[ActingMuscle, ...]) -> str:
 @run_check
 def check_acting(mechanism: Mechanism) -> None:
     """Raise a SpecError for the first muscle with a property that runs do not support, or without an excitation."""
-    names = QuantityNames(mechanism)
     for name, muscle in mechanism.muscles.items():
-        MusclePath(name, muscle, names)
+        if muscle.patella is not None:
+            MusclePath(name, muscle, QuantityNames(mechanism))
         for key, sentence in _unsupported(name, muscle):
             raise SpecError(sentence, key=f"model.muscles.{quoted(name)}.{key}")
 
