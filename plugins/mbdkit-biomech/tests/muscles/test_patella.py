@@ -155,6 +155,8 @@ def test_a_patella_needs_a_pin_below_the_thigh():
         path_of(leg(path=path), FLEXIONS)
     with pytest.raises(SpecError, match=r"model\.muscles\.vasti\.patella\.joint: there is no joint 'kne'"):
         acting({"joint": "kne"}, {"name": "rk4"})
+    with pytest.raises(SpecError, match=r"vasti\.patella\.flexion: should be the angle of joint 'knee'"):
+        acting({"flexion": "shank.x"}, {"name": "rk4"})
 
 
 def squat(muscles, degrees=105):

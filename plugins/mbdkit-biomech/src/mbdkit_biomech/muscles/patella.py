@@ -142,7 +142,8 @@ class PatellaPath:
     Raises
     ------
     SpecError
-        If there is no such joint or coordinate, or the joint is not a pin on whose first body the path ends.
+        If there is no such joint or coordinate, the joint is not a pin on whose first body the path ends, or the
+        coordinate is not its angle.
     """
 
     def __init__(self, patella: Patella, last: str, names: QuantityNames, key: str):
@@ -159,14 +160,15 @@ class PatellaPath:
             Point(GROUND if body == names.mechanism.ground else names.body(body, f"{key}.joint"), *point)
             for body, point in zip(joint.bodies, joint.points, strict=True)
         ]
-
-    @property
-    def guide(self) -> PatellaGuide:
-        """The function of this part as a guided segment."""
-        at = np.zeros((1, 1 + max(3 * end.body + 2 for end in self._ends)))
-        turn, shank = np.zeros_like(at), self._ends[1]
+        at = np.zeros((1, 3 * len(names.mechanism.bodies)))
+        turn, wanted = np.zeros_like(at), np.zeros_like(at)
         self._flexion.add_gradient(at, turn)
-        return PatellaGuide(float(turn[0, 3 * shank.body + 2]), float(self.flexion(at)[0]), self._scale, self._longer)
+        names.joint(patella.joint, f"{key}.joint").add_gradient(at, wanted)
+        sign = float(np.sum(turn * wanted) / np.sum(wanted * wanted))
+        if abs(sign) != 1.0 or np.any(turn != sign * wanted):
+            raise SpecError(f"should be the angle of joint '{self.joint}', or its negative", key=f"{key}.flexion")
+        #: The function of this part as a guided segment.
+        self.guide = PatellaGuide(sign, float(self.flexion(at)[0]), self._scale, self._longer)
 
     def flexion(self, q: np.ndarray) -> np.ndarray:
         """Return the flexion of the knee (T,) [rad] at positions (T, n)."""
