@@ -8,7 +8,7 @@ from typing import Any, Never
 
 import numpy as np
 
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import PluginError, SpecError
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.traced_numbers import as_float, float_array
 from mbdkit.engine.compiled_mechanism import ActingForce, CompiledInput, ElementState, ForceElement, SampledController
@@ -199,6 +199,9 @@ class Lowering:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of `Topology` about forces."""
+        for k in self._unguided():
+            name = self.elements[self.spring_places[k]].name
+            raise PluginError(f"'{name}' has a guided segment without a function; give it one with `Lowering.guide`")
         return {
             "springs": table(self.springs, rows.SPRING),
             "spring_points": float_array(self.spring_points, 6),
@@ -258,21 +261,24 @@ class Lowering:
         return acting
 
     def guide(self, acting: ActingForce, function: Callable[[Any], Sequence[Any]]) -> None:
-        """Give the guided segment of a force element its function of the relative angle, which is recorded: the length,
-        and the components of the pull on the second body, in its frame, for a tension of 1.
+        """Give the next guided segment of a force element its function of the relative angle, which is recorded: the
+        length, and components x and y, in the frame of the second body, of its derivative with respect to p_b - p_a. A
+        tension of 1 pulls the second body with the negative of these components.
         """
         from mbdkit.engine.law_compiler import program_of_guide
 
-        (k,) = (
-            k
-            for k, row in enumerate(self.springs)
-            if row.pathway == PATHWAYS["guided"] and self.spring_places[k] == acting.place
-        )
+        k = next((k for k in self._unguided() if self.spring_places[k] == acting.place), None)
+        if k is None:
+            raise PluginError(f"{acting.kind} '{acting.name}' has no further guided segment")
         place = sum(row.guide >= 0 for row in self.springs)
         self.springs[k] = self.springs[k]._replace(guide=len(self.laws), place=place)
         law = native_law(NativeLaw(run_program, tuple(program_of_guide(function).tolist())))
         self._add_law_row(acting.name, law, len(self.law_parameters))
         self.law_parameters.append(0.0)
+
+    def _unguided(self) -> list[int]:
+        """Return the guided segments without a function."""
+        return [k for k, row in enumerate(self.springs) if row.pathway == PATHWAYS["guided"] and row.guide < 0]
 
     def _add_law(self, name: str, force: LawForce, kind: str) -> None:
         law, segment, begin = force.force_law, len(self.springs), len(self.law_parameters)

@@ -5,6 +5,8 @@ import pytest
 
 import mbdkit
 from mbdkit import SpecError
+from mbdkit.base.errors import PluginError
+from mbdkit.engine.compile_forces import Lowering
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.plugin.specs import read_source
 from mbdkit_biomech.muscles.muscle_path import MusclePath
@@ -147,6 +149,20 @@ def test_a_run_and_inverse_dynamics_know_the_same_arm_of_another_person():
         length = path_of(leg(patella={"deviations": -1.0}), flexion[chosen]).length
         # inverse dynamics sums scatter in steps of 1 degree, from -60 degrees on
         np.testing.assert_allclose(run.muscles["vasti"].length[chosen], length, rtol=0, atol=1e-6)
+
+
+def test_runs_say_that_a_knee_bends_farther_than_the_data():
+    model = leg(excitation=0.01)
+    model["bodies"]["shank"] |= {"angle": -2.3, "position": poses(np.array([2.3]))[0, :2].tolist()}
+    spec = {"mbdkit": 1, "model": model, "integrator": {"name": "gauss"}, "time": {"end": 0.01, "step": 0.001}}
+    with mbdkit.run(spec) as run:
+        assert "knee bends by 132 degrees, but data of the patella end at 120" in run.summary()
+
+
+def test_a_guided_segment_needs_its_function(monkeypatch):
+    monkeypatch.setattr(Lowering, "guide", lambda *_: None)
+    with pytest.raises(PluginError, match="'vasti' has a guided segment without a function"):
+        acting({}, {"name": "rk4"})
 
 
 def test_a_patella_needs_a_pin_below_the_thigh():

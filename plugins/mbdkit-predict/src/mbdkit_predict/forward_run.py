@@ -87,7 +87,7 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
 
 def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: np.ndarray) -> np.ndarray:
     """Return the state at the end of an interval, given its start, its end and the discontinuities in between."""
-    from scipy.integrate import solve_ivp  # `processes` loads it while others work
+    from scipy.integrate import solve_ivp  # loaded while other processes solve the problem
 
     absolute = PRECISION * np.where(np.isfinite(scale), scale, 1.0)
     options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}

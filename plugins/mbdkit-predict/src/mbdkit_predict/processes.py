@@ -14,7 +14,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -76,8 +75,10 @@ class _Child(Generic[T]):
         self.connection.close()
 
 
-def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
+def results_of(tasks: Sequence[Task[T]], stop: Stop, meanwhile: Callable[[], object] = lambda: None) -> list[T | None]:
     """Return the results of tasks; if `stop` says to stop, the last intermediate results, or None without any.
+
+    `meanwhile`: what this process does while others work; it is called repeatedly.
 
     Raises
     ------
@@ -93,7 +94,7 @@ def results_of(tasks: Sequence[Task[T]], stop: Stop) -> list[T | None]:
             while waiting and len(running) < (os.cpu_count() or 1) and not (stop.now and children):
                 children.append(_started(waiting.pop(0)))
                 running.append(children[-1])
-            import_module("scipy.integrate")  # for the forward run, while the processes work
+            meanwhile()
             if not running or stop.interrupted or time.perf_counter() > stop.end + GRACE:
                 break
             ready = wait([child.connection for child in running], LOOK)

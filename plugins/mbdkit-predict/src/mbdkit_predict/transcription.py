@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -848,7 +849,8 @@ def solved_meshes(problems: Sequence[tuple[Transcription, Mesh, int]], stop: Sto
     its own; best iterates, or the guesses themselves, if `stop` says to stop.
     """
     solve = partial(Transcription.solved, threads=max(1, (os.cpu_count() or 1) // len(problems)))
-    results = results_of([partial(solve, method, guess, stop, most) for method, guess, most in problems], stop)
+    tasks = [partial(solve, method, guess, stop, most) for method, guess, most in problems]
+    results = results_of(tasks, stop, partial(import_module, "scipy.integrate"))  # which the forward run needs
     return [
         replace(guess, solution=Solution(guess.values, method.objective_at(guess, guess.values["u"]), {}))
         if mesh is None

@@ -49,8 +49,8 @@ FUNCTION = {
     for order in range(4)
     for chosen in combinations_with_replacement(range(VARIABLES), order)
 }
-#: Length of a guide and components of its pull in the frame of the second body, as functions of ``theta_b - theta_a``,
-#: each with its first two derivatives.
+#: Length of a guide, and components in the frame of the second body of its derivative with respect to ``p_b - p_a``, as
+#: functions of ``theta_b - theta_a``, each with its first two derivatives.
 GUIDE = sp.symbols("guide0:9", real=True)
 arc, pull_x, pull_y = GUIDE[::3]
 #: Position of the second body's point relative to the first body's centre of mass, in the frame of the first body.

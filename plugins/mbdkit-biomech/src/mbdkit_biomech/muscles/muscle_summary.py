@@ -9,6 +9,8 @@ from mbdkit.archive.result_seams import summary_lines
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_summary import few
 from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.quantity_names import QuantityNames
+from mbdkit_biomech.muscles.patella import PatellaPath
 
 #: Range of the lengths of fibres, in optimal lengths, outside of which their active force is almost zero.
 PULLING = (0.4, 1.6)
@@ -17,7 +19,8 @@ PULLING = (0.4, 1.6)
 @summary_lines
 def muscle_lines(run: Run) -> list[tuple[str, str]]:
     """Return the lines of the summary about muscles, each with its label; texts may be empty."""
-    return [("muscles", _largest_activations(run)), ("", _far_fibers(run)), ("contact", _contact_forces(run))]
+    own = [("muscles", _largest_activations(run)), ("", _far_fibers(run)), ("", _bent_knees(run))]
+    return [*own, ("contact", _contact_forces(run))]
 
 
 @run_headlines
@@ -53,6 +56,20 @@ def _far_fibers(run: Run) -> str:
                 texts.append(f"those of {name} are {low:.3g} to {high:.3g} optimal lengths long")
     limits = f"below {PULLING[0]:g} and above {PULLING[1]:g} optimal lengths"
     return f"fibres have almost no active force {limits}; {few(texts)}" if texts else ""
+
+
+def _bent_knees(run: Run) -> str:
+    """Return the knees that bend farther in a run than the data of their patellas; inverse dynamics warns of them."""
+    try:
+        names = QuantityNames(run.mechanism) if run.muscles and run.kind != "inverse" else None
+    except MbdkitError:  # this version does not know all of its bodies
+        return ""
+    muscles, bent = {} if names is None else names.mechanism.muscles, dict[str, str]()
+    for name, muscle in muscles.items():
+        if names is not None and muscle.patella is not None:
+            patella = PatellaPath(muscle.patella, muscle.path[-1].on, names, f"muscles.{name}.patella")
+            bent[patella.joint] = patella.beyond_data(run.array("trajectory/position").reshape(len(run.time), -1))
+    return few(list(filter(None, bent.values())))
 
 
 def _contact_forces(run: Run) -> str:

@@ -148,8 +148,7 @@ class PatellaPath:
 
     def __init__(self, patella: Patella, last: str, names: QuantityNames, key: str):
         joints = names.mechanism.joints
-        names.joint(patella.joint, f"{key}.joint")
-        joint = joints[patella.joint]
+        angle, joint = names.joint(patella.joint, f"{key}.joint"), joints[patella.joint]
         if not isinstance(joint, Revolute) or joint.points is None or joint.bodies[0] != last:
             raise SpecError(
                 f"should be a revolute joint whose first body is '{last}', on which the path ends", key=f"{key}.joint"
@@ -163,7 +162,7 @@ class PatellaPath:
         at = np.zeros((1, 3 * len(names.mechanism.bodies)))
         turn, wanted = np.zeros_like(at), np.zeros_like(at)
         self._flexion.add_gradient(at, turn)
-        names.joint(patella.joint, f"{key}.joint").add_gradient(at, wanted)
+        angle.add_gradient(at, wanted)
         sign = float(np.sum(turn * wanted) / np.sum(wanted * wanted))
         if abs(sign) != 1.0 or np.any(turn != sign * wanted):
             raise SpecError(f"should be the angle of joint '{self.joint}', or its negative", key=f"{key}.flexion")
@@ -173,6 +172,16 @@ class PatellaPath:
     def flexion(self, q: np.ndarray) -> np.ndarray:
         """Return the flexion of the knee (T,) [rad] at positions (T, n)."""
         return np.asarray(self._flexion.value(q))
+
+    def beyond_data(self, q: np.ndarray) -> str:
+        """Return a sentence if the knee bends farther than the data of patellas; empty if it does not."""
+        most, end = np.degrees([np.max(self.flexion(q)), FLEXION[-1]])
+        if most <= end:
+            return ""
+        return (
+            f"{self.joint} bends by {most:.0f} degrees, but data of the patella end at {end:.0f}; its shares and "
+            "angles are those there, and forces between thigh and calf are left out"
+        )
 
     def add(self, q: np.ndarray, length: np.ndarray, gradient: np.ndarray) -> None:
         """Add this part to the length (T,) of a path and its derivatives (T, n).

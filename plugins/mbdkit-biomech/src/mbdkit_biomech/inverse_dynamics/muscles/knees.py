@@ -8,7 +8,7 @@ import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit_biomech.inverse_dynamics.files.measured_table import cited
-from mbdkit_biomech.muscles.patella import FLEXION, contact_share
+from mbdkit_biomech.muscles.patella import contact_share
 from mbdkit_biomech.persons.landmarks import LEFT
 
 Inverse: TypeAlias = Any  #: Class of `mbdkit_biomech.inverse_dynamics.compute`, whose module imports this one.
@@ -28,14 +28,8 @@ def left_out_of_recruitment(result: Inverse) -> list[str]:
         found = [
             f"no muscle acts on {listed(alone, 'and')}, so that forces of these joints lack those of muscles{hint}"
         ]
-    end = np.degrees(FLEXION[-1])
-    bent = {one.joint: np.degrees(np.max(one.flexion(result.motion.q))) for one in recruiter.patellas.values()}
-    found += [
-        f"{joint} bends by {most:.0f} degrees, but data of the patella end at {end:.0f}; its shares and "
-        "angles are those there, and forces between thigh and calf are left out"
-        for joint, most in bent.items()
-        if most > end
-    ]
+    bent = {one.joint: one.beyond_data(result.motion.q) for one in recruiter.patellas.values()}
+    found += filter(None, bent.values())
     names = list(recruiter.muscles)
     return found + [
         f"the EMG of {names[one.muscle]} (column '{cited(one.column)}') {why}" for one, why in recruited.targets.remarks
