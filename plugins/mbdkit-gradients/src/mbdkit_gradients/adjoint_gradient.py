@@ -8,6 +8,7 @@ back through the steps to the start; on the way, those with respect to the numbe
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, cached_property, partial
@@ -44,9 +45,15 @@ from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.table_derivatives import contract, touched_laws
 
 AROUND = 8  #: Number of step ends on both sides of a step that may determine the motion in it.
-WINDOW = 256  #: Largest number of steps whose stages, and the derivatives with respect to these, are stored at once.
+#: Largest number of values of positions at the stages of steps that are computed at once; without integrals, there are
+#: only those of one step.
+WINDOW = 250_000
 #: Largest size of the stored states [bytes], and of the derivatives with respect to them; larger arrays are in files.
 MOST_BYTES = 256_000_000
+#: Memory of the last run of the thread, if it is not larger than `MOST_SPARE` [bytes]; to get new memory can take as
+#: long as half of the steps.
+_spare = threading.local()
+MOST_SPARE = 32_000_000
 BLOCK = 1_000_000  #: Number of bytes that are written at once.
 
 
@@ -280,13 +287,13 @@ class AdjointRun:
 
     @cached_property
     def _windows(self) -> list[SweptSteps]:
-        """All steps in order, up to `WINDOW` at once."""
-        found = []
+        """All steps in order, some at once; see `WINDOW`."""
+        found, stages = [], len(self.method.tableau.floats()[1])
+        most = max(1, WINDOW // (stages * self.q.shape[1]))
         for part in self.parts:
-            for begin in range(part.begin, part.end, WINDOW):
-                end = min(begin + WINDOW, part.end)
+            for begin in range(part.begin, part.end, most):
+                end = min(begin + most, part.end)
                 ends, own = slice(begin, end + 1), replace(part, begin=0, end=end - begin)
-                stages = len(self.method.tableau.floats()[1])
                 is_kept = end < len(self.time) - 1 or not self.ends_at_event
                 rows = self._rows[begin * stages : end * stages * is_kept]
                 arrays = self.time[ends], self.size[begin:end], self.q[ends], self.v[ends], rows
@@ -351,10 +358,16 @@ class AdjointRun:
         events = [one.event for one in self._events]
         corners = [one.states for one in self._corners]
         found = {name: AdjointMeasure(run, self, one, events, corners).bars() for name, one in expressions.items()}
-        return {
+        slopes = {
             name: derived._replace(slope=self._slope(bars, times, nodes))
             for name, (derived, bars, times) in found.items()
         }
+        memory = self._rows.base
+        if memory is not None and memory.ndim == 1 and memory.nbytes <= MOST_SPARE:  # not in a file
+            _spare.rows = memory
+        self._rows = self._rows[:0]  # they are computed again if more measures are asked for
+        self.__dict__.pop("_windows")
+        return slopes
 
     def _slope(self, bars: list[tuple[int, MakeBars]], times: np.ndarray, nodes: Nodes | None) -> np.ndarray:
         """Return the derivatives (K,) of a measure given those by states and by times of events and corners."""
@@ -461,7 +474,11 @@ def new_file() -> SpooledTemporaryFile[bytes]:
 
 def empty(shape: tuple[int, int]) -> np.ndarray:
     """Return an array without values: in memory, or in a file if it is large."""
-    return np.empty(shape) if 8 * shape[0] * shape[1] <= MOST_BYTES else _array(new_file(), shape)
+    size = shape[0] * shape[1]
+    if 8 * size > MOST_BYTES:
+        return _array(new_file(), shape)
+    room = _spare.__dict__.pop("rows", None)
+    return (np.empty(size) if room is None or room.size < size else room[:size]).reshape(shape)
 
 
 def _array(file: SpooledTemporaryFile[bytes], shape: tuple[int, int]) -> np.ndarray:

@@ -10,6 +10,8 @@ import numpy as np
 
 from mbdkit.base.errors import PluginError
 from mbdkit.engine.elimination_order import SingularSystemError
+from mbdkit.engine.kernels.applied_forces import any_forces
+from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.engine.kernels.table_rows import PAIR, SPRING
 from mbdkit.engine.native import machine_code
@@ -40,8 +42,8 @@ def is_ready() -> bool:
 def row_size(workspace: Workspace) -> int:
     """Return the number of values that are kept of a stage; see `kept_stages.keep_stage`."""
     schur, mechanism = workspace.solver.schur, workspace.mechanism
-    arrays = schur.diagonal, schur.below, workspace.scratch.response
-    return mechanism.size + 2 * len(mechanism.topology.pairs) + sum(x.size for x in arrays)
+    arrays = schur.diagonal, schur.below, workspace.scratch.response, workspace.scratch.cs[1:]
+    return mechanism.size - 3 + 2 * len(mechanism.topology.pairs) + sum(x.size for x in arrays)
 
 
 def places_in(scratch: Any, name: str) -> np.ndarray:
@@ -160,8 +162,10 @@ class BackwardSweep:
         for name in ARRAYS:
             getattr(self.bundle, name)[...] = 0.0
 
-    def _call(self, engine: int, duals: PinnedBundle, given: int, task: int, first: int, end: int) -> tuple[int, int]:
-        arguments = engine, duals.address, self._pinned.address, given, given, task, first, end
+    def _call(
+        self, engine: int, duals: PinnedBundle, steps: int, task: int, first: int, end: int, given: int = 0
+    ) -> tuple[int, int]:
+        arguments = engine, duals.address, self._pinned.address, given, steps, task, first, end
         status, place = kernels.differentiate_back(*arguments)
         return int(status), int(place)
 
@@ -189,31 +193,38 @@ class BackwardSweep:
 
     def pulled(self, one: Bars) -> tuple[np.ndarray, np.ndarray]:
         """Return the derivatives (T, n + 3) with respect to positions and velocities of T states."""
-        work, count = self.workspace, len(one.states.time)
+        work, states = self.workspace, one.states
         work.clamp_motions(-np.inf, np.inf)
-        given = kernels.Given(
-            np.ascontiguousarray(one.states.time), np.ascontiguousarray(one.states.q),
-            np.ascontiguousarray(one.states.v), one.acc, one.reactions, one.forces, one.kinetic, one.gravity,
-            one.multipliers,
-            one.q.copy(), one.v.copy(), np.zeros((2, one.q.shape[1])), np.zeros((len(self.bundle.nu), 2)),
+        given = PinnedBundle(kernels.Given(one.reactions, one.forces, one.kinetic, one.gravity, one.multipliers))
+        arrays = {
+            "q_stage": states.q,
+            "v_stage": states.v,
+            "to_acc": one.acc,
+            "to_q": one.q.copy(),
+            "to_v": one.v.copy(),
+        }
+        steps = example_of(kernels.Steps)._replace(
+            time=np.ascontiguousarray(states.time), acc=np.zeros(one.acc.shape), lam=np.zeros(one.multipliers.shape),
+            **{name: np.ascontiguousarray(x) for name, x in arrays.items()},
         )  # fmt: skip
+        pinned = PinnedBundle(steps)
 
         def call(begin: int) -> tuple[int, int]:
             for terms in (work.scratch.gamma_v, work.scratch.res_q):  # of Baumgarte, which recorded forces do not have
                 terms[...] = 0.0
-            rest = kernels.Given(*(x[begin:] if k < 11 else x for k, x in enumerate(given)))
-            pinned = PinnedBundle(rest)
-            status, row = self._call(work.engine, self._recorded, pinned.address, kernels.PULL, 0, 0)
-            return status, begin + row
+            end = len(states.time)
+            return self._call(work.engine, self._recorded, pinned.address, kernels.PULL, begin, end, given.address)
 
-        self._retried(call, 0, count)
-        return given.q_bar, given.v_bar
+        self._retried(call, 0, len(states.time))
+        return steps.to_q, steps.to_v
 
     def _steps(self, run: SweptSteps, **arrays: Any) -> Any:
         a, b, c = run.method.tableau.floats()
         stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
         is_implicit, none = not isinstance(run.method, ExplicitRungeKutta), np.zeros((0, size))
         is_kept = len(run.rows) > 0 and not is_implicit
+        needs_positions = any_forces(self._run.top) or "stage_q_bar" in arrays  # type: ignore[no-untyped-call]
+        needs_positions = needs_positions or len(self.bundle.terms) or self.bundle.wants[kernels.POINTS]
         scratch = self.workspace.scratch  # without terms, only the Jacobian is in use
         used = len(scratch.source) if len(self.bundle.terms) else places_in(scratch, "jac").size + size - 3
         names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")
@@ -224,8 +235,8 @@ class BackwardSweep:
             time=np.ascontiguousarray(run.time[:-1]), size=np.ascontiguousarray(run.size), q=run.q, v=run.v,
             lam=np.zeros((stages, pairs, 2)), **vectors, next=np.zeros(size), is_implicit=np.array([int(is_implicit)]),
             rows=run.rows if is_kept else np.zeros((stages, row_size(self.workspace))), touched=np.zeros(1),
-            is_kept=np.array([int(is_kept)]), guess=run.rows if is_implicit else none,
-            source=np.zeros((stages, used)),
+            is_kept=np.array([int(is_kept), int(is_kept and not needs_positions)]), source=np.zeros((stages, used)),
+            guess=run.rows if is_implicit else none,
         )  # fmt: skip
 
     def stages(self, steps: SweptSteps) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

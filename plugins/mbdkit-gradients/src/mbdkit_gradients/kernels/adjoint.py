@@ -47,9 +47,9 @@ SMALL = 1e-15
 #: Solutions are refined if the residual of a constraint row is larger than this, relative to the terms of such a row;
 #: those of chains of rods have 1e-16, those of a four-bar knee up to 2e-14.
 REFINED = 1e-13
-#: An iteration ends when the relative change is below `SMALL`, or round-off: below `NEGLIGIBLE`, and above the share
-#: `STALLED` of the last change.
-STALLED, NEGLIGIBLE = 0.5, 1e-11
+#: An iteration ends when the relative change is below `SMALL`; is below `NEARLY`, and the next one is expected to be
+#: below `SMALL`; or is round-off: below `NEGLIGIBLE`, and above the share `STALLED` of the last change.
+NEARLY, STALLED, NEGLIGIBLE = 1e-13, 0.5, 1e-11
 
 
 class Adjoint(NamedTuple):
@@ -94,25 +94,21 @@ class Adjoint(NamedTuple):
 
 
 class Given(NamedTuple):
-    """T states, and derivatives of a scalar with respect to what follows from them; the results are added up."""
+    """Derivatives of a scalar with respect to what follows from T states, which are in `Steps`."""
 
-    time: RealVector
-    q: RealMatrix
-    v: RealMatrix
-    acc: RealMatrix  #: (T, 3 (B + 1)) derivatives with respect to accelerations.
     reactions: RealCube  #: (T, P, 3) to forces and torques of pairs on their second bodies.
     forces: RealCube  #: (T, S, 4) to length, rate, tension and potential of the springs.
     kinetic: RealVector  #: (T,) to the kinetic energy, and to the potential energy of gravity.
     gravity: RealVector
     multipliers: RealCube  #: (T, P, 2) to the multipliers.
-    q_bar: RealMatrix  #: (T, 3 (B + 1)) results: derivatives with respect to positions and velocities.
-    v_bar: RealMatrix
-    found: RealMatrix  #: (2, 3 (B + 1)) work array: accelerations.
-    lam: Annotated[RealMatrix, 2]
 
 
 class Steps(NamedTuple):
-    """N steps of a Runge-Kutta method of S stages, and the derivatives that are carried through them."""
+    """N steps of a Runge-Kutta method of S stages, and the derivatives that are carried through them.
+
+    Functions of one state have the number of a stage. PULL uses T states as stages, at the times `time`; derivatives
+    with respect to their accelerations are in `to_acc`, and results in `to_q` and `to_v`.
+    """
 
     #: (1,) whether stages depend on later ones; they are then found by fixed-point iteration, and so are the
     #: derivatives with respect to them.
@@ -136,7 +132,7 @@ class Steps(NamedTuple):
     acc: RealMatrix
     lam: RealCube
     rows: RealMatrix  #: (N S, W) stages kept by explicit steps, or (S, W) those of a step; see `keep_stage`.
-    is_kept: IntVector  #: (1,) whether they are the former.
+    is_kept: IntVector  #: (2,) whether they are the former, and whether positions of stages are not needed.
     guess: RealMatrix  #: (N S or 0, 3 (B + 1)) accelerations of the stages of implicit steps from which to iterate.
     touched: RealVector  #: (1,) result of `_touch`, without meaning.
     source: RealMatrix  #: (S, ...) first values of ``Scratch.source`` at the stages of an implicit step: those in use.
@@ -161,17 +157,41 @@ def _accelerations(h, t, q, v, acc, lam, refine):
     return accelerations.solve_accelerations(h.top, h.w, h.solver, q, v, acc, lam, refine)
 
 
+@subkernel
+def _pin_rows(top, w):
+    """Evaluate what changes in the Jacobian of pins from the cosines and sines of the angles of their bodies."""
+    for k in range(len(top.pairs)):
+        for side in range(2):
+            body, sign = top.pairs[k, PAIR.first + side], 2.0 * side - 1.0
+            cos, sin = sign * w.cs[body, 0], sign * w.cs[body, 1]
+            x, y = top.pair_parameters[k, 2 * side], top.pair_parameters[k, 2 * side + 1]
+            w.jac[k, 2 + 3 * side] = -sin * x - cos * y
+            w.jac[k, 8 + 3 * side] = cos * x - sin * y
+
+
 @separate
-def _tangents(h, g, t, q, v, acc, lam):
-    """Evaluate the tangents; those of joints are not needed if all joints are pins, see `_pins`."""
+def _tangents_of_all(h, s, i, t):
+    evaluate_tangents(h.top, h.w, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+
+
+@separate
+def _tangents_of_forces(h, s, i, t):
+    prepare(h.top, h.w, t, s.q_stage[i])
+    forces.take_multipliers(h.top, h.w, s.lam[i])
+    forces.force_tangents(h.top, h.w, s.q_stage[i], s.v_stage[i])
+
+
+@subkernel
+def _tangents(h, g, s, i, t):
+    """Evaluate the tangents at stage `i`, whose solution or factors are the last ones; those of joints are not needed
+    if all joints are pins, see `_pins`.
+    """
     if g.only_pins[0] == 0:
-        evaluate_tangents(h.top, h.w, t, q, v, acc, lam)
-        return
-    prepare(h.top, h.w, t, q)
-    forces.take_multipliers(h.top, h.w, lam)
-    constraint_rows(h.top, h.w, q, v)
-    if forces.any_forces(h.top):
-        forces.force_tangents(h.top, h.w, q, v)
+        _tangents_of_all(h, s, i, t)
+    else:
+        _pin_rows(h.top, h.w)
+        if forces.any_forces(h.top):
+            _tangents_of_forces(h, s, i, t)
 
 
 @subkernel
@@ -185,13 +205,15 @@ def _write_unknowns(h, g):
 
 
 @subkernel
-def _substitute(h, g, acc_bar):
-    """Solve for ``g.mu`` and ``g.nu``, given the right sides `acc_bar` and ``Scratch.gamma``, with the last factors."""
-    top, w, mu, nu = h.top, h.w, g.mu, g.nu
-    copy(acc_bar, mu)
+def _substitute(h, g, s, i):
+    """Solve for ``g.mu`` and ``g.nu``, given the right sides ``s.to_acc[i]`` and ``Scratch.gamma``, with the last
+    factors.
+    """
+    top, w, mu, nu, acc_bar = h.top, h.w, g.mu, g.nu, s.to_acc[i]
     if h.solver.pivoted[0] != 0:
         for k in range(len(nu)):
             copy(w.gamma[k], nu[k])
+        copy(acc_bar, mu)
         _write_unknowns(h, g)
         lu.solve_refined(h.solver.pattern, h.solver.factors, g.right, w.solution, w.correction)
         for d in range(len(mu)):
@@ -202,7 +224,7 @@ def _substitute(h, g, acc_bar):
         return
     for b in range(len(top.weight)):
         for i in range(3):
-            mu[3 * b + i] *= top.weight[b, i]
+            mu[3 * b + i] = top.weight[b, i] * acc_bar[3 * b + i]
     accelerations.joint_right_side(top, w, mu, nu)
     schur.solve(h.solver.schur, nu)
     accelerations.apply_multipliers(top, w, nu, mu, True)
@@ -227,9 +249,9 @@ def _misfit(top, w, mu):
 
 
 @separate
-def _by_reactions(h, c, g, t, v, lam):
+def _by_reactions(h, c, g, s, stage, t):
     """Evaluate the derivatives of frictions with respect to multipliers; requires `evaluate_tangents`."""
-    top, spare = h.top, len(h.top.springs)
+    top, spare, v, lam = h.top, len(h.top.springs), s.v_stage[stage], s.lam[stage]
     for i in range(len(top.reactions)):
         g.values[top.reactions[i, MULTIPLIER.parameter], 0] = lam[
             top.reactions[i, MULTIPLIER.pair], top.reactions[i, MULTIPLIER.row]
@@ -283,7 +305,7 @@ def _couple_frictions(h, g):
 
 
 @subkernel
-def _solve_adjoint(h, g, acc_bar):
+def _solve_adjoint(h, g, s, stage):
     """Solve for ``g.mu`` and ``g.nu``; ``g.lam_bar`` has the derivatives by multipliers. Overwrites gamma."""
     top, gamma = h.top, h.w.gamma
     for k in range(len(top.pairs)):
@@ -296,18 +318,19 @@ def _solve_adjoint(h, g, acc_bar):
         for f in range(len(top.frictions)):
             g.friction[f, len(top.frictions) + 1] = 0.0
         for _ in range(2):
-            _substitute(h, g, acc_bar)
+            _substitute(h, g, s, stage)
             _couple_frictions(h, g)
-    _substitute(h, g, acc_bar)
+    _substitute(h, g, s, stage)
 
 
 @subkernel
-def _pins(h, g, v, acc, lam, points, q_bar, v_bar):
+def _pins(h, g, s, i, points, q_bar, v_bar):
     """Add the derivatives of the equations of pins with respect to their points and to the states of their bodies.
 
     Those with respect to angles are those with respect to the arms, the vectors from the centers of mass to the pin.
     """
     top, jac, cs, nu, mu = h.top, h.w.jac, h.w.cs, g.nu, g.mu
+    v, acc, lam = s.v_stage[i], s.acc[i], s.lam[i]
     rate, square = 2.0 * top.baumgarte[0], top.baumgarte[1] * top.baumgarte[1]
     for k in range(len(top.pairs)):
         if top.pairs[k, PAIR.kind] != PIN:
@@ -333,11 +356,11 @@ def _pins(h, g, v, acc, lam, points, q_bar, v_bar):
 
 
 @subkernel
-def _to_state(h, g, v, acc, lam, points, q_bar, v_bar):
+def _to_state(h, g, s, i, points, q_bar, v_bar):
     """Add the products of mu and nu with the tangents to the derivatives with respect to positions and velocities, and
     for pins to those with respect to their `points`.
     """
-    _pins(h, g, v, acc, lam, points, q_bar, v_bar)
+    _pins(h, g, s, i, points, q_bar, v_bar)
     source, terms, unknown = h.w.source, g.terms, g.right
     if len(terms) == 0:
         return
@@ -396,9 +419,9 @@ def _law_slopes(h, c, g, t, k, length, rate, by_force, by_potential):
 
 
 @subkernel
-def _springs(h, c, g, t, q_bar, v_bar, v):
+def _springs(h, c, g, s, stage, t):
     """Add what depends on springs: derivatives with respect to their parameters, and of their own values."""
-    top, w = h.top, h.w
+    top, w, v, q_bar, v_bar = h.top, h.w, s.v_stage[stage], s.to_q[stage], s.to_v[stage]
     for k in range(len(top.springs)):
         if top.springs[k, SPRING.segments] == 0:
             continue
@@ -446,8 +469,9 @@ def _springs(h, c, g, t, q_bar, v_bar, v):
 
 
 @subkernel
-def _other_joints(h, g, acc, lam):
+def _other_joints(h, g, s, stage):
     """Add the derivatives with respect to the parameters of joints that are not pins."""
+    acc, lam = s.acc[stage], s.lam[stage]
     for k in range(len(h.top.pairs)):
         if h.top.pairs[k, PAIR.kind] == PIN:
             continue
@@ -488,9 +512,9 @@ def _interactions(h, c, g, t):
 
 
 @subkernel
-def _bodies_and_loads(h, g, acc):
+def _bodies_and_loads(h, g, s, stage):
     """Add the derivatives with respect to masses, gravity and points of loads."""
-    top, w = h.top, h.w
+    top, w, acc = h.top, h.w, s.acc[stage]
     for b in range(len(top.mass) - 1):
         for i in range(3):
             pull = top.gravity[i] - acc[3 * b + i] if i < 2 else -acc[3 * b + i]
@@ -501,15 +525,15 @@ def _bodies_and_loads(h, g, acc):
         if top.loads[k, LOAD.kind] != forces.TORQUE:
             fx, fy, _, _ = forces.point_force(top, w, k)
             body = top.loads[k, LOAD.body]
-            c, s, turn = w.cs[body, 0], w.cs[body, 1], g.mu[3 * body + 2]
-            g.load_points[k, 0] += turn * (c * fy - s * fx)
-            g.load_points[k, 1] -= turn * (s * fy + c * fx)
+            cos, sin, turn = w.cs[body, 0], w.cs[body, 1], g.mu[3 * body + 2]
+            g.load_points[k, 0] += turn * (cos * fy - sin * fx)
+            g.load_points[k, 1] -= turn * (sin * fy + cos * fx)
 
 
 @separate
-def _by_points(c, g, t, q, v):
+def _by_points(c, g, s, i, t):
     """Evaluate Jacobian, gamma and lengths of pathways with their derivatives with respect to points."""
-    top, w, own_q, own_v = c.top, c.w, c.q[0], c.v[1]
+    top, w, own_q, own_v, q, v = c.top, c.w, c.q[0], c.v[1], s.q_stage[i], s.v_stage[i]
     for d in range(len(q)):
         own_q[d] = q[d]
         own_v[d] = v[d]
@@ -519,21 +543,21 @@ def _by_points(c, g, t, q, v):
 
 
 @separate
-def _pull_back(h, c, g, t, v, acc, lam, acc_bar, q_bar, v_bar):
-    """Add the derivatives with respect to a state and to numbers of the mechanism, given those with respect to
-    accelerations `acc_bar`, multipliers ``g.lam_bar`` and springs ``g.pull_bar``; requires `_tangents` and
-    `_by_points`.
+def _pull_back(h, c, g, s, i, t):
+    """Add the derivatives with respect to the state of stage `i` and to numbers of the mechanism to ``s.to_q`` and
+    ``s.to_v``, given those with respect to accelerations ``s.to_acc``, multipliers ``g.lam_bar`` and springs
+    ``g.pull_bar``; requires `_tangents` and `_by_points`.
     """
     if len(h.top.reactions) > 0:
-        _by_reactions(h, c, g, t, v, lam)
-    _solve_adjoint(h, g, acc_bar)
-    _to_state(h, g, v, acc, lam, g.pair_parameters, q_bar, v_bar)
-    _bodies_and_loads(h, g, acc)
-    _springs(h, c, g, t, q_bar, v_bar, v)
+        _by_reactions(h, c, g, s, i, t)
+    _solve_adjoint(h, g, s, i)
+    _to_state(h, g, s, i, g.pair_parameters, s.to_q[i], s.to_v[i])
+    _bodies_and_loads(h, g, s, i)
+    _springs(h, c, g, s, i, t)
     if g.wants[LAWS] != 0:
         _interactions(h, c, g, t)
     if g.wants[POINTS] != 0:
-        _other_joints(h, g, acc, lam)
+        _other_joints(h, g, s, i)
 
 
 @subkernel
@@ -587,51 +611,57 @@ def _energies(h, g, kinetic, potential, q, v, q_bar, v_bar):
 
 
 @subkernel
-def _pull_states(h, c, g, x):
-    acc, lam = x.found[0], x.lam
-    for r in range(len(x.time)):
-        t, q, v = x.time[r], x.q[r], x.v[r]
-        status = _accelerations(h, t, q, v, acc, lam, True)
+def _pull_states(h, c, g, x, s, first, end):
+    for r in range(first, end):
+        t, q, v, lam, to_q, to_v = s.time[r], s.q_stage[r], s.v_stage[r], s.lam[r], s.to_q[r], s.to_v[r]
+        status = _accelerations(h, t, q, v, s.acc[r], lam, True)
         if status != OK:
             return status, r
-        _tangents(h, g, t, q, v, acc, lam)
+        _tangents(h, g, s, r, t)
         if g.wants[POINTS] != 0:
-            _by_points(c, g, t, q, v)
+            _by_points(c, g, s, r, t)
         for k in range(len(lam)):
             copy(x.multipliers[r, k], g.lam_bar[k])
         for k in range(len(h.top.springs)):
             for i in range(4):
                 g.pull_bar[k, i] = x.forces[r, k, i]
-        _reactions(h, g, x.reactions[r], lam, x.q_bar[r])
-        _energies(h, g, x.kinetic[r], x.gravity[r], q, v, x.q_bar[r], x.v_bar[r])
-        _pull_back(h, c, g, t, v, acc, lam, x.acc[r], x.q_bar[r], x.v_bar[r])
-    return OK, len(x.time)
+        _reactions(h, g, x.reactions[r], lam, to_q)
+        _energies(h, g, x.kinetic[r], x.gravity[r], q, v, to_q, to_v)
+        _pull_back(h, c, g, s, r, t)
+    return OK, end
 
 
 @subkernel
 def _add(x, y, factor, to_x, to_y):
-    """Add `factor` times `x` and `y` to two other vectors."""
-    for d in range(len(x)):
-        to_x[d] += factor * x[d]
-        to_y[d] += factor * y[d]
+    """Add `factor` times `x` and `y`, without those of ground, to two other vectors.
+
+    Three numbers at once, which are few: a longer loop first finds out whether the vectors overlap.
+    """
+    for b in range(0, len(x) - 3, 3):
+        for d in range(3):
+            to_x[b + d] += factor * x[b + d]
+            to_y[b + d] += factor * y[b + d]
 
 
 @subkernel
 def _add_one(x, factor, to_x):
-    """Add `factor` times `x` to another vector."""
-    for d in range(len(x)):
-        to_x[d] += factor * x[d]
+    """Add `factor` times `x`, without that of ground, to another vector."""
+    for b in range(0, len(x) - 3, 3):
+        for d in range(3):
+            to_x[b + d] += factor * x[b + d]
 
 
 @subkernel
 def _place_stage(s, n, i, count):
     """Write the state of stage `i` of step `n` from the rates of the first `count` stages."""
     q, v = s.q_stage[i], s.v_stage[i]
-    copy(s.q[n], q)
     copy(s.v[n], v)
     for j in range(count):
         if s.a[i, j] != 0.0:
             _add_one(s.acc[j], s.size[n] * s.a[i, j], v)
+    if s.is_kept[1] != 0:
+        return
+    copy(s.q[n], q)
     for j in range(count):
         if s.a[i, j] != 0.0:
             _add_one(s.v_stage[j], s.size[n] * s.a[i, j], q)
@@ -682,9 +712,11 @@ def _take_stages(h, s, n):
 
 @subkernel
 def _has_converged(change, largest, before, rounding):
-    """Return whether an iteration ends; see `STALLED`."""
+    """Return whether an iteration ends; see `NEARLY`."""
     is_stalled = change >= STALLED * before and change <= max(NEGLIGIBLE * largest, rounding)
-    return change <= SMALL * largest or is_stalled
+    # the next change would be smaller by the same factor; a first one so small confirms a solution that was kept
+    is_small = change <= NEARLY * largest and change * change <= SMALL * largest * before
+    return change <= SMALL * largest or is_stalled or is_small
 
 
 @subkernel
@@ -773,7 +805,7 @@ def _iterate_derivatives(h, c, g, s, n):
         status = _take_factors(h, s, n, i, t)
         if status != OK:
             return status
-        _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+        _tangents(h, g, s, i, t)
         copy(h.w.source[: len(s.source[i])], s.source[i])
     for _ in range(MOST_ITERATIONS):
         change = largest = 0.0
@@ -792,15 +824,15 @@ def _iterate_derivatives(h, c, g, s, n):
             if status != OK:
                 return status
             if len(h.top.frictions) > 0:
-                _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
-                _by_reactions(h, c, g, t, s.v_stage[i], s.lam[i])
+                _tangents(h, g, s, i, t)
+                _by_reactions(h, c, g, s, i, t)
             else:
                 copy(s.source[i], h.w.source)
             copy(s.by_v[i], s.next)
             fill(s.by_q[i], 0.0)
             fill(s.by_v[i], 0.0)
-            _solve_adjoint(h, g, s.to_acc[i])
-            _to_state(h, g, s.v_stage[i], s.acc[i], s.lam[i], g.unused, s.by_q[i], s.by_v[i])
+            _solve_adjoint(h, g, s, i)
+            _to_state(h, g, s, i, g.unused, s.by_q[i], s.by_v[i])
             for d in range(len(s.next)):
                 # derivatives by positions count as those by velocities, over the step
                 change = max(change, abs(s.by_v[i, d] - s.next[d]), size * abs(s.by_q[i, d] - s.kept[i, d]))
@@ -815,16 +847,16 @@ def _iterate_derivatives(h, c, g, s, n):
 
 
 @subkernel
-def _through_stage(h, c, g, s, n, i, by_q, by_v):
+def _through_stage(h, c, g, s, n, i):
     """Add what follows from the derivatives with respect to the accelerations of stage `i`; return a status."""
     t = s.time[n] + s.c[i] * s.size[n]
     status = _take_factors(h, s, n, i, t)
     if status != OK:
         return status
-    _tangents(h, g, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i])
+    _tangents(h, g, s, i, t)
     if g.wants[POINTS] != 0:
-        _by_points(c, g, t, s.q_stage[i], s.v_stage[i])
-    _pull_back(h, c, g, t, s.v_stage[i], s.acc[i], s.lam[i], s.to_acc[i], by_q, by_v)
+        _by_points(c, g, s, i, t)
+    _pull_back(h, c, g, s, i, t)
     return OK
 
 
@@ -833,6 +865,8 @@ def _sweep_back(h, c, g, s, first, before):
     is_explicit = s.is_implicit[0] == 0
     fill_rows(g.lam_bar, 0.0)
     fill_rows(g.pull_bar, 0.0)
+    if first < before:  # writes what is constant in the Jacobian
+        _accelerations(h, s.time[first], s.q[first], s.v[first], s.next, s.lam[0], False)
     for n in range(before - 1, first - 1, -1):
         status = _take_stages(h, s, n)
         if status == OK and not is_explicit:
@@ -844,16 +878,17 @@ def _sweep_back(h, c, g, s, first, before):
         q_bar, v_bar = s.q_bar[n], s.v_bar[n]
         _add(s.q_bar[n + 1], s.v_bar[n + 1], 1.0, q_bar, v_bar)
         for i in range(len(s.b) - 1, -1, -1):
-            to_q, to_v, by_q, by_v = s.to_q[i], s.to_v[i], s.next, s.next
-            if is_explicit:  # the others contain what follows from their accelerations already
-                by_q, by_v = to_q, to_v
-            status = _through_stage(h, c, g, s, n, i, by_q, by_v)
+            to_q, to_v = s.to_q[i], s.to_v[i]
+            if not is_explicit:  # these contain what follows from their accelerations already
+                _add(to_q, to_v, 1.0, q_bar, v_bar)
+            status = _through_stage(h, c, g, s, n, i)
             if status != OK:
                 return status, n + 1
-            for j in range(i if is_explicit else 0):
-                if s.a[i, j] != 0.0:
-                    _add(to_q, to_v, s.size[n] * s.a[i, j], s.to_v[j], s.to_acc[j])
-            _add(to_q, to_v, 1.0, q_bar, v_bar)
+            if is_explicit:
+                for j in range(i):
+                    if s.a[i, j] != 0.0:
+                        _add(to_q, to_v, s.size[n] * s.a[i, j], s.to_v[j], s.to_acc[j])
+                _add(to_q, to_v, 1.0, q_bar, v_bar)
         for i in range(len(q_bar) - 3, len(q_bar)):
             q_bar[i] = v_bar[i] = 0.0
     return OK, first
@@ -868,13 +903,13 @@ def differentiate_back(
 ) -> tuple[int, int]:
     """Do a task for states or steps, whose numbers are from `first` to ``end - 1``; return a status and a number.
 
-    PULL adds the derivatives of the `Given` states to their results; the number is that of the states done. STAGES
-    writes the states of the stages of `Steps` into their arrays of derivatives; the number is that of the next step.
+    PULL adds what follows from the derivatives in `Given` to the results in `Steps`, and STAGES writes the states of
+    the stages of `Steps` into their arrays of derivatives; the number is that of the next state or step.
     SWEEP carries derivatives back through `Steps`; the number is that of the first step passed.
     """
-    h, c, g = load_engine(engine), load_dual_states(duals), load_adjoint(adjoint)
+    h, c, g, s = load_engine(engine), load_dual_states(duals), load_adjoint(adjoint), load_steps(steps)
     if task == PULL:
-        return _pull_states(h, c, g, load_given(given))
+        return _pull_states(h, c, g, load_given(given), s, first, end)
     if task == STAGES:
-        return _write_stages(h, load_steps(steps), first, end)
-    return _sweep_back(h, c, g, load_steps(steps), first, end)
+        return _write_stages(h, s, first, end)
+    return _sweep_back(h, c, g, s, first, end)

@@ -1,7 +1,8 @@
 """Stages of steps that are kept for the way back.
 
-A row holds the accelerations of a stage; those of explicit steps also hold its multipliers and the factors of the Schur
-complement of its system, so that the way back does not factorize.
+A row holds the accelerations of a stage; those of explicit steps also hold its multipliers, the factors of the Schur
+complement of its system, and the cosines and sines of its angles, so that the way back evaluates none of these; ground
+is left out.
 """
 
 from __future__ import annotations
@@ -27,9 +28,9 @@ load_kept_stages = bundle_loader(lambda: example_of(KeptStages))
 
 
 @subkernel
-def _pass(x, row, at, is_kept):
-    """Copy the rows of `x` from `row` if they are kept there, else to it, from `at` on; return the index behind."""
-    for k in range(len(x)):
+def _pass(x, count, row, at, is_kept):
+    """Copy `count` rows of `x` from `row` if they are kept there, else to it, from `at` on; return the index behind."""
+    for k in range(count):
         for d in range(len(x[k])):
             if is_kept:
                 x[k, d] = row[at + d]
@@ -42,24 +43,27 @@ def _pass(x, row, at, is_kept):
 @subkernel
 def take_stage(acc, lam, row):
     """Read accelerations and multipliers of a stage from a row."""
-    for d in range(len(acc)):
+    for d in range(len(acc) - 3):
         acc[d] = row[d]
-    _pass(lam, row, len(acc), True)
+    _pass(lam, len(lam), row, len(acc) - 3, True)
 
 
 @subkernel
 def pass_factors(w, solver, acc, lam, row, is_kept):
-    """Copy the factors of the system of a stage from a row if they are kept there, else to it."""
-    at = _pass(solver.schur.diagonal, row, len(acc) + 2 * len(lam), is_kept)
-    at = _pass(solver.schur.below, row, at, is_kept)
-    _pass(w.response, row, at, is_kept)
+    """Copy cosines, sines and factors of the system of a stage from a row if they are kept there, else to it."""
+    schur = solver.schur
+    at = _pass(schur.diagonal, len(schur.diagonal), row, len(acc) - 3 + 2 * len(lam), is_kept)
+    at = _pass(schur.below, len(schur.below), row, at, is_kept)
+    at = _pass(w.response, len(w.response), row, at, is_kept)
+    _pass(w.cs, len(w.cs) - 1, row, at, is_kept)
 
 
 @subkernel
 def keep_stage(w, solver, acc, lam, row):
-    """Write accelerations and multipliers of a stage, and the factors of its system, to a row."""
-    copy(acc, row)
-    _pass(lam, row, len(acc), False)
+    """Write accelerations and multipliers of a stage, its cosines and sines and the factors of its system, to a row."""
+    for d in range(len(acc) - 3):
+        row[d] = acc[d]
+    _pass(lam, len(lam), row, len(acc) - 3, False)
     pass_factors(w, solver, acc, lam, row, False)
 
 
