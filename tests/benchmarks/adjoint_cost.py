@@ -2,14 +2,15 @@
 
 Compared are the same compiled steps: those of a run that records nothing but its start and end; those that keep what
 the way back needs; and the way back itself. The processor time of the calls of machine code is added up, and the least
-of several repetitions counts.
+of several repetitions counts. Beside them stands CasADi's adjoint of two rods in their angles.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 from rich.console import Console
@@ -25,6 +26,8 @@ from mbdkit_gradients.differentiated_run import Needs
 from mbdkit_gradients.gradient_parameters import resolved
 from mbdkit_gradients.measured_derivatives import needs_of
 from mbdkit_gradients.prepared_derivatives import prepared_derivatives
+
+from .gradients import timed
 
 MEASURE = "final(energy.kinetic)"
 RK4, GAUSS = {"name": "rk4"}, {"name": "gauss", "stages": 2}
@@ -111,4 +114,43 @@ def adjoint_cost(console: Console) -> None:
                 shares = (f"{x / forward:.2f}" for x in (kept, back, kept + back))
                 short = ", ".join(one.removeprefix("model.") for one in names)
                 table.add_row(name, str(method["name"]), short, f"{forward / steps * 1e6:.2f} us", *shares)
+    with suppress(ImportError):
+        forward, whole = casadi_times(CASES[0][2], CASES[0][3][0])
+        cost = f"{forward / CASES[0][2] * 1e6:.2f} us", "", "", f"{whole / forward:.2f}"
+        table.add_row("2 rods, CasADi", "rk4", "mass, start", *cost)
     console.print(table)
+
+
+def casadi_times(steps: int, step: float) -> tuple[float, float]:
+    """Return the times [s] of the steps of two rods in their angles, and of these with their adjoint, by CasADi.
+
+    Its virtual machine evaluates the steps one after another; a just-in-time compiler is not used.
+    """
+    import casadi
+
+    x = casadi.SX.sym("x", 5)  # angles and rates of rods of 1 m, and their mass
+    rates = two_rods(x)
+    k1 = rates(x)
+    k2 = rates(x + step / 2 * k1)
+    k3 = rates(x + step / 2 * k2)
+    once = casadi.Function("once", [x], [x + step / 6 * (k1 + 2 * k2 + 2 * k3 + rates(x + step * k3))])
+    run = once.fold(steps)
+    start = [-0.5, -0.5, 0.0, 0.0, 1.0]
+    back = partial(run.reverse(1), start, run(start), [0.0, 0.0, 1.0, 0.0, 0.0])
+    forward, whole = (min(timed(work)() for _ in range(REPEATS)) for work in (partial(run, start), back))
+    return forward, whole
+
+
+def two_rods(x: Any) -> Any:
+    """Return CasADi's function of the rates of angles and rates `x` of two rods; see `casadi_times`."""
+    import casadi
+
+    first, second, mass = x[0], x[1], x[4]
+    turn, g = first - second, 9.81
+    inertia = mass * casadi.vertcat(
+        casadi.horzcat(4 / 3, casadi.cos(turn) / 2), casadi.horzcat(casadi.cos(turn) / 2, 1 / 3)
+    )
+    moment_1 = -(x[3] ** 2) * casadi.sin(turn) / 2 - 1.5 * g * casadi.cos(first)
+    moment_2 = x[2] ** 2 * casadi.sin(turn) / 2 - g / 2 * casadi.cos(second)
+    a = casadi.solve(inertia, mass * casadi.vertcat(moment_1, moment_2))
+    return casadi.Function("rates", [x], [casadi.vertcat(x[2], x[3], a, 0)])

@@ -340,6 +340,10 @@ class DifferentiatedStepper(CompiledStepper):
         self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes
         return done
 
+    def given_size(self, sizes: Sequence[float], number: int) -> float:
+        """Return the size of step `number`, given those of all steps [s]."""
+        return sizes[min(number, len(sizes) - 1)]
+
     def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
         with self.steps.last_nodes_kept():
@@ -398,7 +402,7 @@ class DifferentiatedStepper(CompiledStepper):
         while True:
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
             if self._sizes is not None and progress.retrying[0] == 0:
-                progress.next_size[0] = self._sizes[min(before, len(self._sizes) - 1)]
+                progress.next_size[0] = self.given_size(self._sizes, before)
             status, written = super().drive(plan, 1, path)
             if int(progress.accepted[0]) > before:
                 step = float(progress.tried_begin[0]), float(progress.last_size[0])

@@ -60,15 +60,13 @@ def other_methods(setup: RunSetup, steps: int, interval: float | None = None) ->
     return [_spec_of(run, spec, most, interval) for run in other_runs(setup, spec.time.final)]
 
 
-def with_other_steps(spec: RunSpec, step: float, *, fixed: bool, tightest: float) -> RunSpec:
+def with_other_steps(spec: RunSpec, step: float, *, tightest: float) -> RunSpec:
     """Return the spec of a comparison run by the same adaptive method with other steps.
 
-    `step`: size of fixed steps, or largest size of adaptive ones [s]. `tightest`: smallest tolerance of adaptive steps.
+    `step`: largest size of the steps [s]. `tightest`: smallest tolerance.
     """
     given = canonical(spec.integrator)
     most = max(2 + round((spec.time.final - spec.time.start) / step), spec.limits.max_steps)
-    if fixed:
-        return _varied(spec, most, {key: given[key] for key in ("name", "stages") if key in given}, step)
     return _varied(spec, most, given | {"rtol": max(given["rtol"], tightest), "max_step": step})
 
 

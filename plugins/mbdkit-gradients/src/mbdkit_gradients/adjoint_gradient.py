@@ -111,7 +111,7 @@ class AdjointRun:
         self._rows = np.zeros((0, 0))
         self._corners: list[AdjointCorner] = []
         self._sided: SidedStepper | None = None
-        sided = None if method.traits.tolerances is not None else with_sides(self.workspace.mechanism)
+        sided = with_sides(self.workspace.mechanism)
         if sided is None:
             stepper = setup.stepper(self._table)
             self._keep_stages(stepper)
@@ -119,10 +119,13 @@ class AdjointRun:
             stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None, setup, every=1)
             assert isinstance(stepper, SidedStepper)
             self._sided, self.workspace, self.seeds = stepper, stepper.workspace, sided.seeds(seeds)
+            self.is_split = True
         self.time, self.q, self.v = self._stepped(stepper)
         size, step = np.diff(self.time), self._table.step
         self.size = size if step is None else np.where(np.abs(size - step) < 1e-9 * step, step, size)
         self.sizes = None if method.traits.tolerances is None else self.size.tolist()
+        if self._sided is not None and self.sizes is not None:
+            self.sizes = self._sided.sizes_taken
         self._observer = StateObserver(self.workspace.with_own_pivots())
         self._adjoint = BackwardSweep(self.workspace, self.seeds)
         if self._sided is not None:
@@ -344,10 +347,7 @@ class AdjointRun:
     def measures(self, expressions: Mapping[str, MeasureExpression]) -> dict[str, DerivedMeasure]:
         """Return measures with their derivatives; raise NotByAdjointError if the adjoint does not give them."""
         mechanism = self.workspace.mechanism
-        sided = None if self._sided is not None else with_sides(mechanism)
-        if passed := () if sided is None else sided.passed(self.rows.observed, self.q, self.v):
-            raise NotByAdjointError(f"adaptive steps do not end where the force '{passed[0]}' is discontinuous")
-        self.doubts = doubts_of_laws(mechanism, ())
+        self.doubts = doubts_of_laws(mechanism)
         nodes = None
         if self._needs.nodes:
             weights = self.method.tableau.floats()[1]

@@ -12,7 +12,6 @@ from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.plain_data import path_text, quoted
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
@@ -202,7 +201,7 @@ def differentiated_stepper(
 ) -> DifferentiatedStepper | SidedStepper:
     """Return a run at its start.
 
-    Fixed steps end at discontinuities of force laws. Adaptive steps do not, because step-size control determines them.
+    Steps end at discontinuities of force laws.
 
     Parameters
     ----------
@@ -223,14 +222,12 @@ def differentiated_stepper(
     compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
-        if sided is None or method.traits.tolerances is not None:
-            compiled, control = compiled_method(method, workspace)
-            return DifferentiatedStepper(
-                compiled, workspace, table, control, seeds, with_nodes=needs.nodes, sizes=sizes
-            )
-        own = replace(workspace, mechanism=sided.mechanism)
-        compiled, _ = compiled_method(method, own)
-        return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, with_nodes=needs.nodes)
+        own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
+        compiled, control = compiled_method(method, own)
+        more: dict[str, Any] = {"with_nodes": needs.nodes, "sizes": sizes}
+        if sided is None:
+            return DifferentiatedStepper(compiled, own, table, control, seeds, **more)
+        return SidedStepper(compiled, own, table, control, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
@@ -325,17 +322,8 @@ class _Pass:
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
         sizes = self.stepper.sizes_taken if self.stepper.controlled else None
         motions = () if self.motion is None else (self.motion,)
-        return DifferentiatedRun(
-            rows, nodes, moved, tuple(crossings), sizes, motions, self._sided is not None, self._doubts(rows)
-        )
-
-    def _doubts(self, rows: DifferentiatedStates) -> tuple[str, ...]:
-        """Return warnings about force laws that have, or may have, discontinuities inside steps."""
-        mechanism = self.workspace.mechanism
-        sided = None if self._sided is not None else with_sides(mechanism)
-        observed = Observed(*(x[..., 0] for x in rows.observed))
-        passed = () if sided is None else sided.passed(observed, rows.q[..., 0], rows.v[..., 0])
-        return doubts_of_laws(mechanism, passed)
+        doubts = doubts_of_laws(self.workspace.mechanism)
+        return DifferentiatedRun(rows, nodes, moved, tuple(crossings), sizes, motions, self._sided is not None, doubts)
 
     def _nodes(self, history: Sequence[tuple[int, np.ndarray]]) -> DifferentiatedStates:
         """Return the nodes of integrals over time.
@@ -416,23 +404,14 @@ class _Pass:
             return DifferentiatedCrossing(event.name, event.time, -value.slope[:, 0] / rate)
 
 
-def doubts_of_laws(mechanism: CompiledMechanism, passed: Sequence[str]) -> tuple[str, ...]:
-    """Return warnings about force laws that have, or may have, discontinuities inside steps.
-
-    `passed`: names of the forces of which steps pass a discontinuity.
-    """
+def doubts_of_laws(mechanism: CompiledMechanism) -> tuple[str, ...]:
+    """Return warnings about force laws that may have discontinuities inside steps."""
     unknown = (
         f"the law of the force '{name}' is a function, so its discontinuities are not known. If the run passes "
         f"one, the derivatives lack its contribution; write the law as a SymPy expression"
         for name in with_unknown_corners(mechanism)
     )
-    inaccurate = (
-        f"the run passes a point at which the force '{name}', or its derivative, is discontinuous; adaptive "
-        f"steps do not end there, so that the derivatives lack the contribution of the discontinuity or are "
-        f"inaccurate after it: use fixed steps"
-        for name in passed
-    )
-    return (*unknown, *doubts_of_kinds(mechanism), *inaccurate)
+    return (*unknown, *doubts_of_kinds(mechanism))
 
 
 def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]:

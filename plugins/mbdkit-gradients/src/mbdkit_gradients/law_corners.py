@@ -110,16 +110,6 @@ class SidedMechanism:
     conditions: tuple[ForceCondition | LawCondition, ...]
     places: np.ndarray
 
-    def passed(self, observed: Observed, q: np.ndarray, v: np.ndarray) -> tuple[str, ...]:
-        """Return the names of the forces for which a condition changes over time; see `LawCondition.values`."""
-        numbers = self.mechanism.topology.law_parameters
-        found = []
-        for condition in self.conditions:
-            values = condition.values(observed, q, v, numbers)
-            if min(values) < 0.0 < max(values):
-                found.append(condition.force)
-        return tuple(dict.fromkeys(found))
-
     def seeds(self, seeds: Seeds) -> Seeds:
         """Return the derivatives of the arrays of this mechanism, given those of the original mechanism."""
         given = seeds.get("law_parameters")

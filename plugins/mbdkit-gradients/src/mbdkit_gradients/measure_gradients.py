@@ -468,9 +468,7 @@ class _RunProblem(GradientProblem[RunSpec]):
         return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
 
     def reference(self, run: DifferentiatedRun | AdjointRun, prepared: PreparedDerivatives) -> Reference:
-        by_adjoint = isinstance(run, AdjointRun)
-        step = self.spec.time.step or float(np.mean(run.sizes if run.sizes is not None else np.diff(run.rows.time)))
-        return Reference(self.spec, self.expressions, prepared, self._needs, step, by_adjoint)
+        return Reference(self.spec, self.expressions, prepared, self._needs, isinstance(run, AdjointRun))
 
 
 @object_view

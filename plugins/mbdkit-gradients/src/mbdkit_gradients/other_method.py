@@ -1,7 +1,4 @@
-"""Measures of a run by another, more accurate method, and their gradient, from which the errors of derivatives follow.
-
-If force laws have discontinuities, the differentiated run has fixed steps, because adaptive steps do not end there.
-"""
+"""Measures of a run by another, more accurate method, and their gradient, from which errors of derivatives follow."""
 
 from __future__ import annotations
 
@@ -22,7 +19,6 @@ from mbdkit_gradients.adjoint_gradient import AdjointRun, why_forward
 from mbdkit_gradients.adjoint_measures import NotByAdjointError
 from mbdkit_gradients.differentiated_run import Needs, differentiated_run
 from mbdkit_gradients.gradient_check import Settings
-from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.measured_derivatives import derived_measures
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
@@ -32,8 +28,6 @@ ASSUMED_STEPS = 2_000
 #:
 #: They are not as strict as those of the runs for differences, which would show a short pulse that these steps miss.
 STEPS, TOLERANCE = 200, 1e-11
-#: Smallest ratio of the sizes of the steps of a run to those of the other method, if the latter are fixed.
-FINER = 4
 
 
 @dataclass
@@ -48,8 +42,6 @@ class Reference:
         Derivatives of the preparation of the run.
     needs
         Data that the measures need.
-    step
-        Size of the steps of the run [s], on average.
     by_adjoint
         Whether the gradient is known only if the adjoint gives it, because there are many parameters.
     """
@@ -58,12 +50,10 @@ class Reference:
     expressions: Mapping[str, MeasureExpression]
     prepared: PreparedDerivatives
     needs: Needs
-    step: float
     by_adjoint: bool = False
 
     def __post_init__(self) -> None:
         self._specs = VariedSpecs(self.spec.canonical_json())
-        self._has_sides = with_sides(RunSetup.of(self.spec).workspace.mechanism) is not None
         self._chosen: int | None = None
 
     def values(self, settings: Settings) -> Sequence[float]:
@@ -85,9 +75,8 @@ class Reference:
         if self._chosen is None:
             return unknown
         other = self._others(self.spec, None)[self._chosen]
-        step, fixed = (self.spec.time.final - self.spec.time.start) / STEPS, self._has_sides
-        step = min(step, self.step / FINER) if fixed else step
-        other = with_other_steps(other, step, fixed=fixed, tightest=TOLERANCE)
+        step = (self.spec.time.final - self.spec.time.start) / STEPS
+        other = with_other_steps(other, step, tightest=TOLERANCE)
         try:
             if self.by_adjoint:
                 if why_forward(other, make_method(other), seeds):

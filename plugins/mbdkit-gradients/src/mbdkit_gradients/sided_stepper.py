@@ -25,6 +25,7 @@ from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedSteppe
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run.run_state import MODIFIED
+from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import ForceCondition
@@ -92,12 +93,13 @@ def use_sides(stepper: DifferentiatedStepper, sides: np.ndarray | None) -> None:
 
 
 class SidedStepper(DifferentiatedStepper):
-    """Runs a method with fixed steps on a mechanism with sides, and differentiates every step.
+    """Runs a method on a mechanism with sides, and differentiates every step.
 
     Parameters
     ----------
-    method, workspace, timetable, seeds, with_nodes
-        See `DifferentiatedStepper`; the mechanism of the workspace is one with sides.
+    method, workspace, timetable, control, seeds, with_nodes, sizes
+        See `DifferentiatedStepper`; the mechanism of the workspace is one with sides. Sizes, given or taken, are those
+        of whole steps, which corners split.
     conditions
         The conditions of the laws of the mechanism.
 
@@ -114,12 +116,16 @@ class SidedStepper(DifferentiatedStepper):
         method: CompiledMethod,
         workspace: Workspace,
         timetable: Timetable,
+        control: Control | None,
         seeds: Seeds,
         conditions: Sequence[ForceCondition | LawCondition],
         *,
         with_nodes: bool,
+        sizes: Sequence[float] | None = None,
     ):
-        super().__init__(method, workspace, replace(timetable, single=True), None, seeds, with_nodes=with_nodes)
+        table = replace(timetable, single=True)
+        super().__init__(method, workspace, table, control, seeds, with_nodes=with_nodes, sizes=sizes)
+        self._split = 0.0  # the part of a step with controlled size that has been taken, up to a corner [s]
         self.conditions = conditions
         self.history: list[Sides] = []
         self.corners: list[LawCorner] = []
@@ -165,6 +171,9 @@ class SidedStepper(DifferentiatedStepper):
         found = None if step is None or self.failure is not None else self._first_crossing(step)
         if step is None or found is None:
             self._at_once = 0
+            if self._split and len(self.sizes_taken) > taken:
+                self.sizes_taken[-1] += self._split
+                self._split = 0.0
             return stretch
         theta, number = found
         if theta < 1.0 - SAME:
@@ -175,6 +184,8 @@ class SidedStepper(DifferentiatedStepper):
             if theta > SAME:
                 self.stop_at(step.time(theta))
                 stretch = super().advance()
+                self._split += sum(self.sizes_taken[taken:])
+                del self.sizes_taken[taken:]
         self._at_once = 0 if theta > SAME else self._at_once + 1
         if self._at_once > MOST_AT_ONCE:
             name = self.conditions[number].force
@@ -183,6 +194,11 @@ class SidedStepper(DifferentiatedStepper):
             )
         self._pass(number)
         return stretch if theta > SAME else self.advance()
+
+    def given_size(self, sizes: Sequence[float], number: int) -> float:
+        """See `DifferentiatedStepper.given_size`: the rest of a step behind a corner is one step."""
+        ends, now = self.timetable.start + np.cumsum(sizes), self.time + SAME * min(sizes)
+        return float(ends[min(int(np.searchsorted(ends, now)), len(ends) - 1)]) - self.time
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
         """Return the share of a step at which the first condition changes, and the index of the condition.
@@ -230,7 +246,7 @@ class SidedStepper(DifferentiatedStepper):
 
     def _conditions(self, here: DifferentiatedStates) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the functions (C,) of the conditions in a state, their derivatives (C, K), and their rates (C,)."""
-        around, distance = self._evaluator.around(here, float(self.timetable.step or 1.0))
+        around, distance = self._evaluator.around(here, float(self.timetable.step or 1e-3))
         forces, moved = here.observed.forces[0], around.observed.forces[:, :, 1, 0]
         values, slopes, rates = [], [], []
         width = forces.shape[-1]
@@ -259,7 +275,7 @@ class SidedStepper(DifferentiatedStepper):
 
     def _ahead(self, here: DifferentiatedStates) -> np.ndarray:
         value, _, rate = self._conditions(here)
-        return np.where(value + AHEAD * float(self.timetable.step or 1.0) * rate >= 0.0, 1.0, -1.0)
+        return np.where(value + AHEAD * float(self.timetable.step or 1e-3) * rate >= 0.0, 1.0, -1.0)
 
     def _pass(self, number: int) -> None:
         """Pass a corner: change the sides, and the derivatives of velocities, first-order states and energies."""

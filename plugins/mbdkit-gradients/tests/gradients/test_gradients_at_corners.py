@@ -99,13 +99,13 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
     assert_passed(found)
 
 
-def test_controlled_steps_across_corners_are_doubted() -> None:
-    adaptive = {"name": "dopri5", "adaptive": True, "rtol": 1e-6, "atol": 1e-6, "max_step": 0.01}
-    spec = {**ball(0.9, 0.01, adaptive), "time": {"end": 0.9}}
-    found = mbdkit.gradient(spec, MEASURES, "y", check=False)
-    assert "the run passes a point at which the force 'pad', or its derivative, is discontinuous" in found.doubts[0]
-    falling = mbdkit.gradient({**spec, "time": {"end": 0.3}}, MEASURES, "y", check=False)
-    assert falling.doubts == ()
+@pytest.mark.parametrize("method", [{"name": "dopri5"}, GAUSS], ids=lambda one: str(one["name"]))
+def test_controlled_steps_end_at_jumps_of_the_force(method: dict[str, object]) -> None:
+    # expected: the closed form
+    spec = ball(0.9, 0.01, {**method, "adaptive": True, "rtol": 1e-9, "atol": 1e-11}) | {"time": {"end": 0.9}}
+    found = mbdkit.gradient(spec, MEASURES, ["y", "k", "c"])
+    np.testing.assert_allclose(found.jacobian, expected(0.9), rtol=2e-6, atol=1e-12)
+    assert_passed(found)
 
 
 def test_steps_too_long_for_the_interpolation_between_their_ends_have_gradients() -> None:
