@@ -168,11 +168,7 @@ def shown(text: object, *, lines: bool = False) -> str:
 
     `lines`: whether line feeds and tabulators remain unescaped.
     """
-    return _HARMFUL.sub(_kept_lines if lines else _escaped, str(text))
-
-
-def _kept_lines(match: re.Match[str]) -> str:
-    return match[0] if match[0] in "\n\t" else _escaped(match)
+    return _HARMFUL.sub(lambda match: match[0] if lines and match[0] in "\n\t" else _escaped(match), str(text))
 
 
 def _escaped(match: re.Match[str]) -> str:

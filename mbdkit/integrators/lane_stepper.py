@@ -353,11 +353,6 @@ class PivotsAtStart:
 FEW_ROWS = 64  #: Initial number of rows of the buffer of recorded states; it is doubled when it is full.
 
 
-def _rows_by_interval(table: Timetable) -> int:
-    """Return an upper bound of the number of rows that a run records at fixed intervals; 0 if it records its steps."""
-    return 0 if table.interval is None else 2 + math.ceil((table.end - table.start) / table.interval)
-
-
 class ControlledLaneStepper(LaneStepper):
     """Advances up to `WIDTH` runs with controlled step size and the same method.
 
@@ -376,7 +371,9 @@ class ControlledLaneStepper(LaneStepper):
         self, mechanisms: list[CompiledMechanism], tables: list[Timetable], pivots: list[StagePivots]
     ) -> tuple[Mapping[str, np.ndarray], np.ndarray, np.ndarray | None]:
         """See `LaneStepper`; the runs may take different numbers of steps."""
-        while max(map(_rows_by_interval, tables)) > len(self.runs.row_work):
+        # upper bounds of the numbers of rows at fixed intervals
+        rows = [2 + math.ceil((one.end - one.start) / one.interval) for one in tables if one.interval is not None]
+        while max(rows, default=0) > len(self.runs.row_work):
             self._grow()
         if pivots:
             load_stage_pivots(self.run.method, pivots)

@@ -195,7 +195,9 @@ def _angles(
     elif isinstance(value, list | tuple):
         if is_angle and len(value) == 2 and all(isinstance(column, list | tuple) for column in value):
             yield (*path, 0), value[0]
-        elif not _is_flat(value) or (is_angle and any(abs(angle) > 2.0 * math.pi for angle in value)):
+        elif any(type(angle) is not float for angle in value) or (
+            is_angle and any(abs(angle) > 2.0 * math.pi for angle in value)
+        ):
             for index, item in enumerate(value):
                 yield from _angles(item, (*path, index), is_angle=is_angle)
     elif isinstance(value, BaseModel):
@@ -211,10 +213,6 @@ def _angles(
     elif isinstance(value, Mapping):
         for name, item in value.items():
             yield from _angles(item, (*path, name), is_angle=is_angle)
-
-
-def _is_flat(values: Sequence[object]) -> bool:
-    return all(type(value) is float for value in values)
 
 
 @lru_cache(maxsize=256)

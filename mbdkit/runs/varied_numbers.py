@@ -162,6 +162,11 @@ class VariedNumbers:
         made = self._new_variant(numbers)
         return None if made is None else (made, made.formulas(*numbers) or ())
 
+    def variant(self, numbers: Sequence[float]) -> Variant | None:
+        """Return the formulas for some numbers, without their results; None if there are none."""
+        found = self.results(numbers) if self.variants else (self._new_variant(numbers),)
+        return None if found is None else found[0]
+
     def stacks(self, values: np.ndarray) -> Stacks | None:
         """Return the arrays of N mechanisms with other numbers (N, K); None if there are formulas for none of them."""
         parts: dict[Variant, list[tuple[np.ndarray, np.ndarray]]] = defaultdict(list)

@@ -398,7 +398,6 @@ class DesignSpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit design spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
 
     mbdkit_design: FormatVersion
     """Version of the spec format."""

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import RunError
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import INTERACTION, LAW_ROW, SPRING
 from mbdkit.engine.observed_states import StateObserver
@@ -88,6 +89,8 @@ class AdjointRun:
         Derivatives of the prepared run with respect to the parameters.
     needs
         Data that the measures need.
+    starts
+        Compiled mechanisms; none by default.
 
     Raises
     ------
@@ -97,14 +100,13 @@ class AdjointRun:
         If the run stops early.
     """
 
-    is_split = False
     doubts: tuple[str, ...] = ()
 
-    def __init__(self, spec: RunSpec, seeds: Seeds, needs: Needs):
+    def __init__(self, spec: RunSpec, seeds: Seeds, needs: Needs, starts: Starts | None = None):
         self.spec, self.seeds, self._needs = spec, seeds, needs
         method = make_method(spec)
         assert isinstance(method, ExplicitRungeKutta | ImplicitRungeKutta)
-        setup = RunSetup.of(spec, method=method)
+        setup = RunSetup.of(spec, starts, method=method)
         self.method, self.workspace = method, setup.workspace
         self._check()
         self._table = replace(setup.timetable(), every=1)
@@ -112,6 +114,7 @@ class AdjointRun:
         self._corners: list[AdjointCorner] = []
         self._sided: SidedStepper | None = None
         sided = with_sides(self.workspace.mechanism)
+        self.is_split = sided is not None
         if sided is None:
             stepper = setup.stepper(self._table)
             self._keep_stages(stepper)
@@ -119,13 +122,11 @@ class AdjointRun:
             stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), None, setup, every=1)
             assert isinstance(stepper, SidedStepper)
             self._sided, self.workspace, self.seeds = stepper, stepper.workspace, sided.seeds(seeds)
-            self.is_split = True
         self.time, self.q, self.v = self._stepped(stepper)
         size, step = np.diff(self.time), self._table.step
         self.size = size if step is None else np.where(np.abs(size - step) < 1e-9 * step, step, size)
-        self.sizes = None if method.traits.tolerances is None else self.size.tolist()
-        if self._sided is not None and self.sizes is not None:
-            self.sizes = self._sided.sizes_taken
+        of_steps = self.size.tolist() if self._sided is None else self._sided.sizes_taken
+        self.sizes = None if method.traits.tolerances is None else of_steps
         self._observer = StateObserver(self.workspace.with_own_pivots())
         self._adjoint = BackwardSweep(self.workspace, self.seeds)
         if self._sided is not None:

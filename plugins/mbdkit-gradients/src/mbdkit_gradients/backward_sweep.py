@@ -10,7 +10,6 @@ import numpy as np
 
 from mbdkit.base.errors import PluginError
 from mbdkit.engine.elimination_order import SingularSystemError
-from mbdkit.engine.kernels.applied_forces import any_forces
 from mbdkit.engine.kernels.bundle_types import example_of
 from mbdkit.engine.kernels.system import DIVERGED, OK
 from mbdkit.engine.kernels.table_rows import PAIR, SPRING
@@ -223,8 +222,9 @@ class BackwardSweep:
         stages, size, pairs = len(b), run.q.shape[1], len(self.bundle.nu)
         is_implicit, none = not isinstance(run.method, ExplicitRungeKutta), np.zeros((0, size))
         is_kept = len(run.rows) > 0 and not is_implicit
-        needs_positions = any_forces(self._run.top) or "stage_q_bar" in arrays  # type: ignore[no-untyped-call]
-        needs_positions = needs_positions or len(self.bundle.terms) or self.bundle.wants[kernels.POINTS]
+        top, wants_points = self.workspace.mechanism.topology, self.bundle.wants[kernels.POINTS]
+        acting = self.bundle.terms, top.springs, top.loads, top.interactions
+        needs_positions = any(map(len, acting)) or wants_points or "stage_q_bar" in arrays
         scratch = self.workspace.scratch  # without terms, only the Jacobian is in use
         used = len(scratch.source) if len(self.bundle.terms) else places_in(scratch, "jac").size + size - 3
         names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")

@@ -224,10 +224,10 @@ def differentiated_stepper(
     try:
         own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
         compiled, control = compiled_method(method, own)
-        more: dict[str, Any] = {"with_nodes": needs.nodes, "sizes": sizes}
+        more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
         if sided is None:
-            return DifferentiatedStepper(compiled, own, table, control, seeds, **more)
-        return SidedStepper(compiled, own, table, control, sided.seeds(seeds), sided.conditions, **more)
+            return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
+        return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None

@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import plus_minus
+from mbdkit.engine.consistent_start import Starts
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
@@ -227,7 +228,7 @@ def gradient(
         problem.mode = mode
         found = problem.gradient(chosen, check=check)
     spec = problem.spec
-    of_spec = RunSetup.of(spec).findings()
+    of_spec = RunSetup.of(spec, problem.starts).findings()
     of_run = Doubts.of(of_spec, spec.accept).open
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}
@@ -420,16 +421,19 @@ class _RunProblem(GradientProblem[RunSpec]):
 
     def __init__(self, spec: RunSpec, definitions: Definitions, preparation: RunPreparation | None = None):
         super().__init__(spec, definitions)
-        self._preparation = preparation
+        self._preparation, self.starts = preparation, Starts()
         every = [needs_of(expression) for expression in self.expressions.values()]
         self._needs = Needs(any(one.nodes for one in every), any(one.ends for one in every))
+
+    @cached_property
+    def _specs(self) -> VariedSpecs:
         apart: dict[str, Any] = {"measures": {}, "gradients": [], "check": False}
-        self._specs = VariedSpecs(RunSpec(**spec.sections() | apart).canonical_json())
+        return VariedSpecs(RunSpec(**self.spec.sections() | apart).canonical_json())
 
     def prepared(self, parameters: Sequence[Parameter]) -> PreparedDerivatives:
         if self._preparation is not None:
             return self._preparation.derivatives(parameters)
-        return prepared_derivatives(self.spec, parameters, self.definitions)
+        return prepared_derivatives(self.spec, parameters, self.definitions, self.starts)
 
     def run(self, parameters: Sequence[Parameter], prepared: PreparedDerivatives) -> DifferentiatedRun:
         run = differentiated_run(self.spec, prepared.seeds, self._needs)
@@ -444,7 +448,7 @@ class _RunProblem(GradientProblem[RunSpec]):
         try:
             if why := why_forward(self.spec, make_method(self.spec), prepared.seeds):
                 raise NotByAdjointError(why)
-            run = AdjointRun(self.spec, prepared.seeds, self._needs)
+            run = AdjointRun(self.spec, prepared.seeds, self._needs, self.starts)
             derived = run.measures(self.expressions)
         except NotByAdjointError as error:
             if self.mode == "adjoint":

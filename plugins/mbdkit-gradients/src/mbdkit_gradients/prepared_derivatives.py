@@ -55,7 +55,7 @@ FURTHER = 0.01
 
 
 def prepared_derivatives(
-    spec: RunSpec, parameters: Sequence[Parameter], definitions: Definitions = NO_MEASURES
+    spec: RunSpec, parameters: Sequence[Parameter], definitions: Definitions = NO_MEASURES, starts: Starts | None = None
 ) -> PreparedDerivatives:
     """Return the derivatives of a prepared run with respect to parameters: of the mechanism, and of its start ``q`` and
     ``v``.
@@ -64,13 +64,16 @@ def prepared_derivatives(
     ----------
     definitions
         The measures, whose numbers may depend on the parameters.
+    starts
+        Compiled mechanisms; none by default.
 
     Raises
     ------
     SpecError
         If the structure of the mechanism depends on a parameter, or if the spec is not valid near its value.
     """
-    return RunPreparation(spec, partial(numbers_of_run, definitions=definitions)).derivatives(parameters)
+    shared = SharedPreparation(starts or Starts())
+    return RunPreparation(spec, partial(numbers_of_run, definitions=definitions), shared=shared).derivatives(parameters)
 
 
 def numbers_of_run(spec: RunSpec, definitions: Definitions) -> Arrays:
@@ -412,12 +415,14 @@ class RunPreparation(Preparation):
         if paths not in formulas or formulas[paths][0] != others:
 
             def spec(numbers: Sequence[float]) -> RunSpec:
+                if np.array_equal(numbers, values):
+                    return self.spec
                 return self._specs.spec([*others, *zip(paths, numbers, strict=True)])
 
             formulas[paths] = others, VariedNumbers(paths, spec, keeps_texts=True)
         key = paths, others, values.tobytes()
         if key not in latest:
-            variant, _ = formulas[paths][1].results(values.tolist())  # type: ignore[misc]
+            variant: Any = formulas[paths][1].variant(values.tolist())
             exact = derivatives_of(variant.formulas, values.tolist())
             sizes = np.array([WIDEST * self._scale(one) for one in parameters])
             around = np.minimum(sizes, np.where(values, 0.5 * np.abs(values), np.inf))

@@ -408,12 +408,12 @@ KINEMATIC = {
 
 def is_smooth(spec: RunSpec) -> bool:
     """Return whether motion is smooth between the ends of steps, so that states can be interpolated: without stops,
-    first-order states, and force laws that fixed steps may cross at a discontinuity.
+    first-order states, and force laws with discontinuities.
     """
     mechanism, setup = spec.mechanism(), RunSetup.of(spec)
     if setup.timetable().stops or mechanism.state_names() or mechanism.held_names():
         return False
-    return spec.claims.adaptive or with_sides(setup.workspace.mechanism) is None
+    return with_sides(setup.workspace.mechanism) is None
 
 
 def _initial(name: str, start: Mapping[str, float]) -> Parameter:

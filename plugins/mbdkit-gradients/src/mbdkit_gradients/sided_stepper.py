@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -25,7 +26,6 @@ from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedSteppe
 from mbdkit.integrators.duals.dual_run import Seeds
 from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run.run_state import MODIFIED
-from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, rate_of
 from mbdkit_gradients.law_corners import ForceCondition
@@ -97,11 +97,13 @@ class SidedStepper(DifferentiatedStepper):
 
     Parameters
     ----------
-    method, workspace, timetable, control, seeds, with_nodes, sizes
-        See `DifferentiatedStepper`; the mechanism of the workspace is one with sides. Sizes, given or taken, are those
-        of whole steps, which corners split.
+    method, workspace, timetable, seeds
+        See `DifferentiatedStepper`; the mechanism of the workspace is one with sides.
     conditions
         The conditions of the laws of the mechanism.
+    **more
+        The other parameters of `DifferentiatedStepper`. Sizes, given or taken, are those of whole steps, which corners
+        split.
 
     Attributes
     ----------
@@ -116,15 +118,11 @@ class SidedStepper(DifferentiatedStepper):
         method: CompiledMethod,
         workspace: Workspace,
         timetable: Timetable,
-        control: Control | None,
         seeds: Seeds,
         conditions: Sequence[ForceCondition | LawCondition],
-        *,
-        with_nodes: bool,
-        sizes: Sequence[float] | None = None,
+        **more: Any,
     ):
-        table = replace(timetable, single=True)
-        super().__init__(method, workspace, table, control, seeds, with_nodes=with_nodes, sizes=sizes)
+        super().__init__(method, workspace, replace(timetable, single=True), seeds=seeds, **more)
         self._split = 0.0  # the part of a step with controlled size that has been taken, up to a corner [s]
         self.conditions = conditions
         self.history: list[Sides] = []

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.gradients.bouncing_ball import ball, expected
 
 import mbdkit
 from mbdkit import RunError, SpecError, load_spec
@@ -297,3 +298,13 @@ def test_derivatives_with_a_belt_are_exact(initial: dict[str, float], monkeypatc
         at = {place: prepared.values(every | {name: every[name] + place * h}, initial) for place in (-2, -1, 1, 2)}
         slope = (8.0 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12.0 * h)
         assert_within((found.derivatives[..., k] - slope) / np.max(np.abs(slope)), 1e-7, name)
+
+
+@pytest.mark.parametrize("method", [{"name": "dopri5"}, {"name": "gauss", "stages": 2}], ids=lambda one: one["name"])
+def test_controlled_steps_end_at_jumps_of_forces(method: dict[str, Any]) -> None:
+    # expected: the closed form of a ball that bounces on a damped pad, within contact and after it
+    times = [0.45, 0.9]
+    spec = ball(0.9, 0.01, {**method, "adaptive": True, "rtol": 1e-9, "atol": 1e-11}) | {"time": {"end": 0.9}}
+    found = mbdkit.sensitivities(spec, ["ball.y", "ball.vy"], times, ["y", "k", "c"])
+    for place, time in enumerate(times):
+        np.testing.assert_allclose(found.derivatives[:, place], expected(time), rtol=2e-6, atol=1e-12)

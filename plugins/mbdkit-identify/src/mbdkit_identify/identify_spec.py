@@ -245,7 +245,6 @@ class IdentifySpec(StrictSpec):
     """
 
     model_config = ConfigDict(title="mbdkit identification spec", defer_build=True)
-    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ()
 
     mbdkit_identify: FormatVersion
     """Version of the spec format."""

@@ -160,14 +160,10 @@ class _Crate:
         }  # fmt: skip
         about = {"about": {"@id": "./"}, "conformsTo": {"@id": "https://w3id.org/ro/crate/1.1"}}
         graph = [{"@id": METADATA, "@type": "CreativeWork", **about}, root, *self.entities.values()]
-        graph = [{key: _compact(value) for key, value in entity.items()} for entity in graph]
+        for entity in graph:  # the specification asks for the one item of a list
+            entity.update({key: x[0] for key, x in entity.items() if isinstance(x, list) and len(x) == 1})
         text = json.dumps({"@context": _CONTEXT, "@graph": graph}, indent=1, ensure_ascii=False)
         (self.folder / METADATA).write_text(f"{text}\n", encoding="utf-8", newline="\n")
-
-
-def _compact(value: Any) -> Any:
-    """Return a value, or the one item of a list, as the specification asks for."""
-    return value[0] if isinstance(value, list) and len(value) == 1 else value
 
 
 def _time(time: datetime) -> str:

@@ -60,7 +60,8 @@ def cost_at_error(study: Study) -> Table | None:
     for name, points in groups.items():
         cells: list[Cell] = [name]
         results = [value(point, ERROR) for point in points]
-        works, times = [_operations(point) for point in points], [wall_time(point) for point in points]
+        works = [sum(value(point, column) for column in OPERATIONS) for point in points]
+        times = [wall_time(point) for point in points]
         for target in wanted:
             work = work_for(works, results, target)
             cells += [None, None] if math.isnan(work) else [round(work), at_equal_work(works, times, work)]
@@ -130,10 +131,6 @@ def _targets(errors: list[float]) -> list[float]:
         return inside[:MOST]
     middle = 10.0 ** round(0.5 * (math.log10(low) + math.log10(high)))
     return [middle] if low <= middle <= high else []
-
-
-def _operations(point: StudyPoint) -> float:
-    return sum(value(point, column) for column in OPERATIONS)
 
 
 def at_equal_work(work: Sequence[float], result: Sequence[float], wanted: float) -> float:

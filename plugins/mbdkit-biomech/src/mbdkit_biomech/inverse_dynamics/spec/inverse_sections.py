@@ -19,12 +19,9 @@ from mbdkit_biomech.persons.person_sections import Center, PlaneAxes
 Named = Annotated[str, Field(min_length=1)]
 
 
-def _as_column(value: object) -> object:
-    return {"column": value} if isinstance(value, str) else value
-
-
-def _as_smoothing(value: object) -> object:
-    return {"name": value} if isinstance(value, str) else value
+def _or_text(key: str, kind: object) -> BeforeValidator:
+    """Return the validator of a section of which a text may take the place: the value of this key."""
+    return BeforeValidator(lambda x: {key: x} if isinstance(x, str) else x, json_schema_input_type=kind)
 
 
 class ColumnOfTable(Section):
@@ -112,17 +109,15 @@ class ObservedColumn(ColumnOfTable):
 
 
 #: A column of a table, or one SI value for all times.
-Column = Annotated[
-    ColumnOfTable | float, BeforeValidator(_as_column, json_schema_input_type=ColumnOfTable | str | float)
-]
+Column = Annotated[ColumnOfTable | float, _or_text("column", ColumnOfTable | str | float)]
 ColumnPair = Annotated[
     tuple[Column, Column],
     BeforeValidator(
         pair("two components, such as [force_x, 0.0]: each the heading of a column or a number in SI units")
     ),
 ]
-Observed = Annotated[ObservedColumn, BeforeValidator(_as_column, json_schema_input_type=ObservedColumn | str)]
-Times = Annotated[TimeColumn, BeforeValidator(_as_column, json_schema_input_type=TimeColumn | str)]
+Observed = Annotated[ObservedColumn, _or_text("column", ObservedColumn | str)]
+Times = Annotated[TimeColumn, _or_text("column", TimeColumn | str)]
 
 
 class NoSmoothing(Section):
@@ -173,9 +168,7 @@ class OpenSimFilter(Section):
 _Smoothing = Annotated[
     NoSmoothing | QuinticSpline | SmoothingSpline | Butterworth | OpenSimFilter, Field(discriminator="name")
 ]
-Smoothing = Annotated[
-    _Smoothing, BeforeValidator(_as_smoothing, json_schema_input_type=_Smoothing | Literal["none", "quintic", "spline"])
-]
+Smoothing = Annotated[_Smoothing, _or_text("name", _Smoothing | Literal["none", "quintic", "spline"])]
 
 
 class ErrorBars(Section):
