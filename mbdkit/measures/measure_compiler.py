@@ -245,7 +245,7 @@ class MeasureCompiler(RunCompiler):
         if operation == "abs" and values[0].is_vector:
             value = _Value(values[0].unit, is_series=values[0].is_series)
             return _Code([*operands[0], ("norm", 0.0)], value)
-        exponent = operands[1][0][1] if operation == "pow" and _is_constant(operands[1]) else None
+        exponent = operands[1][0][1] if operation == "pow" and [one[0] for one in operands[1]] == ["const"] else None
         unit = self.unit(operation, values, exponent, node)
         value = _Value(
             unit,
@@ -337,7 +337,3 @@ def _is_of_rows(program: Sequence[tuple[str, float]]) -> bool:
 def _without_end(program: Program) -> Program:
     ends = [index for index in range(1, len(program)) if program[index - 1 : index + 1] == _END]
     return tuple(instruction for index, instruction in enumerate(program) if index not in ends)
-
-
-def _is_constant(program: Code) -> bool:
-    return len(program) == 1 and program[0][0] == "const"

@@ -103,6 +103,11 @@ class Solution:
         return self.status == DIVERGING
 
 
+#: Number of collocation points of an interval above which `mumps_pivot_order` is QAMD, 6: with 7 points, it takes 0.6
+#: to 0.8 of the time of the order that the solver chooses, 7; with 3 points, 1.2 times as long.
+FEW = 3
+
+
 class NonlinearProgram:
     """A program for the optimizer.
 
@@ -122,6 +127,8 @@ class NonlinearProgram:
         The first and second derivatives; those of CasADi by default.
     size
         Natural size of the objective.
+    dense
+        Number of collocation points of an interval, whose unknowns depend on each other.
 
     Attributes
     ----------
@@ -139,8 +146,9 @@ class NonlinearProgram:
         jacobian: PointJacobian | None = None,
         hessian: PointHessian | None = None,
         size: float = 1.0,
+        dense: int = 1,
     ):
-        self._scale = SCALE / size
+        self._own = {"ipopt.obj_scaling_factor": SCALE / size, "ipopt.mumps_pivot_order": 6 if dense > FEW else 7}
         self._names, self._shapes = list(unknowns), {name: bounds[name][0].shape for name in unknowns}
         self.points = {condition.name: condition.points for condition in conditions if condition.points is not None}
         self._conditions = [(condition.name, condition.value.numel()) for condition in conditions]
@@ -182,7 +190,7 @@ class NonlinearProgram:
         watcher = _Watcher(len(self._low_x), self._low, self._high, stop, lambda best: report(self._iterate(*best)))
         watcher.note(first / self._sizes, *(own(first) for own in self._program[::-1]))
         options: dict[str, Any] = {
-            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, "ipopt.obj_scaling_factor": self._scale,
+            "ipopt.max_iter": most_iterations, "iteration_callback": watcher, **self._own,
             **({"ipopt.mu_strategy": "adaptive"} if slopes is None else _WARM), **self._derivatives,
         }  # fmt: skip
         start = {"x0": first / self._sizes}

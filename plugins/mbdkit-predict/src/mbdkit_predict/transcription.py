@@ -445,9 +445,9 @@ class Transcription:
         The optimizer stays at any stationary guess, also at a saddle or a maximum, and knows its curvature only after a
         step. Where it stays, the problem is thus solved again from a guess nearby.
         """
-        unknowns, bounds, conditions, objective, jacobian, hessian = self._program(guess.grid, threads)
+        unknowns, bounds, rows, objective, jacobian, hessian = self._program(guess.grid, threads)
         sizes = self._sizes | {"peak": np.where(guess.values["peak"] == 0.0, 1.0, abs(guess.values["peak"]))}
-        program = NonlinearProgram(unknowns, bounds, conditions, objective, sizes, jacobian, hessian, guess.size)
+        program = NonlinearProgram(unknowns, bounds, rows, objective, sizes, jacobian, hessian, guess.size, len(self.c))
 
         def mesh(solution: Solution) -> Mesh:
             done = guess.iterations + solution.iterations
