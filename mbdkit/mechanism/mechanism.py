@@ -321,7 +321,8 @@ class Mechanism(ElementMethods, HtmlView):
             spec["beams"] = {name: _plain(beam) for name, beam in self.beams.items()}
         for kind, elements in self.elements.items():
             if own := {name: element for name, element in elements.items() if name not in parts}:
-                spec[kind] = {name: _with_type(one) for name, one in own.items()}
+                types = {name: {"type": one.type} if hasattr(one, "type") else {} for name, one in own.items()}
+                spec[kind] = {name: types[name] | _plain(one) for name, one in own.items()}
         if self.coordinates:
             spec["coordinates"] = {
                 name: coordinate.of if coordinate == NamedCoordinate(of=coordinate.of) else _plain(coordinate)
@@ -445,11 +446,6 @@ def _point(value: object, key: str) -> tuple[float, float]:
     except ValidationError as error:
         raise spec_error(error, Point, prefix=key) from None
     return point
-
-
-def _with_type(element: Element) -> dict[str, object]:
-    """Return an element as plain data, with its type if the kind of element has several types."""
-    return {"type": element.type, **_plain(element)} if hasattr(element, "type") else _plain(element)
 
 
 def _plain(element: StrictModel) -> dict[str, object]:

@@ -286,6 +286,8 @@ class DifferentiatedStepper(CompiledStepper):
         Whether stages are stored as quadrature nodes.
     sizes
         Sizes of the steps [s], if given; the error estimate then rejects no step. Ignored without step-size control.
+    are_limits
+        Whether `sizes` are only the largest ones.
     """
 
     can_take_back: ClassVar[bool] = False
@@ -300,12 +302,13 @@ class DifferentiatedStepper(CompiledStepper):
         *,
         with_nodes: bool,
         sizes: Sequence[float] | None = None,
+        are_limits: bool = False,
     ):
         self._steps: DifferentiatedSteps | None = None  # until the run has its start
         self.recorded = 0
         self.sizes_taken: list[float] = []
-        self._sizes = sizes if control is not None else None
-        if control is not None and self._sizes is not None:
+        self.given_sizes, self._are_limits = sizes if control is not None else None, are_limits
+        if control is not None and self.given_sizes is not None and not are_limits:
             control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
         known = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
@@ -333,11 +336,11 @@ class DifferentiatedStepper(CompiledStepper):
             self._dual_sampler.passed(self.timetable.stops[int(progress.passed[0]) - 1], self.run_state.z)
 
     def _retake(self, step: StepTaken, theta: float) -> bool:
-        recorded, taken, sizes = self.recorded, self.sizes_taken, self._sizes
-        self.sizes_taken, self._sizes = [], None
+        recorded, taken, sizes = self.recorded, self.sizes_taken, self.given_sizes
+        self.sizes_taken, self.given_sizes = [], None
         done = super()._retake(step, theta)
         # the end of a repeated step is not recorded
-        self.recorded, self.sizes_taken, self._sizes = recorded, taken, sizes
+        self.recorded, self.sizes_taken, self.given_sizes = recorded, taken, sizes
         return done
 
     def given_size(self, sizes: Sequence[float], number: int) -> float:
@@ -401,8 +404,9 @@ class DifferentiatedStepper(CompiledStepper):
         count = 0
         while True:
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
-            if self._sizes is not None and progress.retrying[0] == 0:
-                progress.next_size[0] = self.given_size(self._sizes, before)
+            if self.given_sizes is not None and progress.retrying[0] == 0:
+                size, most = self.given_size(self.given_sizes, before), progress.next_size[0]
+                progress.next_size[0] = min(size, most) if self._are_limits else size
             status, written = super().drive(plan, 1, path)
             if int(progress.accepted[0]) > before:
                 step = float(progress.tried_begin[0]), float(progress.last_size[0])

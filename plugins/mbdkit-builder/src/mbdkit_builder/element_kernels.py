@@ -120,7 +120,7 @@ def _kernel(name: str, arguments: str, note: str, outputs: Sequence[tuple[str, s
     lines += [f"    {symbol} = {printer.doprint(expr)}" for symbol, expr in temporaries]
     equal: dict[str, list[str]] = {}  # tangents are symmetric, so that most values are written twice
     for target, expr in zip(targets, reduced_all, strict=True):
-        equal.setdefault(_literal(printer, expr), []).append(target)
+        equal.setdefault(repr(float(expr)) if expr.is_Integer else printer.doprint(expr), []).append(target)
     lines += [f"    {' = '.join(written)} = {value}" for value, written in equal.items()]
     return "\n".join(lines)
 
@@ -137,20 +137,12 @@ def _reads(expressions: Iterable[sp.Expr], printer: Printer) -> list[str]:
     vectors = groupby(inner[::-1], lambda element: element[0][:-1] if element[0][-1] in "xy" else element[0])
     read = [(name, text) for name, text in _READS.items() if name in names]
     by_array = groupby(read, lambda element: element[1].partition("[")[0])
-    return [_assigned(list(elements)) for groups in (by_array, vectors) for _, elements in groups]
-
-
-def _assigned(values: Sequence[tuple[str, str]]) -> str:
-    """Return a line that assigns texts to names: elements of the same array, or both components of a vector."""
-    return f"    {', '.join(name for name, _ in values)} = {', '.join(text for _, text in values)}"
+    parts = (zip(*elements, strict=True) for groups in (by_array, vectors) for _, elements in groups)
+    return [f"    {', '.join(own)} = {', '.join(texts)}" for own, texts in parts]
 
 
 def _vanishes(entry: sp.Expr) -> bool:
     return bool(sp.expand(entry) == 0)
-
-
-def _literal(printer: Printer, expr: sp.Expr) -> str:
-    return repr(float(expr)) if expr.is_Integer else printer.doprint(expr)
 
 
 def _mask(matrix: sp.Matrix) -> tuple[int, ...]:

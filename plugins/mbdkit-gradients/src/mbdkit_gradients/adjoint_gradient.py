@@ -46,8 +46,7 @@ from mbdkit_gradients.sided_stepper import SidedStepper
 from mbdkit_gradients.table_derivatives import contract, touched_laws
 
 AROUND = 8  #: Number of step ends on both sides of a step that may determine the motion in it.
-#: Largest number of values of positions at the stages of steps that are computed at once; without integrals, there are
-#: only those of one step.
+#: Largest number of values of positions at the stages of steps that are computed at once.
 WINDOW = 250_000
 #: Largest size of the stored states [bytes], and of the derivatives with respect to them; larger arrays are in files.
 MOST_BYTES = 256_000_000
@@ -125,7 +124,7 @@ class AdjointRun:
         self.time, self.q, self.v = self._stepped(stepper)
         size, step = np.diff(self.time), self._table.step
         self.size = size if step is None else np.where(np.abs(size - step) < 1e-9 * step, step, size)
-        of_steps = self.size.tolist() if self._sided is None else self._sided.sizes_taken
+        of_steps = self.size.tolist() if self._sided is None else self._sided.given_sizes
         self.sizes = None if method.traits.tolerances is None else of_steps
         self._observer = StateObserver(self.workspace.with_own_pivots())
         self._adjoint = BackwardSweep(self.workspace, self.seeds)

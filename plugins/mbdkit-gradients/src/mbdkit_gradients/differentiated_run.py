@@ -96,7 +96,7 @@ class DifferentiatedRun:
     is_split
         Whether steps end at discontinuities of force laws, unlike those of an ordinary run.
     doubts
-        Warnings about force laws with discontinuities inside steps.
+        Warnings about force laws that may have discontinuities inside steps.
     """
 
     rows: DifferentiatedStates
@@ -227,10 +227,25 @@ def differentiated_stepper(
         more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
         if sided is None:
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
+        if control is not None and sizes is None:
+            most = np.diff(_ends(setup.stepper(replace(setup.timetable(), every=1)))).tolist()
+            limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
+            first = SidedStepper(compiled_method(method, own)[0], own, table, NO_SEEDS, sided.conditions, **limited)
+            more["sizes"] = np.diff(_ends(first)).tolist()
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
+
+
+def _ends(stepper: Any) -> list[float]:
+    """Take all steps of a run, as far as it goes; return the times of their ends, and of the start, without corners."""
+    time = [stepper.workspace.t0]
+    while not (stepper.finished or stepper.failure):
+        rows = stepper.advance().time
+        if getattr(stepper, "reached", None) is None:
+            time.extend(rows.tolist())
+    return time
 
 
 @dataclass(frozen=True)
@@ -266,20 +281,16 @@ class _Pass:
         waiting, at_events = list(events), []
         last: tuple[float, Moment, np.ndarray] | None = None
         while not (stepper.finished or stepper.failure):
-            sides = sides_of(stepper)
             stretch = stepper.advance()
-            step = stepper.last_step
+            step, sides = stepper.last_step, sides_of(stepper)
             while waiting and step is not None and last is None and waiting[0].time <= step.t1:
                 event = waiting.pop(0)
                 theta = min(1.0, (event.time - step.t0) / (step.t1 - step.t0))
-                now = sides_of(stepper)
-                use_sides(stepper, sides)
                 if event.stops:
                     last = stepper.cut_with_derivatives(theta)
                     at_events.append(_AtEvent(last[1], sides))
                 else:
                     at_events.append(_AtEvent(stepper.derivatives_within(theta), sides))
-                    use_sides(stepper, now)
             times.append(stretch.time if last is None else stretch.time[stretch.time < last[0]])
             if self.motion is not None and last is None:
                 self.motion.add()
@@ -320,7 +331,7 @@ class _Pass:
             self._add_explicit_rates(rows, moved)
         rows = replace(rows, time=time)
         nodes = self._nodes([(one.nodes, one.sides) for one in history]) if self.steps.run.nodes[0] else None
-        sizes = self.stepper.sizes_taken if self.stepper.controlled else None
+        sizes = (self.stepper.given_sizes or self.stepper.sizes_taken) if self.stepper.controlled else None
         motions = () if self.motion is None else (self.motion,)
         doubts = doubts_of_laws(self.workspace.mechanism)
         return DifferentiatedRun(rows, nodes, moved, tuple(crossings), sizes, motions, self._sided is not None, doubts)

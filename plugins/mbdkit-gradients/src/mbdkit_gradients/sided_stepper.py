@@ -24,7 +24,7 @@ from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import Seeds
-from mbdkit.integrators.interface import Moment, StepTaken, Stretch, Timetable
+from mbdkit.integrators.interface import Moment, Stepper, StepTaken, Stretch, Timetable
 from mbdkit.integrators.run.run_state import MODIFIED
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, rate_of
@@ -36,6 +36,7 @@ PLACES = (0.25, 0.5, 0.75, 1.0)  #: Shares of a step at which conditions are eva
 SAME = 1e-9
 #: Time after a corner, as a share of the step, at which the new sides of force laws are determined.
 AHEAD = 1e-6
+ROUNDED = 1e-6  #: Share of a step of given size that counts as round-off of its end.
 MOST_AT_ONCE = 8  #: Largest number of corners at the same time; if there are more, the run fails.
 
 
@@ -81,7 +82,7 @@ class LawCorner:
     rate: float
 
 
-def sides_of(stepper: DifferentiatedStepper) -> np.ndarray | None:
+def sides_of(stepper: Stepper) -> np.ndarray | None:
     """Return the sides (C,) that the laws of a run use; None if its mechanism has none."""
     return stepper.sides if isinstance(stepper, SidedStepper) else None
 
@@ -102,8 +103,7 @@ class SidedStepper(DifferentiatedStepper):
     conditions
         The conditions of the laws of the mechanism.
     **more
-        The other parameters of `DifferentiatedStepper`. Sizes, given or taken, are those of whole steps, which corners
-        split.
+        The other parameters of `DifferentiatedStepper`. Sizes are those of whole steps, which corners split.
 
     Attributes
     ----------
@@ -111,6 +111,8 @@ class SidedStepper(DifferentiatedStepper):
         The sides since the start of the run, with the states from which on they apply.
     corners
         The corners passed so far.
+    reached
+        Index of the condition at whose corner the last step ended; the next step passes it.
     """
 
     def __init__(
@@ -123,13 +125,15 @@ class SidedStepper(DifferentiatedStepper):
         **more: Any,
     ):
         super().__init__(method, workspace, replace(timetable, single=True), seeds=seeds, **more)
-        self._split = 0.0  # the part of a step with controlled size that has been taken, up to a corner [s]
+        self._ends = timetable.start + np.cumsum(self.given_sizes or ())
+        self._near_ends = self._ends - ROUNDED * np.array(self.given_sizes or ())
         self.conditions = conditions
         self.history: list[Sides] = []
         self.corners: list[LawCorner] = []
         self._evaluator = StateEvaluator(self.steps, seeds.count)
         self._observer = StateObserver(workspace)
         self._at_once = 0
+        self.reached: int | None = None
         self.set_sides(-np.ones(len(conditions)))
         for _ in range(MOST_AT_ONCE):  # reactions, and so the sides that depend on them, depend on other sides
             before = self.sides
@@ -162,41 +166,37 @@ class SidedStepper(DifferentiatedStepper):
     # --- steps
 
     def advance(self) -> Stretch:
-        """Advance by one step, or by the part of a step up to a corner."""
-        recorded, taken = self.recorded, len(self.sizes_taken)
+        """Advance by one step, or by the part of a step up to a corner, which the next step passes."""
+        if self.reached is not None:
+            self._pass(self.reached)
+        recorded, self.reached = self.recorded, None
         stretch = super().advance()
         step = self.last_step
         found = None if step is None or self.failure is not None else self._first_crossing(step)
         if step is None or found is None:
             self._at_once = 0
-            if self._split and len(self.sizes_taken) > taken:
-                self.sizes_taken[-1] += self._split
-                self._split = 0.0
             return stretch
         theta, number = found
         if theta < 1.0 - SAME:
             self._recall(self._before)
             self.recorded, self.finished, self.failure = recorded, False, None
-            del self.sizes_taken[taken:]
             self.count()
             if theta > SAME:
                 self.stop_at(step.time(theta))
                 stretch = super().advance()
-                self._split += sum(self.sizes_taken[taken:])
-                del self.sizes_taken[taken:]
         self._at_once = 0 if theta > SAME else self._at_once + 1
         if self._at_once > MOST_AT_ONCE:
             name = self.conditions[number].force
             raise StepError(
                 "newton-failed", f"the force '{name}' switches on and off repeatedly at t = {self.time:.6g} s"
             )
-        self._pass(number)
+        self.reached = number
         return stretch if theta > SAME else self.advance()
 
     def given_size(self, sizes: Sequence[float], number: int) -> float:
         """See `DifferentiatedStepper.given_size`: the rest of a step behind a corner is one step."""
-        ends, now = self.timetable.start + np.cumsum(sizes), self.time + SAME * min(sizes)
-        return float(ends[min(int(np.searchsorted(ends, now)), len(ends) - 1)]) - self.time
+        number = int(np.searchsorted(self._near_ends, self.time, side="right"))
+        return float(self._ends[number]) - self.time if number < len(sizes) else sizes[-1]
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
         """Return the share of a step at which the first condition changes, and the index of the condition.

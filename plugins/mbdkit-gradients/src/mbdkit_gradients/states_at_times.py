@@ -18,7 +18,7 @@ from mbdkit.integrators.interface import Moment, Stepper, Stretch, joined
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.runs.step_interpolation import StepEnds
 from mbdkit_gradients.differentiated_states import DifferentiatedStates, StateEvaluator, one_after_another
-from mbdkit_gradients.sided_stepper import SidedStepper, use_sides
+from mbdkit_gradients.sided_stepper import SidedStepper, sides_of, use_sides
 
 Way = Literal["rows", "ends", "within"]
 
@@ -102,17 +102,16 @@ class RunAtTimes:
     def _within(self, times: np.ndarray) -> tuple[Moment, Sequence[Sides]]:
         """Return the states at times within steps."""
         at_start = int(np.searchsorted(times, self.workspace.t0, side="right"))
-        found, sides = [self._first] * at_start, [self._here()] * at_start
+        found, sides = [self._first] * at_start, [sides_of(self.stepper)] * at_start
         while len(found) < len(times):
-            here = self._here()
             self._advance()
-            step = self.stepper.last_step
+            step, here = self.stepper.last_step, sides_of(self.stepper)
             while step is not None and len(found) < len(times):
                 time = times[len(found)]
                 if time > step.t1 and not self.stepper.finished:
                     break
                 share = min(1.0, max(0.0, (time - step.t0) / (step.t1 - step.t0)))
-                found.append(self._moment(share, here))
+                found.append(self._moment(share))
                 sides.append(here)
         q, v, z = (np.stack([moment[k] for moment in found]) for k in range(3))
         return (q, v, z), sides
@@ -131,13 +130,10 @@ class RunAtTimes:
         z = np.zeros((len(rows.time), 0)) if rows.z is None else rows.z
         return rows.q[..., None], rows.v[..., None], z[..., None]
 
-    def _moment(self, share: float, sides: Sides) -> Moment:
+    def _moment(self, share: float) -> Moment:
         """Return the state at a share of the last step."""
         q, v, z = self.stepper.within(share)
         return q[:, None], v[:, None], np.asarray(z)[:, None]
-
-    def _here(self) -> Sides:
-        return None
 
     def _sides(self, places: np.ndarray) -> Sequence[Sides]:
         """Return the sides at recorded states, counted from the start."""
@@ -180,15 +176,8 @@ class DifferentiatedRunAtTimes(RunAtTimes):
         q, v, z, _ = self.stepper.steps.recorded(self.stepper.recorded)
         return q, v, z
 
-    def _moment(self, share: float, sides: Sides) -> Moment:
-        after = self._here()
-        use_sides(self.stepper, sides)
-        moment = self.stepper.derivatives_within(share)
-        use_sides(self.stepper, after)
-        return moment
-
-    def _here(self) -> Sides:
-        return self.stepper.history[-1].sides if isinstance(self.stepper, SidedStepper) else None
+    def _moment(self, share: float) -> Moment:
+        return self.stepper.derivatives_within(share)
 
     def _sides(self, places: np.ndarray) -> Sequence[Sides]:
         if not isinstance(self.stepper, SidedStepper):

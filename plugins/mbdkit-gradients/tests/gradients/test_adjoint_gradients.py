@@ -544,6 +544,20 @@ def test_adaptive_steps_end_at_discontinuities() -> None:
     assert_passed(mbdkit.gradient(spec, "final(arm.angle)", names, mode="adjoint"))
 
 
+def test_pins_whose_system_is_solved_with_pivots_have_the_derivatives_of_the_forward_way() -> None:
+    # expected: the forward way; the second rod is a million times lighter, and the Schur complement is not used
+    bodies = {
+        f"b{k}": {"mass": mass, "inertia": 0.02 * mass, "position": [0.25 + 0.5 * k, 0.0]}
+        for k, mass in enumerate((1.0, 1e-6))
+    }
+    points = [[0.0, 0.0], [-0.25, 0.0]], [[0.25, 0.0], [-0.25, 0.0]]
+    pairs = zip((["ground", "b0"], ["b0", "b1"]), points, strict=True)
+    joints = {f"j{k}": {"type": "revolute", "bodies": of, "points": at} for k, (of, at) in enumerate(pairs)}
+    model = {"name": "mechanism", "bodies": bodies, "joints": joints}
+    spec = {"mbdkit": 1, "model": model, "integrator": METHODS[0], "time": {"end": 0.3, "step": 0.005}}
+    compared_ways(spec, ["final(b0.angle)"], ["model.bodies.b0.mass", "model.joints.j0.points.1.0"])
+
+
 def test_two_stops_that_act_at_one_time_have_the_derivatives_of_the_forward_way() -> None:
     # expected: the forward way; a ball meets two equal stops, which also act at the start of a second run
     for height in (0.5, 0.3):

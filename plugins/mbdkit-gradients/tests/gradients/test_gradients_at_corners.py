@@ -99,12 +99,30 @@ def test_measures_of_the_continuous_motion_through_corners_and_their_gradients(g
     assert_passed(found)
 
 
-@pytest.mark.parametrize("method", [{"name": "dopri5"}, GAUSS], ids=lambda one: str(one["name"]))
+ADAPTIVE = [{"name": "dopri5"}, {"name": "dop853"}, GAUSS]
+
+
+@pytest.mark.parametrize("method", ADAPTIVE, ids=lambda one: str(one["name"]))
 def test_controlled_steps_end_at_jumps_of_the_force(method: dict[str, object]) -> None:
-    # expected: the closed form
-    spec = ball(0.9, 0.01, {**method, "adaptive": True, "rtol": 1e-9, "atol": 1e-11}) | {"time": {"end": 0.9}}
-    found = mbdkit.gradient(spec, MEASURES, ["y", "k", "c"])
-    np.testing.assert_allclose(found.jacobian, expected(0.9), rtol=2e-6, atol=1e-12)
+    # expected: the closed form of one bounce; for two, fixed steps, which end at the jumps too
+    controlled = {**method, "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
+    twice = mbdkit.gradient(ball(1.1, 0.002), MEASURES, ["y", "k", "c"], check=False)
+    for end, jacobian in ((0.9, expected(0.9)), (1.1, twice.jacobian)):
+        found = mbdkit.gradient(ball(end, 0.01, controlled) | {"time": {"end": end}}, MEASURES, ["y", "k", "c"])
+        np.testing.assert_allclose(found.jacobian, jacobian, rtol=2e-6, atol=1e-12)
+        assert_passed(found)
+
+
+@pytest.mark.parametrize("method", ADAPTIVE, ids=lambda one: str(one["name"]))
+@pytest.mark.parametrize("action", ["note", "stop"])
+def test_events_shortly_before_a_corner_have_times_and_derivatives(method: dict[str, object], action: str) -> None:
+    # expected: the time of the event of the run; a corner ends the step in which the event occurs
+    spec = ball(0.9, 0.01, {**method, "adaptive": True, "rtol": 1e-7, "atol": 1e-9}) | {"time": {"end": 0.9}}
+    spec["events"] = {"near": {"when": f"ball.y - {PAD + 0.005}", "action": action}}
+    found = mbdkit.gradient(spec, ["events.near.time"], ["y"])
+    fall = np.sqrt(2.0 * (HEIGHT - PAD - 0.005) / GRAVITY)
+    assert found.value[0] == pytest.approx(fall, rel=1e-7)
+    assert found.jacobian[0, 0] == pytest.approx(1.0 / (GRAVITY * fall), rel=1e-6)
     assert_passed(found)
 
 

@@ -42,7 +42,9 @@ def write_xlsx(tables: Mapping[str, ExportedTable], path: Path) -> None:
         import xlsxwriter
     except ImportError as error:
         raise MbdkitError("Excel workbooks need the package XlsxWriter: pip install 'mbdkit[xlsx]'") from error
-    names = distinct((_sheet_name(name) for name in tables), NAME, taken=(_CONTENTS, "history"), cased=False)
+    # names without the characters that Excel does not allow
+    given = (re.sub(r"[\[\]:*?/\\]|^'|'$", "_", shown(name)) or "_" for name in tables)
+    names = distinct(given, NAME, taken=(_CONTENTS, "history"), cased=False)
     with xlsxwriter.Workbook(path, {"constant_memory": True}) as book:
         bold = book.add_format({"bold": True})
         contents = book.add_worksheet(_CONTENTS)
@@ -66,8 +68,3 @@ def write_xlsx(tables: Mapping[str, ExportedTable], path: Path) -> None:
 def _contents(names: list[str], tables: Mapping[str, ExportedTable]) -> list[tuple[str, str, int, int]]:
     pairs = zip(names, tables.items(), strict=True)
     return [(sheet, shown(name), table.rows, 1 + len(table.columns)) for sheet, (name, table) in pairs]
-
-
-def _sheet_name(name: str) -> str:
-    """Return a name without the characters that Excel does not allow in names of sheets."""
-    return re.sub(r"[\[\]:*?/\\]|^'|'$", "_", shown(name)) or "_"

@@ -132,7 +132,9 @@ class Steps(NamedTuple):
     acc: RealMatrix
     lam: RealCube
     rows: RealMatrix  #: (N S, W) stages kept by explicit steps, or (S, W) those of a step; see `keep_stage`.
-    is_kept: IntVector  #: (2,) whether they are the former, and whether positions of stages are not needed.
+    #: (2,) whether they are the former, and whether positions of stages are left out: with factors that are kept, only
+    #: tangents of other joints than pins, and forces, need them.
+    is_kept: IntVector
     guess: RealMatrix  #: (N S or 0, 3 (B + 1)) accelerations of the stages of implicit steps from which to iterate.
     touched: RealVector  #: (1,) result of `_touch`, without meaning.
     source: RealMatrix  #: (S, ...) first values of ``Scratch.source`` at the stages of an implicit step: those in use.
@@ -654,13 +656,19 @@ def _add_one(x, factor, to_x):
 @subkernel
 def _place_stage(s, n, i, count):
     """Write the state of stage `i` of step `n` from the rates of the first `count` stages."""
-    q, v = s.q_stage[i], s.v_stage[i]
+    v = s.v_stage[i]
     copy(s.v[n], v)
     for j in range(count):
         if s.a[i, j] != 0.0:
             _add_one(s.acc[j], s.size[n] * s.a[i, j], v)
-    if s.is_kept[1] != 0:
-        return
+    if s.is_kept[1] == 0:
+        _place_positions(s, n, i, count)
+
+
+@subkernel
+def _place_positions(s, n, i, count):
+    """Write the positions of stage `i` of step `n` from the velocities of the first `count` stages."""
+    q = s.q_stage[i]
     copy(s.q[n], q)
     for j in range(count):
         if s.a[i, j] != 0.0:
@@ -762,6 +770,8 @@ def _iterate_stages(h, s, n):
 def _take_factors(h, s, n, i, t):
     """Restore the factors of the system of stage `i` of step `n`; return a status."""
     if h.solver.pivoted[0] != 0:
+        if s.is_kept[1] != 0:
+            _place_positions(s, n, i, i)
         return _accelerations(h, t, s.q_stage[i], s.v_stage[i], s.acc[i], s.lam[i], False)
     pass_factors(h.w, h.solver, s.acc[i], s.lam[i], s.rows[_row(s, n, i)], True)
     return OK
