@@ -228,10 +228,10 @@ def differentiated_stepper(
         if sided is None:
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         if control is not None and sizes is None:
-            most = np.diff(_ends(setup.stepper(replace(setup.timetable(), every=1)))).tolist()
+            most = np.diff(_ends(setup.stepper(replace(setup.timetable(), every=1)))).tolist() or None
             limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
             first = SidedStepper(compiled_method(method, own)[0], own, table, NO_SEEDS, sided.conditions, **limited)
-            more["sizes"] = np.diff(_ends(first)).tolist()
+            more["sizes"] = np.diff(_ends(first)).tolist() or None
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
