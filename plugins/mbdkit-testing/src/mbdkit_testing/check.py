@@ -75,14 +75,18 @@ class Check(Generic[UnderTest]):
         except KeyboardInterrupt:
             raise
         except MbdkitError as error:
-            supported = getattr(getattr(under_test, "claims", None), "mechanisms", "")  # empty if all are
-            is_claimed = isinstance(error, UnsupportedMechanismError) and supported
+            is_claimed = isinstance(error, UnsupportedMechanismError) and _supported_mechanisms(under_test)
             result = (skipped if is_claimed else failed)(str(error).rstrip("."))
         except BaseException as error:  # a plugin may raise any exception, including SystemExit
             result = failed(f"it raised {with_place(error)}")
         if reached:  # a run may have turned the exception into another one
             result = failed(f"it did not finish within {reached[0]}")
         return replace(result, name=self.name, what=self.what, seconds=time.process_time() - begin)
+
+
+def _supported_mechanisms(under_test: object) -> str:
+    """Return a description of the mechanisms that a plugin claims to support; empty if it supports all."""
+    return getattr(getattr(under_test, "claims", None), "mechanisms", "")
 
 
 def check(name: str, *, slow: bool = False) -> Callable[[Callable[[Any], Result]], Check[Any]]:
