@@ -219,7 +219,6 @@ def differentiated_stepper(
     table = replace(table, **{"single": table.single or needs.ends, **changes})
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
-    compiled: object  # a method whose steps can be differentiated
     sided = with_sides(workspace.mechanism)
     try:
         own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
@@ -228,9 +227,10 @@ def differentiated_stepper(
         if sided is None:
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         if control is not None and sizes is None:
-            most = np.diff(_ends(setup.stepper(replace(setup.timetable(), every=1)))).tolist() or None
+            every = replace(table, every=1)
+            most = np.diff(_ends(setup.stepper(every))).tolist() or None
             limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
-            first = SidedStepper(compiled_method(method, own)[0], own, table, NO_SEEDS, sided.conditions, **limited)
+            first = SidedStepper(compiled_method(method, own)[0], own, every, NO_SEEDS, sided.conditions, **limited)
             more["sizes"] = np.diff(_ends(first)).tolist() or None
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:

@@ -108,7 +108,8 @@ def test_controlled_steps_end_at_jumps_of_the_force(method: dict[str, object]) -
     controlled = {**method, "adaptive": True, "rtol": 1e-9, "atol": 1e-11}
     twice = mbdkit.gradient(ball(1.1, 0.002), MEASURES, ["y", "k", "c"], check=False)
     for end, jacobian in ((0.9, expected(0.9)), (1.1, twice.jacobian)):
-        found = mbdkit.gradient(ball(end, 0.01, controlled) | {"time": {"end": end}}, MEASURES, ["y", "k", "c"])
+        rare = {"time": {"end": end}, "output": {"every": 7}}  # recorded states play no part
+        found = mbdkit.gradient(ball(end, 0.01, controlled) | rare, MEASURES, ["y", "k", "c"])
         np.testing.assert_allclose(found.jacobian, jacobian, rtol=2e-6, atol=1e-12)
         assert_passed(found)
 
