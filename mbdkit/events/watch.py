@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from statistics import median
 from typing import Any, Literal, cast
 
@@ -347,10 +346,7 @@ class Watch:
                 return stretch
             crossed += [(crossing, number) for crossing in some]
         counted = [(c, number) for c, number in crossed if c.direction in DIRECTIONS[self.events[number].direction]]
-        acting = min(
-            (c.theta for c, number in counted if self._stops(number) or self._changes[number] is not None),
-            default=math.inf,
-        )
+        acting = min((c.theta for c, number in counted if self._acts(number)), default=math.inf)
         near = closeness(step.t1) / (step.t1 - step.t0)
         acting = 0.0 if acting <= near else 1.0 if abs(acting - 1.0) <= near else acting  # no step is as short as that
         together = {number: c.direction for c, number in crossed if abs(c.theta - acting) <= near}
@@ -379,6 +375,9 @@ class Watch:
 
     def _stops(self, number: int) -> bool:
         return self.events[number].action == "stop"
+
+    def _acts(self, number: int) -> bool:
+        return self._stops(number) or self._changes[number] is not None
 
     def _set(self, theta: float, setting: Sequence[int]) -> Stretch:
         """End the last step at the share `theta`, where the events with the indices `setting` set states before the
@@ -451,8 +450,7 @@ class Watch:
             sets = self._fired.get(number, False)
             close = self._close_points() if sets else []
             largest, every = self._largest[number], sorted([*points, *close])
-            inside = partial(self._values_of, state=self.stepper.inside)
-            samples = refined(every, inside, value, phases, breaks, largest, is_product=is_product)
+            samples = refined(every, self._values_inside, value, phases, breaks, largest, is_product=is_product)
             if before:
                 size = median([abs(x) for row in rows if math.isfinite(x := value(row))] or [0.0])
                 samples[0] = 0.0, self._after_jump(number, value(before), samples[0][1], size, sets=sets)
@@ -482,6 +480,9 @@ class Watch:
         if sets:
             self._signs[number] = 0 if is_zero else sign(value)
         return 0.0 if is_zero else value
+
+    def _values_inside(self, theta: float) -> list[float]:
+        return self._values_of(theta, self.stepper.inside)
 
     def _values_of(self, theta: float, state: Callable[[float], Moment]) -> list[float]:
         step = self.stepper.last_step

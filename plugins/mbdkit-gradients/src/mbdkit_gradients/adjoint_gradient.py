@@ -366,7 +366,7 @@ class AdjointRun:
         if memory is not None and memory.ndim == 1 and memory.nbytes <= MOST_SPARE:  # not in a file
             _spare.rows = memory
         self._rows = self._rows[:0]  # they are computed again if more measures are asked for
-        self.__dict__.pop("_windows")
+        self.__dict__.pop("_windows", None)
         return slopes
 
     def _slope(self, bars: list[tuple[int, MakeBars]], times: np.ndarray, nodes: Nodes | None) -> np.ndarray:
