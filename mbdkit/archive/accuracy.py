@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import h5py
@@ -13,6 +12,7 @@ import numpy as np
 from mbdkit.archive.hdf5 import create, set_text
 from mbdkit.archive.measured_values import ComparedMeasures, compared_from_json, compared_json
 from mbdkit.archive.result_table import TableColumn, axes_first
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.html_view import HtmlView
 from mbdkit.quantities.array import COORDINATE_UNITS
 from mbdkit.quantities.names import COORDINATES

@@ -16,7 +16,6 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -27,6 +26,7 @@ from mbdkit.archive.part_file import checkpoint_path, new_checkpoint_path
 from mbdkit.base.errors import ArchiveError
 from mbdkit.base.files import read_bytes, replace_file
 from mbdkit.base.files_read import FileRead, read_files
+from mbdkit.base.frozen import dataclass
 from mbdkit.quantities.array import TEXT, Array
 
 #: Largest size of a checkpoint [bytes]; those of long runs with many bodies have a few megabytes.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import h5py
 import numpy as np
@@ -14,6 +13,7 @@ from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.headlines import headlines
 from mbdkit.archive.layout import is_hashed
 from mbdkit.archive.run import Run
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.plain_data import Path, json_text, path_text
 from mbdkit.base.text import shortened, shown
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from hashlib import sha256
 from itertools import repeat
@@ -17,6 +16,7 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import beginning, text_bytes
 from mbdkit.archive.run_writer import Ending, RunWriter, SharedForces, name_lines, utc_now
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.frozen import dataclass
 from mbdkit.quantities.array import GROWING, TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.run_writer import SharedForces
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.quantities.array import Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.trust.criteria import Judgement

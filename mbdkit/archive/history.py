@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from typing import overload
 
 import numpy as np
@@ -11,6 +10,7 @@ import numpy as np
 from mbdkit.archive import recorded_columns as columns
 from mbdkit.archive.named_columns import Histories, Source
 from mbdkit.base.errors import UnknownNameError
+from mbdkit.base.frozen import dataclass, fields
 from mbdkit.base.html_view import HtmlView
 from mbdkit.mechanism.beam_shape import places_with_ends, with_ends
 from mbdkit.mechanism.beams import beam_of, named_body

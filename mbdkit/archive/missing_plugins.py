@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import shown
 from mbdkit.registry.catalogue import Kind
 from mbdkit.registry.manager import registry

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from mbdkit.archive.stored_mechanism import StoredMechanism
 from mbdkit.base.errors import ArchiveError
 from mbdkit.base.files_read import FileRead
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import canonical_text
 from mbdkit.mechanism.mechanism import Mechanism
 

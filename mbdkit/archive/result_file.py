@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import h5py
@@ -18,6 +17,7 @@ from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.distributions import own_version
 from mbdkit.base.errors import ArchiveError, SpecError
 from mbdkit.base.files import replacing
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import shown
 

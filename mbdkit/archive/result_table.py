@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import h5py
@@ -12,6 +11,7 @@ import numpy as np
 from mbdkit.archive.fingerprint import dataset_line, is_text
 from mbdkit.archive.hdf5 import create, dims, set_text
 from mbdkit.archive.layout import is_hashed
+from mbdkit.base.frozen import dataclass
 from mbdkit.quantities.array import FLOAT, INTEGER, TEXT, Array
 from mbdkit.quantities.registered_kinds import groups
 

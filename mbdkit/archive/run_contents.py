@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import methodcaller
 from pathlib import Path
@@ -35,6 +34,7 @@ from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
+from mbdkit.base.frozen import dataclass, field, replace
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
 from mbdkit.spec import RunSpec

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
 from hashlib import sha256
@@ -21,6 +20,7 @@ from mbdkit.archive.plain_spec import PlainSpec
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base.files_read import files_json
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.quantities.array import FLOAT, TEXT, Array, Recorded
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import array_at

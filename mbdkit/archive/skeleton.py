@@ -10,7 +10,6 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 
 import h5py
@@ -21,6 +20,7 @@ from mbdkit.archive.fingerprint import attribute_line, attribute_lines, layout_l
 from mbdkit.archive.hdf5 import create, fill_text, set_numbers, set_text, set_texts
 from mbdkit.archive.layout import SHARED, is_hashed, name_texts
 from mbdkit.archive.part_file import LIBVER
+from mbdkit.base.frozen import dataclass
 from mbdkit.quantities.array import TEXT, Array
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import sizes_of

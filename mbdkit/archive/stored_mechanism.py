@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, cast, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import canonical_text, parse_path, plain
 from mbdkit.base.text import listed, shown
 from mbdkit.mechanism.law_element import Law

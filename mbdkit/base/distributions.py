@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib.metadata
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from importlib.metadata import Distribution, EntryPoint, EntryPoints
+
+from mbdkit.base.frozen import dataclass
 
 MBDKIT = "mbdkit"  #: The distribution of the core and of its own plugins.
 

@@ -28,6 +28,13 @@ def import_part(module: str, wanted: str) -> ModuleType:
         raise MissingPartError(wanted, package.replace("_", "-")) from None
 
 
+class LazyModule(ModuleType):
+    """A module that is imported when one of its names is first used."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(importlib.import_module(self.__name__), name)
+
+
 class Moved(NamedTuple):
     """A name that a door had, or still has, with a warning, until the version `until`.
 

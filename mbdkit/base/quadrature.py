@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import math
+from decimal import Decimal, getcontext, localcontext
 from functools import lru_cache
 
-import mpmath
 import numpy as np
 
 DIGITS = 30
 
 
-def legendre_roots(count: int) -> list[mpmath.mpf]:
-    """Return the roots of the Legendre polynomial of degree `count` in ascending order, in mpmath's precision."""
+def legendre_roots(count: int) -> list[Decimal]:
+    """Return the roots of the Legendre polynomial of degree `count` in ascending order, in decimal's precision."""
     roots = []
     for i in range(count, 0, -1):
-        x = mpmath.cos(mpmath.pi * (i - mpmath.mpf("0.25")) / (count + mpmath.mpf("0.5")))
-        change = mpmath.mpf(1)
-        while abs(change) > mpmath.sqrt(mpmath.eps):  # the next change is smaller by the square
+        x = Decimal(math.cos(math.pi * (i - 0.25) / (count + 0.5)))
+        change = Decimal(1)
+        while abs(change) > Decimal(10) ** (-getcontext().prec // 2):  # the next change is smaller by the square
             value, slope = _legendre(count, x)
             change = value / slope
             x -= change
@@ -28,7 +29,7 @@ def legendre_roots(count: int) -> list[mpmath.mpf]:
 @lru_cache(maxsize=16)
 def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes and weights (count,) of Gauss-Legendre quadrature over [-1, 1]."""
-    with mpmath.workdps(DIGITS):
+    with localcontext(prec=DIGITS):
         nodes = legendre_roots(count)
         weights = [2 / ((1 - x * x) * _legendre(count, x)[1] ** 2) for x in nodes]
     return np.array(nodes, dtype=float), np.array(weights, dtype=float)
@@ -47,9 +48,9 @@ def lagrange(times: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.asarray(np.prod(np.where(own, 1.0, factors), axis=2))
 
 
-def _legendre(degree: int, x: mpmath.mpf) -> tuple[mpmath.mpf, mpmath.mpf]:
+def _legendre(degree: int, x: Decimal) -> tuple[Decimal, Decimal]:
     """Return the Legendre polynomial of a degree, at least 1, and its derivative, inside (-1, 1)."""
-    before, value = mpmath.mpf(1), x
+    before, value = Decimal(1), x
     for k in range(2, degree + 1):
         before, value = value, ((2 * k - 1) * x * value - (k - 1) * before) / k
     return value, degree * (before - x * value) / (1 - x * x)

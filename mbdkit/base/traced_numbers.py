@@ -15,7 +15,6 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import count
 from types import CodeType
@@ -25,6 +24,7 @@ import numpy as np
 
 from mbdkit.base import elementary, higher_layers
 from mbdkit.base.context_values import value_within
+from mbdkit.base.frozen import dataclass
 
 Numbers = Sequence[float]
 

@@ -6,12 +6,12 @@ import math
 import re
 from collections.abc import Container, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
 from functools import cache
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import did_you_mean, listed
 
 Exponents = tuple[Fraction, Fraction, Fraction]  #: Exponents of metre, kilogram and second.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import marshal
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Never
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.plain_data import plain
 from mbdkit.base.traced_numbers import float_array, largest, smallest
 from mbdkit.engine.compile_forces import CompiledMotions, Lowering, Numbers, acting_kinds, table

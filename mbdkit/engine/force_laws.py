@@ -8,13 +8,13 @@ compiled by Numba, once in every process.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels import law_kernels, law_programs
 from mbdkit.engine.kernels.law_programs import HEAD, ONLY_OF_NUMBERS, OPCODES, WORDS

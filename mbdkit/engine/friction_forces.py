@@ -5,12 +5,12 @@ multipliers of the joint.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.mechanism.force_law import TracedLaw
 from mbdkit.mechanism.joint_base import FunctionJoint, SideForce
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction, SlideFriction, regularised_friction

@@ -9,11 +9,11 @@ in the frame of a body is removed, not a row.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.kernels.table_rows import PAIR
 
 #: A row may be removed only if, at every position, the component of its pair in the self-stresses is at least this,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypedDict, cast
 
 import numpy as np
 
 from mbdkit.base.errors import StepError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.engine.elimination_order import SingularSystemError, empty_pattern, new_factors
 from mbdkit.engine.kernels.accelerations import KKT_TOLERANCE
 from mbdkit.engine.kernels.equations import (

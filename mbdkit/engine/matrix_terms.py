@@ -13,12 +13,12 @@ this is the matrix of the index-1 system.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.kernels import element_kernels as e
 from mbdkit.engine.kernels.applied_forces import BODY_FORCE, PATHWAYS, POINT_FORCE

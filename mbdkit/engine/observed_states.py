@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.kernels.misalignment import squared_misalignment

@@ -9,11 +9,10 @@ stay independent during the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import CompiledMechanism, Redundancy, with_ground

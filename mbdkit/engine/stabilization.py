@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+
+from mbdkit.base.frozen import dataclass
 
 Kind = Literal["none", "baumgarte", "projection"]
 

@@ -8,7 +8,6 @@ velocities, and lengths, rates and tensions of pathways; all other quantities ar
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache, partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,6 +16,7 @@ import numpy as np
 
 from mbdkit.base import elementary, higher_layers
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.engine.force_laws import CompiledLaw, bind_law
 from mbdkit.engine.kernels.applied_forces import LENGTH_INPUT, POSITION_INPUT, RATE_INPUT, TENSION_INPUT, VELOCITY_INPUT
 from mbdkit.expressions.operations import OPERATIONS

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from copy import copy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.iteration_matrix import StateTangents, classes_of
 from mbdkit.engine.kernels.equations import GAMMA_V, JACOBIAN, RESIDUAL_Q
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import count, groupby, pairwise
+
+from mbdkit.base.frozen import dataclass
 
 ACCURACY = 1e-13  #: Accuracy of the time of a crossing, relative to the larger of the time and 1 s.
 

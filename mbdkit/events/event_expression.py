@@ -15,13 +15,13 @@ import math
 import operator
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, NoReturn
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.observed_states import StateObserver

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from statistics import median
 from typing import Any, Literal, cast
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass, field, replace
 from mbdkit.engine.counters import Counters
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.engine.workspace import Workspace

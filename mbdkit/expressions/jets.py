@@ -6,10 +6,9 @@ operations, such as ``abs``, that change their form where an argument changes it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.expressions.operations import OPERATIONS, Operation
 from mbdkit.expressions.program import Program, execute
 

@@ -12,12 +12,12 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from typing import TYPE_CHECKING, ClassVar, NoReturn
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.traced_numbers import named_number, recordable
 from mbdkit.base.units import read_unit

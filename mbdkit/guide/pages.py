@@ -6,10 +6,10 @@ import functools
 import math
 import re
 from collections import Counter
-from dataclasses import dataclass
 from typing import cast
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.feature_items import GuidePage
 from mbdkit.registry.manager import registry

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import ClassVar
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.text import listed
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.events.event_expression import RunCompiler

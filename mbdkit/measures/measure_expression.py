@@ -13,7 +13,6 @@ Units are checked.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +20,7 @@ import numpy as np
 from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.named_columns import NotRecordedError
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.units import Unit, read_unit
 from mbdkit.expressions.operations import REDUCE
 from mbdkit.expressions.program import Program, execute

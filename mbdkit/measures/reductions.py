@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.expressions.operations import OF_PARTS, OPERATIONS, REDUCE
 from mbdkit.expressions.program import Program, execute
 from mbdkit.integrators.interface import closeness

@@ -9,12 +9,12 @@ dissipates the remainder; otherwise the remainder counts as negative work of the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from mbdkit.base.errors import PluginError, blaming
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.text import listed
 from mbdkit.base.traced_numbers import as_float
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 from mbdkit.base.errors import SpecError, blaming
+from mbdkit.base.frozen import dataclass
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Attachment, Between
 from mbdkit.mechanism.values import Motion, Points

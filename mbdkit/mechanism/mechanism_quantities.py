@@ -7,12 +7,12 @@ at T times are (T, n), with the n = 3 B coordinates x, y, angle of the B bodies,
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 
 GROUND = -1  #: Value that stands for the ground where the index of a body is expected.
 

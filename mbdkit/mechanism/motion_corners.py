@@ -13,11 +13,11 @@ through the function on either side, over a small part of its `mbdkit.mechanism.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.expressions.jets import EPS, Jet, jet_and_switches
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Expression

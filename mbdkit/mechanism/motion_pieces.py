@@ -10,12 +10,12 @@ than those of the operand, such as a pulse, lies there. The pieces begin and end
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.expressions.jets import EPS, jet_and_switches
 from mbdkit.expressions.program import Program
 from mbdkit.mechanism.switching_times import seeds_of

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import BeforeValidator
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import listed
 from mbdkit.expressions.operations import OPERATIONS
 from mbdkit.expressions.parser import Code, Compiler, ExpressionError

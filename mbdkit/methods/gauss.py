@@ -7,10 +7,10 @@ printed tableau. Closed forms by the number of stages lie in ``gauss.json``.
 
 from __future__ import annotations
 
+from decimal import localcontext
 from functools import cache
 from typing import Annotated
 
-import mpmath
 from pydantic import Field
 
 from mbdkit.base.bibliography import entry
@@ -33,8 +33,8 @@ def tableau(stages: int) -> ButcherTableau:
     name = f"gauss-{stages}"
     if closed_form := coefficients(__file__).get(str(stages)):
         return ButcherTableau(name, **closed_form, order=2 * stages, reference=REFERENCE)
-    with mpmath.workdps(75):
-        nodes = [(1 + x) / 2 for x in legendre_roots(stages)]
+    with localcontext(prec=75):
+        nodes = [str((1 + x) / 2) for x in legendre_roots(stages)]
     return collocation(name, nodes, order=2 * stages, reference=REFERENCE)
 
 

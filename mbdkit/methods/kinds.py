@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Never
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.formulation import INDEX_1, Formulation
 from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError
 from mbdkit.registry.seam import OwnSeam

@@ -11,7 +11,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated, Literal
 
-import mpmath
 from pydantic import Field
 
 from mbdkit.base.bibliography import entry
@@ -30,6 +29,8 @@ def tableau(stages: int) -> ButcherTableau:
     name = f"radau-iia-{stages}"
     if closed_form := coefficients(__file__).get(str(stages)):
         return ButcherTableau(name, **closed_form, order=2 * stages - 1, reference=HAIRER_WANNER)
+    import mpmath
+
     with mpmath.workdps(75):
         difference = mpmath.taylor(lambda x: mpmath.legendre(stages, x) - mpmath.legendre(stages - 1, x), 0, stages)
         roots = sorted(mpmath.re(x) for x in mpmath.polyroots(difference[::-1], maxsteps=200, extraprec=200))

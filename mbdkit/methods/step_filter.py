@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Never
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass
 from mbdkit.registry.seam import OwnSeam
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.methods.kinds import Method, Tolerances, Traits
 
 if TYPE_CHECKING:

@@ -3,30 +3,33 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import json
 import operator
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from fractions import Fraction
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mpmath
-
 from mbdkit.base.errors import MbdkitError
+from mbdkit.base.frozen import dataclass
+from mbdkit.base.lazy_names import LazyModule
 
 if TYPE_CHECKING:
+    import mpmath
     import numpy as np
     import sympy as sp
+else:
+    mpmath = LazyModule("mpmath")
 
 
 #: An exact number (text such as ``"1/4 - sqrt(3)/6"``, int, Fraction, SymPy or mpmath number) or a rounded float.
 Coefficient = int | float | Fraction | str | Any
 
 _DIGITS = 60
-_EXACT = mpmath.mpf(10) ** -50
-_ROUNDED = mpmath.mpf(10) ** -13
+_EXACT = "1e-50"
+_ROUNDED = "1e-13"
 _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
@@ -88,6 +91,26 @@ def coefficients(module: str) -> dict[str, Any]:
     """Return the coefficients in the JSON file beside a module, which has the name of the module."""
     numbers: dict[str, Any] = json.loads(Path(module).with_suffix(".json").read_text("utf-8"))
     return numbers
+
+
+def _stored(compute: Callable[[ButcherTableau], Any]) -> Callable[[ButcherTableau], Any]:
+    """Decorate a method of a tableau whose values for packaged tableaus lie in ``tableau.json``.
+
+    That file is written by ``python -m tests.integrators.stored_tableaus``, and spares most runs the import of mpmath.
+    """
+
+    @wraps(compute)
+    def value(self: ButcherTableau) -> Any:
+        known = coefficients(__file__).get(self._key, {})
+        if compute.__name__ not in known:
+            return compute(self)
+        import numpy as np
+
+        stored = known[compute.__name__]
+        is_arrays = isinstance(stored, list)
+        return tuple(np.array(x).view(kind).reshape(shape) for kind, shape, x in stored) if is_arrays else stored
+
+    return value
 
 
 Tree = tuple["Tree", ...]
@@ -190,6 +213,11 @@ class ButcherTableau:
         return len(self.b)
 
     @cached_property
+    def _key(self) -> str:
+        """Key of the tableau in ``tableau.json``."""
+        return hashlib.sha256(repr((self.a, self.b, self.c, self.order)).encode()).hexdigest()
+
+    @cached_property
     def _numbers(self) -> tuple[list[list[mpmath.mpf]], list[mpmath.mpf], list[mpmath.mpf]]:
         with mpmath.workdps(_DIGITS):
             return (
@@ -201,15 +229,17 @@ class ButcherTableau:
     @cached_property
     def _tolerance(self) -> mpmath.mpf:
         rounded = any(isinstance(x, float) for row in (*self.a, self.b, self.c) for x in row)
-        return _ROUNDED if rounded else _EXACT
+        return mpmath.mpf(_ROUNDED if rounded else _EXACT)
 
     @cached_property
+    @_stored
     def is_explicit(self) -> bool:
         """Whether each stage depends on earlier stages only."""
         a, _, _ = self._numbers
         return all(a[i][j] == 0 for i in range(self.stages) for j in range(i, self.stages))
 
     @property
+    @_stored
     def is_diagonally_implicit(self) -> bool:
         """Whether each stage depends on itself and on earlier stages only, and at least one on itself."""
         a, _, _ = self._numbers
@@ -224,12 +254,14 @@ class ButcherTableau:
         return bool(np.linalg.cond(vectors) < 1e8)
 
     @property
+    @_stored
     def is_first_same_as_last(self) -> bool:
         """Whether the last stage is the first stage of the next step: its row of ``a`` equals ``b``, its node is 1."""
         a, b, c = self._numbers
         return bool(self.stages > 1 and c[-1] == 1 and a[-1] == b)
 
     @cached_property
+    @_stored
     def is_collocation(self) -> bool:
         """Whether the method is a collocation method.
 
@@ -249,6 +281,7 @@ class ButcherTableau:
             return bool(max(defects) < self._tolerance)
 
     @property
+    @_stored
     def is_stiffly_accurate(self) -> bool:
         """Whether the last stage is the end of the step and ``a`` is regular.
 
@@ -284,11 +317,13 @@ class ButcherTableau:
         return a.copy(), b.copy(), c.copy()
 
     @cached_property
+    @_stored
     def _rounded(self) -> tuple[np.ndarray, ...]:
         import numpy as np
 
         return tuple(np.array(x, dtype=float) for x in self._numbers)
 
+    @_stored
     def second_order_floats(self) -> tuple[np.ndarray, np.ndarray]:
         """Return ``A A`` (s, s) and ``A^T b`` (s,), the weights of accelerations in positions, each rounded once."""
         import numpy as np
@@ -300,6 +335,7 @@ class ButcherTableau:
             weights = [mpmath.fsum(b[i] * a[i][j] for i in s) for j in s]
         return np.array(squared, dtype=float), np.array(weights, dtype=float)
 
+    @_stored
     def eigensystem(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return eigenvalues (s,) and eigenvectors of ``a``, and the inverse of their matrix, rounded once; complex.
 
@@ -365,6 +401,7 @@ class ButcherTableau:
                             f"has the defect {mpmath.nstr(defect, 3)}"
                         )
 
+    @_stored
     def _check(self) -> None:
         a, b, c = self._numbers
         if not all(mpmath.isfinite(x) for row in (*a, b, c) for x in row):

@@ -5,11 +5,12 @@ mechanism.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from mbdkit.base.frozen import dataclass
 
 if TYPE_CHECKING:
     from mbdkit.mechanism.mechanism import Mechanism

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.quantities.array import Attribute, Kind
 from mbdkit.quantities.names import ArchiveNames
 from mbdkit.quantities.registered_kinds import kind_of_word

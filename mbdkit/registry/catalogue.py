@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter
 from typing import Literal
 
 from mbdkit.base.distributions import MBDKIT, normalized_name
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.element_items import ElementKind, JointKind, ModelKey, QuantityKind
 from mbdkit.registry.feature_items import FEATURES
@@ -105,6 +105,9 @@ class Registry:
         self._reports = tuple(reports)
         self._of_kind = {kind: tuple(group) for kind, group in groupby(self.items, attrgetter("kind"))}
         self._accepted: dict[Kind, dict[str, Registered]] = {}
+        self._named: dict[tuple[Kind | None, str], list[Registered]] = {}
+        for item in self.items:
+            self._named.setdefault((item.kind, item.name), []).append(item)
 
     @property
     def reports(self) -> tuple[Report, ...]:
@@ -226,7 +229,7 @@ class Registry:
 
     def _namesakes(self, kind: Kind, name: str) -> list[Registered]:
         """Return the items that a short name may mean: several if distributions clash."""
-        items = [item for item in self.of_kind(kind) if item.name == name]
+        items = self._named.get((kind, name), [])
         ours = [item for item in items if item.origin.distribution == MBDKIT]
         return ours if ours and KINDS[kind].is_reserved else items
 
@@ -234,8 +237,7 @@ class Registry:
         if report.status != "ok" or report.kind is None:
             return report
         name = report.id.partition(":")[2]
-        items = [item for item in self.of_kind(report.kind) if item.name == name]
-        others = [item for item in items if item.id != report.id]
+        others = [item for item in self._named.get((report.kind, name), []) if item.id != report.id]
         keeps = self._namesakes(report.kind, name)
         if not others or [item.id for item in keeps] == [report.id]:
             return report

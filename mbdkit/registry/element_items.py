@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.registry.feature_items import Feature, check_identifier
 from mbdkit.registry.item import Item, described, seams_of
 from mbdkit.registry.target import Target

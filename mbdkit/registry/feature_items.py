@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass, field, fields
 from mbdkit.registry.item import Item, described, seams_of
 from mbdkit.registry.target import Target
 

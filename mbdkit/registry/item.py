@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
 from functools import cache
 from types import EllipsisType
 from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar, cast, get_type_hints
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.registry.seam import Arguments, check_marked, fitted
 from mbdkit.registry.target import Target
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple, Never, Protocol
 
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.text import listed
 from mbdkit.registry.item import NAME, Given, Item, Plugin, described
 from mbdkit.registry.seam import Arguments, OwnSeam

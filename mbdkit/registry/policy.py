@@ -6,12 +6,12 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.metadata import PathDistribution
 from typing import NamedTuple
 
 from mbdkit.base.distributions import normalized_name, own_version
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.text import listed
 
 

@@ -21,7 +21,6 @@ import logging
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cache
 from types import UnionType
 from typing import (
@@ -39,6 +38,7 @@ from typing import (
 )
 
 from mbdkit.base.errors import PluginError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.target import Target
 

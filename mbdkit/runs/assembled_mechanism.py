@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.consistent_start import workspace_at_start
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace

@@ -10,7 +10,6 @@ a point lies within a step.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.quadrature import gauss_on_unit
 from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.observed_states import StateObserver

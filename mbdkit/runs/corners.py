@@ -5,12 +5,12 @@ from __future__ import annotations
 import re
 from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, field
 from mbdkit.base.plain_data import quoted
 from mbdkit.engine.input_schedule import same_time
 from mbdkit.events.state_program import state_program

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Never
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.registry.seam import OwnSeam
 

@@ -9,11 +9,11 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.consistent_start import CompiledForStarts, MechanismAtStart, Starts
 from mbdkit.integrators.lane_stepper import PivotsAtStart
 from mbdkit.integrators.lanes.lane_mechanisms import suits_lanes, topology_of

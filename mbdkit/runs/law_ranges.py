@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mbdkit.archive.checkpoint import StoredState
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.compile_forces import acting_kinds
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.stored_arrays import fill

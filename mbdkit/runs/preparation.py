@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from mbdkit.archive.disk_space import check_room, row_bytes
 from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLES, SETTINGS, of_elements, recorded_by
 from mbdkit.base.called_functions import function_at, may_call, returned_before
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.plain_data import quoted
 from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.writer import ArchiveWriter
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.logs import logger_of
 from mbdkit.base.text import one_line
 from mbdkit.engine.kernels.bundle_types import RECORD, STATE, kept

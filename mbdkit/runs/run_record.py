@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,6 +15,7 @@ from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.result_table import ResultTable
 from mbdkit.archive.run_writer import Origin, RunWriter
 from mbdkit.archive.writer import ArchiveWriter
+from mbdkit.base.frozen import dataclass, field, replace
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.integrators.interface import ConsecutiveSteps, Failure, Nodes, StepEvidence, Stretch, Timetable
 from mbdkit.integrators.run.impulse import DriverImpulse, ReactingMemory

@@ -7,13 +7,13 @@ below that of the steps (1e-5 of it for steps of an eighth of a period).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import SAME_TIME

@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import Path, canonical
 from mbdkit.base.traced_numbers import Formulas, Trace, UntraceableError, float_array, is_traced
 from mbdkit.engine.compile_mechanism import compile_mechanism

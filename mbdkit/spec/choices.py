@@ -9,7 +9,6 @@ import functools
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, cast
 
 from pydantic import (
@@ -25,6 +24,7 @@ from pydantic_core import CoreSchema, SchemaValidator, core_schema
 
 from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.errors import PluginError, SpecError, blaming
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import value_text
 from mbdkit.base.strict_model import STRICT, schema_of
 from mbdkit.base.text import listed

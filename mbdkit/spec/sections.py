@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, GetJsonSchemaHandler, PlainSerializer, model_validator
@@ -13,6 +12,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError
 
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.base.plain_data import LONGEST_TITLE, canonical, value_text
 from mbdkit.base.strict_model import StrictModel
 from mbdkit.base.text import did_you_mean, listed

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
 from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, BeforeValidator, GetJsonSchemaHandler, ValidationError, WithJsonSchema
@@ -14,6 +13,7 @@ from pydantic_core import CoreSchema
 
 from mbdkit.base import higher_layers
 from mbdkit.base.errors import MissingPartError, SpecError, blaming
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.plain_data import Path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import read_unit

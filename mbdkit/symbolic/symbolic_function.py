@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import sympy as sp
@@ -11,6 +10,7 @@ from numpy.polynomial import Polynomial
 from sympy.core.function import AppliedUndef
 
 from mbdkit.base.errors import PluginError, SpecError
+from mbdkit.base.frozen import dataclass
 from mbdkit.expressions.recorded_derivatives import derivatives
 from mbdkit.mechanism.joint_base import PoseFunction, record_function
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from typing import Literal, TypeVar
 
 import numpy as np
+
+from mbdkit.base.frozen import dataclass, field
 
 V = TypeVar("V", float, np.ndarray)
 

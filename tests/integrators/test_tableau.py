@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import sympy as sp
 
-from mbdkit.methods import INTEGRATORS, gauss, radau_iia, rk4, rk_gill
+from mbdkit.methods import INTEGRATORS, gauss, radau_iia, rk4, rk_gill, tableau
 from mbdkit.methods.kinds import ExplicitRungeKutta, Tolerances
 from mbdkit.methods.tableau import ButcherTableau, EmbeddedPair, TableauError, collocation, rooted_trees
+from tests.integrators import stored_tableaus
 
 SHIPPED = {"rk4": rk4.tableau(), "rk-gill": rk_gill.tableau()} | {f"gauss-{s}": gauss.tableau(s) for s in range(1, 7)}
 SHIPPED |= {f"radau-iia-{s}": radau_iia.tableau(s) for s in (2, 3, 5)}
 shipped = pytest.mark.parametrize("name", SHIPPED)
 stages = pytest.mark.parametrize("s", range(1, 7))
+
+
+def test_stored_results_of_packaged_tableaus_are_those_that_mpmath_computes() -> None:
+    stored = Path(tableau.__file__).with_suffix(".json").read_text("utf-8")
+    assert stored == stored_tableaus.text(), "run `python -m tests.integrators.stored_tableaus`"
+
+
+def test_a_tableau_with_other_coefficients_is_checked_whatever_its_name() -> None:
+    with pytest.raises(TableauError, match="order 3"):
+        replace(rk4.tableau(), b=("1/6", "1/2", "1/6", "1/6"))
 
 
 @pytest.mark.parametrize(("order", "number"), list(enumerate([1, 1, 2, 4, 9, 20, 48, 115, 286], start=1)))

@@ -6,11 +6,11 @@ The velocities after the impulse of drivers are the nearest ones that satisfy th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.workspace import Workspace

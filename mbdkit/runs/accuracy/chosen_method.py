@@ -16,13 +16,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mbdkit.base import elementary
 from mbdkit.base.errors import SpecError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.plain_data import canonical
 from mbdkit.engine.workspace import Workspace
 from mbdkit.methods.method_options import ControlledOptions

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from pydantic import BaseModel
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.base.text import one_line
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.stabilization import Stabilization

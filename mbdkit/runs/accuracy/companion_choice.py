@@ -7,11 +7,11 @@ the run; `compared_measures` carries them out as runs of their own.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from mbdkit.base.frozen import dataclass, replace
 from mbdkit.engine.stabilization import NONE, Stabilization
 from mbdkit.integrators.interface import Timetable
 from mbdkit.mechanism.element_kinds import ChosenTreatment

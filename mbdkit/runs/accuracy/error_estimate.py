@@ -21,12 +21,12 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.trust.measure_error import AGREED, CONFIRMED, GUARD_RATIO, LARGEST_RATIO
 

@@ -5,12 +5,12 @@ angles.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
 from mbdkit.base import elementary
+from mbdkit.base.frozen import dataclass
 from mbdkit.engine.workspace import Workspace
 from mbdkit.runs.preparation import size_at_start
 from mbdkit.spec import RunSpec

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mbdkit.archive.checkpoint import StoredState, decoded_state, encoded_state
 from mbdkit.base.errors import ArchiveError
+from mbdkit.base.frozen import dataclass
 
 KIND = "mbdkit simulation state"
 
