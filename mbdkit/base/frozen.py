@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 import reprlib
+from collections.abc import Callable
 from dataclasses import field as field
 from dataclasses import fields as fields
 from dataclasses import replace as replace
+from functools import cache
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -32,16 +35,19 @@ else:
         return dataclasses.dataclass(**options)(cls)
 
 
-def _compared(value: Any) -> tuple[object, ...]:
-    return tuple(getattr(value, item.name) for item in fields(value) if item.compare)
+@cache
+def _compared(cls: Any) -> Callable[[Any], object]:
+    names = [item.name for item in fields(cls) if item.compare]
+    return attrgetter(*names) if names else lambda value: ()
 
 
 def _is_equal(self: Any, other: object) -> bool:
-    return _compared(self) == _compared(other) if type(other) is type(self) else NotImplemented
+    values = _compared(self.__class__)
+    return values(self) == values(other) if type(other) is type(self) else NotImplemented
 
 
 def _hash(self: Any) -> int:
-    return hash(_compared(self))
+    return hash(_compared(self.__class__)(self))
 
 
 @reprlib.recursive_repr()

@@ -54,7 +54,7 @@ class UnfinishedBlock:
     def __init__(self, block: Path, heading: BlockHeading):
         self._block, self._heading = block, heading
         self._unsaved: list[BlockRuns] = []
-        self._bytes, self._begin = 0, (time.process_time(), time.monotonic())
+        self._bytes, self._begin = 0, (time.thread_time(), time.monotonic())
 
     def saved(self) -> dict[int, BlockRuns]:
         """Return the runs that an interrupted process has saved, each alone, by number.
@@ -81,15 +81,17 @@ class UnfinishedBlock:
         self._unsaved += runs
         results = (some.results for some in runs if some.results is not None)
         self._bytes += sum(array.nbytes for result in results for array in result.arrays.values())
-        processor, wall = self._begin
-        passed = max(time.process_time() - processor, LEAST_SHARE * (time.monotonic() - wall))
+        processor, begin = self._begin
+        if (wall := time.monotonic() - begin) < INTERVAL:  # some systems take 0.3 ms to read the processor time
+            return
+        passed = max(time.thread_time() - processor, LEAST_SHARE * wall)
         if passed < INTERVAL or self._bytes > LARGEST_RATE * passed:
             return
         path = self._block.with_name(f".{self._block.stem}{PIECE}{time.time_ns()}")
         points = BlockPoints(sorted(number for some in self._unsaved for number in some.numbers))
         with suppress(OSError):  # the disk may be full, as an error says when the block itself is written
             path.write_bytes(block_image(self._heading, points, self._unsaved))
-        self._unsaved, self._bytes, self._begin = [], 0, (time.process_time(), time.monotonic())
+        self._unsaved, self._bytes, self._begin = [], 0, (time.thread_time(), time.monotonic())
 
     def remove(self) -> None:
         """Remove the files, after the block itself has been written."""

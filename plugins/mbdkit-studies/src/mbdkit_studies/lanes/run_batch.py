@@ -11,12 +11,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+import mbdkit_gradients
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import value_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import built_in_measures
-from mbdkit_gradients import gradients_at
 from mbdkit_studies.compute.carry_out import ensemble
 from mbdkit_studies.store.block_writer import Store
 from mbdkit_studies.study import Study
@@ -89,7 +89,7 @@ def batch(
     if derivatives and not texts:
         raise SpecError("built-in measures have no derivatives; give `measures`", key="derivatives")
     of_texts = [*dict.fromkeys(texts.values())]
-    gradient_at = gradients_at(spec, of_texts, derivatives) if derivatives else None
+    gradient_at = mbdkit_gradients.gradients_at(spec, of_texts, derivatives) if derivatives else None
     notes = list[str]()
     executor = _InThisProcess() if workers == 1 else None
     asked: dict[str, Any] = {"measures": entries, "store": store, "out": out, "workers": workers}

@@ -10,12 +10,12 @@ from itertools import product
 
 import numpy as np
 
+import mbdkit_gradients  # whose names are loaded when they are used
 from mbdkit.base.errors import MbdkitError, SpecError
 from mbdkit.base.plain_data import Path, copied, path_text
 from mbdkit.spec.estimates import Estimated
 from mbdkit.spec.reading import parse_key, put
 from mbdkit.spec.run_spec import RunSpec
-from mbdkit_gradients import gradient, resolved
 from mbdkit_studies.folder import member_table
 from mbdkit_studies.folder.study_folder import StudyFolder
 from mbdkit_studies.spec.sample_section import Sample, frozen
@@ -103,11 +103,11 @@ def corner_values(spec: StudySpec) -> dict[str, np.ndarray]:
     if not spec.defined_measures():
         raise spec.placed(SpecError("needs `measures`, whose worst cases are sought", key="tolerances"))
     with SpecError.place_by(spec.placed), SpecError.rekey("tolerances"):
-        parameters = resolved(base, names)
+        parameters = mbdkit_gradients.resolved(base, names)
         if len(names) > MOST_FOR_ALL_CORNERS:
             own = [one for one in spec.defined_measures() if one.expression]
             measures = {one.name: {"value": one.expression, "unit": one.unit} for one in own}
-            slopes = np.sign(gradient(base, measures, names, check=False).jacobian)
+            slopes = np.sign(mbdkit_gradients.gradient(base, measures, names, check=False).jacobian)
             corners = np.vstack([slopes, -slopes])
         else:
             corners = np.array(list(product((-1, 1), repeat=len(names))))

@@ -34,7 +34,7 @@ MOST_FILES = 500  #: Number of runs above which studies are stored in blocks, un
 
 #: Default of the largest number of runs in a block, in studies of up to `LARGE_BLOCKS` times as many runs and in larger
 #: ones. Writing a block, and reading it for the index, takes 0.1 s whatever its number of runs.
-RUNS, LARGE_BLOCKS, MOST_RUNS = 1000, 32, 4000
+RUNS, LARGE_BLOCKS, MOST_RUNS = 1000, 20, 5000
 
 #: Number of blocks of studies with fewer than `BLOCKS` times `RUNS` runs, so that all processes have work, and smallest
 #: number of runs in each of them, which vectorized runs need; both are defaults.
