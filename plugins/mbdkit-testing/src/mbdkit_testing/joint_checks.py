@@ -284,8 +284,7 @@ def reaction(kind: JointUnderTest) -> Result:
         lam = np.random.default_rng(4).uniform(0.5, 1.0, equations.m) / pair.units
         for q in pair.states():
             force = equations.constraint_forces(pair.time, q, lam)
-            slopes = pair.differences(pair.rows_at, q)
-            allowed = np.linalg.svd(slopes)[2][equations.m :]
+            allowed = np.linalg.svd(pair.differences(pair.rows_at, q))[2][equations.m :]
             work = np.abs(allowed @ (force * pair.scales)) / np.linalg.norm(force * pair.scales)
             if not np.max(work, initial=0.0) <= DERIVATIVE:
                 return failed(f"the reaction of '{name}' does work along a displacement that its rows allow")
