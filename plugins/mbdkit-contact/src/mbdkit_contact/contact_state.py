@@ -6,16 +6,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit.integrators.run.impulse import ElementImpact, ReactingMemory
 from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates, held_states
-
-if TYPE_CHECKING:
-    from mbdkit_contact.contact_section import ContactTreatment
+from mbdkit_contact.contact_section import ContactTreatment
 
 #: `ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this.
 SOLVED = 1e-6

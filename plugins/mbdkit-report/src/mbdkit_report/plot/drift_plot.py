@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.element_quantity import GAPS, MOST, element_chart, misalignment, picked, value_text
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:

@@ -4,15 +4,11 @@ the elements that exert a torque.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.element_quantity import MOST, element_chart, element_values, has_elements, picked
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Components, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -21,9 +20,6 @@ from mbdkit_report.plot.element_quantity import (
     with_errors,
 )
 from mbdkit_report.plot.torques_plot import carried_torque, torque_chart
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Components to draw, by the value of the option `components`; none for the magnitude.
 COMPONENTS: dict[str, tuple[str, ...]] = {"magnitude": (), "global": ("x", "y"), "body": ("axial", "shear")}

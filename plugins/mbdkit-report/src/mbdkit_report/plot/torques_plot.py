@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.curves import Bands
@@ -21,9 +20,6 @@ from mbdkit_report.plot.element_quantity import (
     reaction_force,
     reaction_torque,
 )
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:
