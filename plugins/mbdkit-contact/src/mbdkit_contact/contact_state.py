@@ -89,8 +89,7 @@ class ContactState:
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
-        known = dict(self.known)
-        if known:
+        if known := dict(self.known):
             known |= {"determined": np.zeros(2, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
         return replace(self, modes=np.zeros(0, dtype=int), known=known, between=None)
 

@@ -174,8 +174,7 @@ def _model_step(center: Linearization, bundle: list[Linearization], radius: floa
     relative to the largest change of the cost in the box, because its solver has absolute tolerances.
     """
     n, near = len(center.point), [one for one in bundle if np.max(np.abs(one.point - center.point)) <= 4 * radius]
-    size = radius * max(float(np.max(np.abs(element.slope))) for element in near)
-    if not size:
+    if not (size := radius * max(float(np.max(np.abs(element.slope))) for element in near)):
         return np.zeros(n), 0.0
     rows, limits = [], []
     for linearization in near:

@@ -235,8 +235,7 @@ def other_options(integrator: IntegratorUnderTest) -> Result:
     def method_and_run(name: str, chosen: dict[str, Any]) -> Result:
         other = IntegratorUnderTest(integrator.item, chosen, integrator.installed)
         try:
-            result = method.function(other)
-            if result.outcome != "fail":
+            if (result := method.function(other)).outcome != "fail":
                 time = {"end": 0.1} if other.claims.adaptive else {"end": 0.1, "step": 0.01}
                 other.run(FORCED_PENDULUM, time).close()
         except PluginError as error:

@@ -119,8 +119,7 @@ def start(kind: JointUnderTest) -> Result:
     size = kind.workspace.mechanism.length
     bodies = [kind.workspace.mechanism.bodies.index(name) for name in mechanism.bodies]
     moved = np.abs(kind.workspace.q0.reshape(-1, 3)[bodies] - given) / [size, size, 1.0]
-    most = float(np.max(moved, initial=0.0))
-    if not most <= MOVED:
+    if not (most := float(np.max(moved, initial=0.0))) <= MOVED:
         return failed(
             "assembly moves the bodies of its example, because rows are not zero where these begin: compare signs and "
             "offsets of the functions with `start`",
@@ -360,8 +359,7 @@ def methods(kind: JointUnderTest) -> Result:
     reference, agreed, refused, worst = end_of(_short(kind, 0.5, **gauss)), 0, [], 0.0
     half = len(reference) // 2
     size = np.array([kind.workspace.mechanism.length, kind.workspace.mechanism.length, 1.0])
-    motion = float(np.max(reference[half:] / size))
-    if not motion > 1e-9:
+    if not (motion := float(np.max(reference[half:] / size))) > 1e-9:
         raise Skip("the bodies of its example rest")
     for method in METHODS:
         try:

@@ -156,8 +156,7 @@ def balance(model: ModelUnderTest) -> Result:
                 continue
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
             results.append(float(np.max(np.abs(run.energy.balance))) / size)
-    last = [value for value in results if np.isfinite(value)]
-    if not last:
+    if not (last := [value for value in results if np.isfinite(value)]):
         return failed("no run completed")
     figures = {"coarsest": last[0], "finest": last[-1]}
     if last[-1] < 1e-9 or last[-1] < last[0] / 4 ** (len(last) - 1):

@@ -247,8 +247,7 @@ def _on(problem: str) -> Check[IntegratorUnderTest]:
 @check("order.multipliers")
 def multipliers(integrator: IntegratorUnderTest) -> Result:
     """The method's own multipliers converge with the order claimed for them."""
-    claimed = integrator.claims.multiplier_order
-    if claimed is None:
+    if (claimed := integrator.claims.multiplier_order) is None:
         raise Skip("it claims no order of multipliers")
     result = convergence(integrator, "forced-pendulum")
     return compare_orders(claimed, result.observed_of_multipliers, result.multiplier_errors, "order of multipliers")
@@ -259,8 +258,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     """With each other formulation that the method claims, positions, velocities and multipliers converge as claimed."""
     claimed_names = (name for name in integrator.claims.formulations if name != integrator.formulation)
     # those with options apply to loops, which the model of this check does not have
-    others = [name for name in claimed_names if choice_of(name) == name]
-    if not others:
+    if not (others := [name for name in claimed_names if choice_of(name) == name]):
         raise Skip(f"it claims only {integrator.formulation}")
     if integrator.claims.adaptive:
         raise Skip("it is adaptive and claims no order")

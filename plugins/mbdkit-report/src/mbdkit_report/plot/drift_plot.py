@@ -32,8 +32,7 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     """
     if gap not in GAPS:
         raise SpecError(f"the misalignment should be {listed(GAPS, 'or')}, not {gap!r}")
-    quantity = misalignment(run, gap)
-    if not quantity.elements:
+    if not (quantity := misalignment(run, gap)).elements:
         raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")
     column, most_of_all = quantity.largest
     remark = f"The largest misalignment is {length(most_of_all)}, of joint {quantity.elements[column]}."

@@ -24,8 +24,7 @@ def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
     SpecError, UnknownNameError
         If no element exerts a force, or there is no such force element.
     """
-    force = element_values(run, "N", "force")
-    if not force.elements:
+    if not (force := element_values(run, "N", "force")).elements:
         raise SpecError("no force element of this run exerts a force; the plot of torques shows those with a torque")
     few = force.only(picked(force, elements, "force element with a force", most))
     caption = "Tension of springs, dampers and laws, positive where it pulls together; magnitude of forces at a point."

@@ -52,8 +52,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
     if components not in COMPONENTS:
         hint = did_you_mean(components, COMPONENTS)
         raise SpecError(f"components should be {listed(COMPONENTS, 'or')}, not {components!r}{hint}")
-    force = reaction_force(run)
-    if not force.elements:
+    if not (force := reaction_force(run)).elements:
         raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")
     shown = COMPONENTS[components]
     columns = picked(force, joints, "joint", max(1, most // max(1, len(shown))))

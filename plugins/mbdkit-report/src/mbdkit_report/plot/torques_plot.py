@@ -36,8 +36,7 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
         If nothing in the mechanism exerts a torque, or there is no such joint, or force element with a torque.
     """
     if joints is None and elements is None:
-        quantity = _carried_by_any(run)
-        if not quantity.elements:
+        if not (quantity := _carried_by_any(run)).elements:
             raise SpecError("no joint, driver or force element of this run exerts a torque, so there is none to draw")
         few = quantity.only(picked(quantity, None, "torque", most))
     else:

@@ -150,8 +150,7 @@ class Pool:
 
     def say(self, text: str) -> None:
         """Pass a message to the user, unless it differs from an earlier one only in numbers."""
-        kind = without_numbers(text)
-        if kind not in self._said:
+        if (kind := without_numbers(text)) not in self._said:
             self._said.add(kind)
             self.notify(text)
 

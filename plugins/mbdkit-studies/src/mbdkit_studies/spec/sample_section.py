@@ -224,8 +224,7 @@ def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
     for key in variables:
         if not (path := parse_key(key)):
             raise SpecError("should be a dotted key of a run spec, such as model.angles.0", key=quoted(key))
-        parts = comparable(path)
-        if parts in taken:
+        if (parts := comparable(path)) in taken:
             raise SpecError(f"is the same key as '{taken[parts]}'", key=quoted(key))
         taken[parts] = key
     for key in variables:

@@ -198,8 +198,7 @@ class _Writer:
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
         """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""
-        group = path.partition("/")[0]
-        if group not in self.file:
+        if (group := path.partition("/")[0]) not in self.file:
             self.scale("", group, "run", self.points.numbers, "number of the run in the study, from 1")
         array = Array(path, ("run",), units, what, dtype)
         return tables.write_column(self.file, array, values, compress=self.heading.compress)

@@ -162,8 +162,7 @@ def error_bars(result: Inverse) -> ResultBars | None:
     recruiter = result.problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
         return None  # forces of muscles depend on the noise of other frames; the covariances are those within a frame
-    data = NoisyData.of(result)
-    if data is None:
+    if (data := NoisyData.of(result)) is None:
         return None
     times, series = data.time, data.series
     response = _Response(result, data.independent)

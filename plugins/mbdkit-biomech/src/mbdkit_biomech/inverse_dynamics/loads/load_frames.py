@@ -194,8 +194,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
 def _arrow(canvas: Canvas, kind: str, start: np.ndarray, along: np.ndarray) -> None:
     """Draw a force at `start` [px]; arrows too short for a head are not drawn."""
     vector = along * (1.0, -1.0)
-    length = float(np.hypot(*vector))
-    if length > 4.0:
+    if (length := float(np.hypot(*vector))) > 4.0:
         canvas.arrow(start + vector, vector, length, f"arrow of-{kind}")
 
 

@@ -57,8 +57,7 @@ def inverse_charts(run: Run) -> list[Figure]:
             found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, tuple(lines)))
     found += _contact_chart(run)
     raw = run.array("motion/raw_misalignment")
-    known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
-    if known:
+    if known := [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]:
         lines = _lines(run, raw[:, known], [run.joint_names[k] for k in known])
         caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
         axis = Axis("misalignment", "m")

@@ -140,8 +140,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
         None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
         stated nor can be estimated from the residuals.
     """
-    data = NoisyData.of(result)
-    if data is None:
+    if (data := NoisyData.of(result)) is None:
         return None
     value = _measured(result, measures)
     numbers, spec = (SAMPLES, UNCERTAIN_SAMPLES, HIDDEN_SAMPLES), result.problem.spec.canonical_json()
