@@ -163,7 +163,7 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     pairs
         Runs at the ``start`` and at the ``best`` point, by scenario.
     """
-    found = []
+    found: list[Cost] = []
     for scenario, pair in pairs.items():
         before = {load.label: load.value for load in largest_loads(pair["start"])}
         loads = largest_loads(pair["best"])

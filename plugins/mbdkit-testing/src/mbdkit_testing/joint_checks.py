@@ -202,8 +202,7 @@ def units(kind: JointUnderTest) -> Result:
             if twice is None:
                 continue
             scaled += 1
-            large = q.reshape(-1, 3) * [2.0, 2.0, 1.0]
-            rows, double = pair.rows_at(q), twice.rows_at(large.ravel())
+            rows, double = pair.rows_at(q), twice.rows_at((q.reshape(-1, 3) * [2.0, 2.0, 1.0]).ravel())
             for row, unit, one, other in zip(pair.joint.rows, pair.joint.units, rows, double, strict=True):
                 factor, size = (2.0, pair.size) if unit == "m" else (1.0, 1.0)
                 if not abs(other - factor * one) <= SAME * size:

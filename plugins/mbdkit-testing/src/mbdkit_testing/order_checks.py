@@ -431,8 +431,7 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
             is_explicit = not run.stats["jacobian_evaluations"]
             costs.append(run.stats["rhs_evaluations"] / (counts[-1] + run.stats["rejected"]))
     # the number of steps of a method of order p is proportional to rtol^(-1/(p + 1))
-    growth = np.maximum(np.diff(np.log(counts)), NO_GROWTH)
-    exponents = -np.diff(np.log(COUNTED_TOLERANCES)) / growth
+    exponents = -np.diff(np.log(COUNTED_TOLERANCES)) / np.maximum(np.diff(np.log(counts)), NO_GROWTH)
     loose, tight = float(exponents[0]), float(exponents[-1])
     figures = {"order_at_loose": round(loose - 1, 2), "order_at_tight": round(tight - 1, 2)}
     if not claims.variable_order:

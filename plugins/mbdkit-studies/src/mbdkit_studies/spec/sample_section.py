@@ -63,8 +63,7 @@ def _frozen(name: str, given: object) -> Any:
     distribution = _distribution(name)
     shapes = tuple(distribution.shapes.split(", ")) if distribution.shapes else ()
     names = LIMITS if name == "uniform" else tuple(_NORMAL) if name == "normal" else (*shapes, *_LOCATION)
-    needed = names if name == "uniform" else shapes
-    values = _values(name, given, names, needed)
+    values = _values(name, given, names, names if name == "uniform" else shapes)
     if name == "uniform":
         low, high = values["low"], values["high"]
         if not low < high:

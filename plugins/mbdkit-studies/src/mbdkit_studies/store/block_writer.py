@@ -306,8 +306,7 @@ class _Writer:
             for dim in GROUPS
         }
         for group in groups:
-            homes = dict.fromkeys(_home(one) for one in first.layout if one.group == group)
-            for home in homes:
+            for home in dict.fromkeys(_home(one) for one in first.layout if one.group == group):
                 self.scale(under, group, f"{home}run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
                 whole = range(1, max(lengths[dim]) + 1)

@@ -295,8 +295,7 @@ def _with_loads(
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
             # the outcome is linear in each component, so that one change of any size gives the exact derivative
-            loads = problem.loads | {name: series.moved(component, deviation)}
-            with_noise = replace(problem, loads=loads)
+            with_noise = replace(problem, loads=problem.loads | {name: series.moved(component, deviation)})
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
             columns.append([part / deviation for part in _outcome(moved).minus(base)])
             deviations.append(deviation)

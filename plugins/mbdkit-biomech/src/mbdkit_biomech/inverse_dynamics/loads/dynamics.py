@@ -178,8 +178,7 @@ def _rank(fitter: Fitter, balance: Balance, time: np.ndarray, report: bool) -> i
     if not (freedoms := free.shape[2]):
         return 0
     values = singular_values(effect)
-    largest = np.max(values, axis=1, initial=0.0)
-    ranks = np.sum(values > WEAK * largest[:, None], axis=1)
+    ranks = np.sum(values > WEAK * np.max(values, axis=1, initial=0.0)[:, None], axis=1)
     frame = int(np.argmin(ranks))
     if (rank := int(ranks[frame])) < freedoms and not report:
         undriven = free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]

@@ -155,8 +155,7 @@ def _dual_newton(programme: Programme, p: float, start: np.ndarray | None = None
     if p > 2 and start is None:
         # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
-        cost = slope_of_cost(x, p)
-        begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
+        begin = least_norms(np.swapaxes(programme.matrix, 1, 2), slope_of_cost(x, p), 1e-10)
     y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
     x = _unknowns(programme, y, p)[0]
     certificate = _certificate(programme, x, y, p)

@@ -89,8 +89,7 @@ def _muscles(run: Run) -> tuple[Section, ...]:
         error = float(muscle.force_error[row])
         values = (float(np.max(muscle.activation)), float(np.mean(muscle.activation)), float(muscle.force[row]))
         muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
-    shares = reserve_shares(run)
-    told = [f"{share:.2%} of {name}" for name, share in shares.items()]
+    told = [f"{share:.2%} of {name}" for name, share in reserve_shares(run).items()]
     sentence = "Muscles alone exert the moments of the joints that they act on: there are no reserves."
     if told:
         sentence = f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."

@@ -134,8 +134,7 @@ class _Series:
 
     def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
         """Return the workload between two times; the values at these times are interpolated."""
-        inside = time[(time > start) & (time < end)]
-        t = np.concatenate([[start], inside, [end]])
+        t = np.concatenate([[start], time[(time > start) & (time < end)], [end]])
 
         def at(values: np.ndarray | None) -> Any:
             return None if values is None else np.interp(t, time, values)

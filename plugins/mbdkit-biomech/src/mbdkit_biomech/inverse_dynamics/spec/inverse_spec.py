@@ -199,7 +199,6 @@ class InverseSpec(ModelSpec):
         If the observed quantities follow from the data, all possible actuators are listed.
         """
         names = QuantityNames(self.mechanism())
-        columns = self.motion.columns
         # checked one by one, because the first of several names of a quantity would hide the others
         if (columns := self.motion.columns) is None:
             groups = [{name: quantity} for name, quantity in names.candidates().items()]
