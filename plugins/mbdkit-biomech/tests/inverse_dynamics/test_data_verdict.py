@@ -380,7 +380,7 @@ def test_impossible_numbers_are_refused_with_line_and_column(cell: str, message:
 def test_a_spec_may_accept_every_criterion_and_no_other() -> None:
     files = Path(mbdkit_biomech.__file__).parent.rglob("*.py")
     used = {
-        name for file in files for name in re.findall(r'(?:doubt|Finding)\(\s*"([a-z-]+)"', file.read_text("utf-8"))
+        name for file in files for name in re.findall(r'(?:doubts?|Finding)\(\s*"([a-z-]+)"', file.read_text("utf-8"))
     }
     known = set(CriterionName("inverse").names())
     # `excitations` is a criterion of runs; what is improbable in a mechanism has a criterion with its name

@@ -204,8 +204,6 @@ def acting_contacts(mechanism: Mechanism, number: Mapping[str, int]) -> list[Act
     SpecError
         If contacts are compliant and one of them has no compliance.
     """
-    if not mechanism.contacts:
-        return []
     rows = []
     is_rigid = mechanism.reacting is not None
     for name, own in mechanism.contacts.items():

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.integrators.run.run_state import RunState
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.methods.kinds import Tolerances
+from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.events_of_contacts import ContactEvents
 from mbdkit_contact.kernels.implicit_steps import constrain
 from mbdkit_contact.kernels.steps_to_events import attempt, dense, keep
-
-if TYPE_CHECKING:
-    from mbdkit.integrators.run.run_state import RunState
-    from mbdkit_contact.contact_section import ContactTreatment
 
 
 class CompiledEventDriven(CompiledMethod):

@@ -158,8 +158,7 @@ class CompliantLibrary(ExternalMethod):
             made = self._advance()
             assert made.time is not None
             end = float(made.time)
-            share = _change(self._equations, t, begin, made, end)
-            if share == 1.0:
+            if (share := _change(self._equations, t, begin, made, end)) == 1.0:
                 break
             self._open(t, begin, t + share * (end - t))
         self._now = end, made.state

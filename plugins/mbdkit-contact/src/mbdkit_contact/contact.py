@@ -156,8 +156,7 @@ class Shape(StrictModel):
             return [("line.point", self.line.point)]
         if self.point is not None:
             return [("point", self.point)]
-        corners = self.polygon or self.polyline
-        if corners is None:
+        if (corners := self.polygon or self.polyline) is None:
             return [(f"{self.kind}.center", self.circle_of[0])]
         return [(f"{self.kind}[{i}]", corner) for i, corner in enumerate(corners)]
 
@@ -335,8 +334,7 @@ class Contact(Element):
                 raise SpecError(f"needs a circle that rolls, not a {first} and a {second}", key="rolling_resistance")
 
     def _check_law(self) -> None:
-        own = self.compliance
-        if own is None:
+        if (own := self.compliance) is None:
             return
         law, speed, given = own.law, own.impact_speed, own.dissipation is not None
         of_speed = law in ("flores", "lankarani-nikravesh")

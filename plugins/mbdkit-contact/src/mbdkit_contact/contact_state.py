@@ -6,16 +6,14 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from mbdkit.base.text import listed
 from mbdkit.integrators.run.impulse import ElementImpact, ReactingMemory
 from mbdkit_contact.acting_contacts import HELD, ActingContact, held_coordinates, held_states
-
-if TYPE_CHECKING:
-    from mbdkit_contact.contact_section import ContactTreatment
+from mbdkit_contact.contact_section import ContactTreatment
 
 #: `ContactState.remarks` mentions relative errors of the velocities of contacts that are larger than this.
 SOLVED = 1e-6
@@ -91,8 +89,7 @@ class ContactState:
 
     def after_stop(self) -> ContactState:
         """Return the state after a discontinuity of a motion or load; the next step determines the modes anew."""
-        known = dict(self.known)
-        if known:
+        if known := dict(self.known):
             known |= {"determined": np.zeros(2, dtype=np.int64), "event": np.zeros(2, dtype=np.int64)}
         return replace(self, modes=np.zeros(0, dtype=int), known=known, between=None)
 

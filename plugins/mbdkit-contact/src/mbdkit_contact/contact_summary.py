@@ -45,8 +45,7 @@ def _overlaps(run: Run) -> str:
     beyond = np.zeros(len(run.contacts)) if missed is None else missed
     for (name, contact), own, unseen in zip(run.contacts.items(), overlaps.T, beyond, strict=True):
         row, known = int(np.argmax(own)), float(np.nan_to_num(unseen))
-        depth = float(own[row] + known)
-        if depth > EXACT:
+        if (depth := float(own[row] + known)) > EXACT:
             when = f"at {run.time[row]:.4g} s" if known <= MISSED * depth else "between the recorded rows"
             when += " in the recorded rows" if np.isnan(unseen) else ""
             creep = np.max(np.abs(contact.slip[contact.mode == STICK]), initial=0.0)

@@ -194,7 +194,6 @@ class RigidOverlaps(DeepOverlaps):
 @rows_criterion
 def watch_rigid_overlaps(spec: RunSpec, compiled: CompiledMechanism, size: float) -> RigidOverlaps | None:
     """Return the `RigidOverlaps` of a mechanism; None if its contacts are compliant."""
-    chosen = compiled.reacting
-    if chosen is None:
+    if (chosen := compiled.reacting) is None:
         return None
     return RigidOverlaps(compiled, spec.finer, size, locates=chosen.section.treatment == "event-driven")

@@ -74,8 +74,7 @@ class EventDriven(StepMethod):
         if result is not None and result.dense is not None and step.begin is not None:
             dense = _closing(result.dense, step.begin, step.now)
         happens = None if event is None else ContactEvent(self.after_event, end.memory.time)
-        error = step.error
-        if error is not None:
+        if (error := step.error) is not None:
             n = 2 * equations.n
             error = np.concatenate([error[:n], events.contacts.all_states(error[n:])])
         dense = _with_forces(events, begin, end, dense)
@@ -214,8 +213,7 @@ class EventDrivenLibrary(ExternalMethod):
             end = result.state
             step.dense = dense = result.dense
             there = StepPoint(float(result.time), end.q, end.v, end.z, multipliers=end.multipliers, made=result)
-            search = step.first_event(there)
-            if search is None or not step.is_unclear:
+            if (search := step.first_event(there)) is None or not step.is_unclear:
                 break
             self._begin(step, begin.t + search[0] * (there.t - begin.t))
         share, event = (1.0, None) if search is None else search

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.system import NOT_FINITE, OK
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.loop.step_loop import PAUSED
 from mbdkit.integrators.run.impulse import ElementImpact
+from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
 from mbdkit_contact.kernels.contact_modes import react
@@ -41,10 +43,6 @@ from mbdkit_contact.kernels.impacts import LAWS, new_impacts
 from mbdkit_contact.kernels.steps_to_events import MOST_EVENTS, close_at, forces_at, happen_at
 from mbdkit_contact.modes import OPEN, STICK
 from mbdkit_contact.rigid_contacts import RigidContacts, zeros
-
-if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit_contact.contact_section import ContactTreatment
 
 #: Codes and clauses of the reasons for which a step fails.
 FAILURES: dict[int, tuple[str, str]] = {

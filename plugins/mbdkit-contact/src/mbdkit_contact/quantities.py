@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.mechanism.bodies import GROUND
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import member_names
 from mbdkit.quantities.array import Chart, Recorded
 from mbdkit.quantities.entries import AXIS, TIME, computed, name_array, quantity_group
+from mbdkit.quantities.states import States
 from mbdkit_contact.acting_contacts import ActingContact, contact_values
+from mbdkit_contact.contact import ContactPair
 from mbdkit_contact.modes import OPEN
-
-if TYPE_CHECKING:
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.quantities.states import States
-    from mbdkit_contact.contact import ContactPair
 
 
 def feet(pairs: Iterable[Sequence[str]]) -> list[str]:

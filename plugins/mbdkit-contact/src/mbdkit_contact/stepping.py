@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +11,10 @@ from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.iteration_matrix import StepMatrix
 from mbdkit.engine.native.bundle import PinnedBundle
+from mbdkit.engine.workspace import Workspace
+from mbdkit.integrators.run.run_state import RunState
 from mbdkit.integrators.run.sampled_control import states_at_start
+from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.active_set import new_active_set
@@ -24,11 +27,6 @@ from mbdkit_contact.kernels.stepping_bundle import HeldContacts, Stepping
 from mbdkit_contact.kernels.time_stepping import attempt, dense, keep
 from mbdkit_contact.rigid_contacts import RigidContacts, zeros
 from mbdkit_contact.time_stepping_methods import MoreauJean, NonsmoothGeneralizedAlpha
-
-if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.integrators.run.run_state import RunState
-    from mbdkit.integrators.run.step_control import Control
 
 #: Codes and clauses of the reasons for which an attempt fails.
 FAILURES = {

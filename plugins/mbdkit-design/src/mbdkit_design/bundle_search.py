@@ -103,11 +103,10 @@ def bundle_search(
     bundle, count = [best], 1
     message, is_least = "the bundle method reached its limit of iterations", False
     while count < most:
-        near = [element for element in bundle if np.max(np.abs(element.point - best.point)) <= 4 * radius]
-        step, decrease = _model_step(best, near, radius)
+        step, decrease = _model_step(best, bundle, radius)
         if decrease <= tolerance * abs(best.cost):
             if radius <= NEGLIGIBLE:
-                is_least = _is_least(best, bundle)
+                is_least = _is_flat(best, bundle, NEGLIGIBLE)
                 message = LEAST if is_least else STUCK
                 break
             # a smaller region excludes distant points, which mislead if the cost is not convex
@@ -131,11 +130,9 @@ def bundle_search(
     return OptimizeResult(x=best.point, message=message, success=is_least, is_least=is_least, linearizations=bundle)
 
 
-def _is_least(best: Linearization, bundle: list[Linearization]) -> bool:
-    """Return whether the model does not decrease near the best point, however small the trust region has become."""
-    near = [element for element in bundle if np.max(np.abs(element.point - best.point)) <= 4 * NEGLIGIBLE]
-    _, decrease = _model_step(best, near, NEGLIGIBLE)
-    return decrease <= FLAT * NEGLIGIBLE * max(abs(best.cost), 0.1)
+def _is_flat(center: Linearization, bundle: list[Linearization], radius: float) -> bool:
+    """Return whether the model hardly decreases within a radius of a point; see `FLAT`."""
+    return _model_step(center, bundle, radius)[1] <= FLAT * radius * max(abs(center.cost), 0.1)
 
 
 def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most: int) -> OptimizeResult:
@@ -150,8 +147,7 @@ def beyond_kink(problem: Problem, ended: OptimizeResult, tolerance: float, most:
     """
     end = np.clip(ended.x, 0.0, 1.0)
     at_end = Linearization.of(problem, end)
-    _, decrease = _model_step(at_end, [at_end], NEAR)
-    if at_end.cost >= FAILED or decrease <= FLAT * NEAR * max(abs(at_end.cost), 0.1):
+    if at_end.cost >= FAILED or _is_flat(at_end, [at_end], NEAR):
         return ended
     result = bundle_search(problem, end, radius=NEAR, tolerance=tolerance, most=most)
     if not any(_slopes_jump(at_end, linearization) for linearization in result.linearizations):
@@ -169,19 +165,19 @@ def _slopes_jump(linearization: Linearization, other: Linearization) -> bool:
 
 
 def _model_step(center: Linearization, bundle: list[Linearization], radius: float) -> tuple[np.ndarray, float]:
-    """Return the step (n,) that minimises the model of the merit in a box, and the decrease of the model.
+    """Return the step (n,) that minimises the model of the merit in a box, and the decrease of the model. The model
+    consists of the linearizations near the center.
 
     Both are zero if the decrease is within the accuracy of the linear program.
 
     The unknowns of the linear program are the step relative to the radius, and the changes of cost and violation
     relative to the largest change of the cost in the box, because its solver has absolute tolerances.
     """
-    n = len(center.point)
-    size = radius * max(float(np.max(np.abs(element.slope))) for element in bundle)
-    if not size:
+    n, near = len(center.point), [one for one in bundle if np.max(np.abs(one.point - center.point)) <= 4 * radius]
+    if not (size := radius * max(float(np.max(np.abs(element.slope))) for element in near)):
         return np.zeros(n), 0.0
     rows, limits = [], []
-    for linearization in bundle:
+    for linearization in near:
         cost, margins = linearization.at(center)
         rows.append([*(radius / size * linearization.slope), -1.0, 0.0])  # change z of the cost: cost + slope d <= z
         limits.append((center.cost - cost) / size)

@@ -91,8 +91,7 @@ def design(
     ):
         loaded = load_design_spec(spec, assignments or ())
         there = DesignFolder(folder)
-        further = 0 if optimum_only else 1
-        stages = Stages(loaded, notify, progress, optimum_only=optimum_only, further=further)
+        stages = Stages(loaded, notify, progress, optimum_only=optimum_only, further=0 if optimum_only else 1)
         result = solved_in(there, loaded, engine, stages, overwrite=overwrite)
         deviations: list[Deviation] = []
         if not optimum_only:

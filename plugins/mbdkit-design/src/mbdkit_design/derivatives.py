@@ -49,8 +49,7 @@ def differences(evaluator: Evaluator, x: np.ndarray, places: Sequence[int] | Non
     some = slice(None) if places is None else list(places)
     low, high = np.maximum(x - STEP, 0.0), np.minimum(x + STEP, 1.0)
     sides = [np.where(np.eye(len(x), dtype=bool)[some], side, x) for side in (low, high)]
-    values = evaluator.values(np.concatenate(sides))
-    below, above = np.split(values, 2)
+    below, above = np.split(evaluator.values(np.concatenate(sides)), 2)
     return np.asarray(np.moveaxis((above - below) / (high - low)[some, None, None], 0, -1))
 
 

@@ -100,9 +100,8 @@ def _quantities(design: Design, spec: RunSpec | InverseSpec) -> Sequence[Quantit
 
 
 def _line(which: str, quantity: Quantity, run: Run) -> Line:
-    values = recorded(quantity, run)
-    if quantity.is_vector:
-        values = np.hypot(*values)
+    own = recorded(quantity, run)
+    values = np.hypot(*own) if quantity.is_vector else own
     curve = bands(np.asarray(run.time), values[:, None], points=_POINTS)
     error = _error(quantity, run, curve.time)
     band = None if error is None else band_over_time(curve.time, curve.low[:, 0], curve.high[:, 0], error)

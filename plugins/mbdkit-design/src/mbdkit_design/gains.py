@@ -163,14 +163,12 @@ def costs(pairs: Mapping[str, Mapping[str, Run]]) -> list[Cost]:
     pairs
         Runs at the ``start`` and at the ``best`` point, by scenario.
     """
-    found = []
+    found: list[Cost] = []
     for scenario, pair in pairs.items():
         before = {load.label: load.value for load in largest_loads(pair["start"])}
-        for one in largest_loads(pair["best"]):
-            cost = Cost(scenario, one.label, one.unit, before.get(one.label, 0.0), one.value)
-            if abs(cost.share) >= LEAST_CHANGE:
-                found.append(cost)
-    return sorted(found, key=lambda cost: -cost.share)
+        loads = largest_loads(pair["best"])
+        found += (Cost(scenario, one.label, one.unit, before.get(one.label, 0.0), one.value) for one in loads)
+    return sorted((cost for cost in found if abs(cost.share) >= LEAST_CHANGE), key=lambda cost: -cost.share)
 
 
 #: What expressions contain that convert radians to degrees, or whose angles are multiples of pi.

@@ -58,8 +58,7 @@ def undetermined(problem: Problem, best: np.ndarray) -> tuple[dict[str, float], 
     active = problem.margin_slopes(best)[np.abs(problem.margins(best)) < ACTIVE][:, free]
     # in units in which all single variables that have an effect have the same: wide bounds are no evidence
     most = min(float(np.max(size, initial=0.0)), max(1.0, abs(problem.cost(best))))
-    power = 1.0 if problem.sums_squares else 0.5
-    has_effect = size > NEGLIGIBLE**power * most
+    has_effect = size > NEGLIGIBLE ** (1.0 if problem.sums_squares else 0.5) * most
     size = np.where(has_effect, size, 1.0)
     rows = np.where(has_effect, rows / size, 0.0)
     if not problem.sums_squares:

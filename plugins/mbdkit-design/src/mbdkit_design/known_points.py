@@ -136,8 +136,7 @@ class PointFile:
             single, several = "is damaged and was removed; its run is", "are damaged and were removed; their runs are"
             which = single if damaged == 1 else several
             self._notify(f"{counted(damaged, 'line')} of {shown(self.path)} {which} made again")
-        sound = b"".join(line + b"\n" for line in (first, *known))
-        if sound != text:
+        if (sound := b"".join(line + b"\n" for line in (first, *known))) != text:
             with replacing(self.path) as temporary:
                 temporary.write_bytes(sound)
         return dict(known.values())

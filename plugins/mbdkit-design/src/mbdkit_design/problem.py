@@ -121,8 +121,7 @@ class Problem:
         values = self.evaluator.values(points)
         columns = []
         for bound, size in zip(self.bounds, self._sizes, strict=True):
-            result = bound.of(values)
-            columns += [side * (result - limit) / size for side, limit in _sides(bound)]
+            columns += [side * (bound.of(values) - limit) / size for side, limit in _sides(bound)]
         found = np.nan_to_num(np.array(columns).T, nan=-FAILED) if columns else np.zeros((len(points), 0))
         return np.hstack([found, product(self._rows, points.T).T + self._offsets])
 

@@ -118,9 +118,8 @@ def _parameter_unit(spec: ModelSpec, name: str) -> str:
     if name in units:
         return units[name].si.removesuffix("1")
     uses = [(str(text), key_unit(key, [spec])) for key, text in spec.written.items() if name in names_in(text)]
-    for other, text in spec.parameters.items():
-        if name in names_in(text):
-            uses.append((str(text), _parameter_unit(spec, other)))
+    derived = {other: str(text) for other, text in spec.parameters.items() if name in names_in(text)}
+    uses += ((text, _parameter_unit(spec, other)) for other, text in derived.items())
     return unit_of_use(name, uses, units)
 
 

@@ -100,15 +100,8 @@ def write_sto(table: ExportedTable, path: Path) -> None:
     """
     table = table.without_text()
     labels = distinct(re.sub(r"[\s\x00-\x1f\x7f]+", "_", shown(name)) for name, _ in names_and_units(table))
-    header = [
-        f"mbdkit_{table.group}",
-        "version=1",
-        f"nRows={table.rows}",
-        f"nColumns={len(labels)}",
-        "inDegrees=no",
-        "endheader",
-        "\t".join(labels),
-    ]
+    size = f"nRows={table.rows}", f"nColumns={len(labels)}"
+    header = [f"mbdkit_{table.group}", "version=1", *size, "inDegrees=no", "endheader", "\t".join(labels)]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write("\n".join(header) + "\n")
         for row in rows_of(table):
@@ -165,8 +158,7 @@ def write_parquet(table: ExportedTable, path: Path) -> None:
 
 def names_and_units(table: ExportedTable) -> Iterator[tuple[str, str]]:
     """Yield name and units of each column."""
-    for column in _all(table):
-        yield column.name, column.units
+    return ((column.name, column.units) for column in _all(table))
 
 
 def _all(table: ExportedTable) -> tuple[TableColumn, ...]:

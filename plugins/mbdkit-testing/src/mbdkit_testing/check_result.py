@@ -270,8 +270,7 @@ def figures_text(result: Result) -> str:
 
 
 def _limit(result: Result, name: str) -> str:
-    limit = result.limits.get(name)
-    if limit is None:
+    if (limit := result.limits.get(name)) is None:
         return ""
     return f" ({limit})" if isinstance(limit, str) else f" (at most {limit:g})"
 

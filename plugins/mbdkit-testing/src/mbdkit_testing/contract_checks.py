@@ -17,7 +17,7 @@ from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state, require_complete
-from mbdkit_testing.options_under_test import options_result, validated, variants
+from mbdkit_testing.options_under_test import options_result, results_of_variants, validated
 from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
 
 STEPS = 23
@@ -147,15 +147,12 @@ def repeatable(integrator: IntegratorUnderTest) -> Result:
 @check("contract.picklable")
 def picklable(integrator: IntegratorUnderTest) -> Result:
     """Options and method can be pickled, for studies."""
-    made = integrator.method()
-    for what, thing in (
-        ("its options", validated(integrator.plugin.options, integrator.options)),
-        ("its method", made),
-    ):
+    things = {"options": validated(integrator.plugin.options, integrator.options), "method": integrator.method()}
+    for what, thing in things.items():
         try:
             pickle.loads(pickle.dumps(thing))
         except Exception as error:
-            return failed(f"{what} cannot be pickled: {error}")
+            return failed(f"its {what} cannot be pickled: {error}")
     return passed()
 
 
@@ -234,24 +231,18 @@ def other_options(integrator: IntegratorUnderTest) -> Result:
     """With other values of each option within its bounds, the integrator creates a method that fits its claims, and a
     run of 0.1 s does not end with an error in the plugin. The other checks use the given values of the options only.
     """
-    tried = 0
-    for name, chosen in variants(integrator.item, integrator.options):
+
+    def method_and_run(name: str, chosen: dict[str, Any]) -> Result:
         other = IntegratorUnderTest(integrator.item, chosen, integrator.installed)
         try:
-            result = method.function(other)
-            if result.outcome != "fail":
+            if (result := method.function(other)).outcome != "fail":
                 time = {"end": 0.1} if other.claims.adaptive else {"end": 0.1, "step": 0.01}
                 other.run(FORCED_PENDULUM, time).close()
         except PluginError as error:
-            result = failed(str(error).rstrip("."))
-        except SpecError:  # the values are refused
-            continue
-        tried += 1
-        if result.outcome == "fail":
-            return failed(f"with {name}: {result.cause}; if that is not meant, give the option bounds")
-    if not tried:
-        raise Skip("none of its options has another value to try")
-    return passed(variants=tried)
+            return failed(str(error).rstrip("."))
+        return result
+
+    return results_of_variants(integrator.item, integrator.options, method_and_run)
 
 
 CHECKS = (options, other_options, method, inputs, repeatable, picklable, end_time, start_time, formulations, states)

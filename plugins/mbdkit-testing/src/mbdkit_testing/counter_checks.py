@@ -124,8 +124,7 @@ def rows(integrator: IntegratorUnderTest) -> Result:
         require_complete(run, error=MbdkitError)
         stats = run.stats
         for column, name in (("steps", "steps"), ("iterations", "newton_iterations"), ("rejected", "rejected")):
-            total = int(np.sum(run.array(f"steps/{column}")))
-            if total != stats[name]:
+            if (total := int(np.sum(run.array(f"steps/{column}")))) != stats[name]:
                 return failed(f"intervals sum up to {total} {column}, the run says {stats[name]}")
         if stats["accepted"] + stats["rejected"] < stats["steps"]:
             return failed(

@@ -269,8 +269,7 @@ def _type(info: Schema, definitions: Schema) -> str:
         return str(info["const"])
     if "enum" in info:
         return " | ".join(str(value) for value in info["enum"])
-    members = info.get("anyOf") or info.get("oneOf")
-    if members:
+    if members := info.get("anyOf") or info.get("oneOf"):
         words = [_type(member, definitions) for member in members]
         return " | ".join(dict.fromkeys(word for word in words if word != "null"))
     match _kind(info):

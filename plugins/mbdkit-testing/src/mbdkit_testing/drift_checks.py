@@ -107,8 +107,7 @@ def _of_tolerance(integrator: IntegratorUnderTest, level: str, model: Model) -> 
 @check("drift.growth", slow=True)
 def growth(integrator: IntegratorUnderTest) -> Result:
     """Growth law of the misalignment of a double pendulum over 30 s; reported without a limit."""
-    step = coarse_step(integrator) / 2
-    time = {"end": 30.0} if integrator.claims.adaptive else {"end": 30.0, "step": step}
+    time = {"end": 30.0} if integrator.claims.adaptive else {"end": 30.0, "step": coarse_step(integrator) / 2}
     with integrator.run(SWINGING, time) as run:
         require_complete(run)
         history = worst_history(run)

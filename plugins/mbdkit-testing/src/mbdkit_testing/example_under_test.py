@@ -102,7 +102,6 @@ def with_units(model: type[BaseModel], options: Mapping[str, Any]) -> dict[str, 
 
 def completed(spec: RunSpec) -> Run:
     """Return the run of a spec; raises SpecError if it did not complete."""
-    run = simulate(spec)
-    if run.status != "complete":
+    if (run := simulate(spec)).status != "complete":
         raise SpecError(f"a run of its example did not complete: {run.status_reason}")
     return run

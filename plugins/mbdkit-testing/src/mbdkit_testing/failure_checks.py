@@ -43,8 +43,7 @@ def not_a_number(integrator: IntegratorUnderTest) -> Result:
             return failed(fault)
         if len(run.time) < 2:
             return failed("the motion before the failure was not kept")
-        reached = float(run.time[-1])
-        if reached > 0.52:
+        if (reached := float(run.time[-1])) > 0.52:
             return failed(f"it continued to {reached:g} s, although the torque is undefined after 0.5 s")
         return passed(reason=run.status_reason.partition(":")[0], reached_s=reached)
 

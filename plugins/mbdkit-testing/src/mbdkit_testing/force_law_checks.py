@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.base.text import listed
 from mbdkit.engine.force_laws import bind_law
 from mbdkit.engine.native.calls import LAW
@@ -21,10 +21,10 @@ from mbdkit.runs.simulation import simulate
 from mbdkit.spec.choices import law_element
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_testing.check import Skip, check
-from mbdkit_testing.check_result import Result, at_most, failed, passed, warned
+from mbdkit_testing.check_result import Result, at_most, failed, passed, unclaimed, warned
 from mbdkit_testing.integrator_under_test import require_complete
 from mbdkit_testing.item_checks import ItemUnderTest
-from mbdkit_testing.options_under_test import options_result, validated, variants
+from mbdkit_testing.options_under_test import options_result, results_of_variants, validated
 
 #: Largest length or angle, rate and time at which a law without bounds is tested [m or rad, per s, s].
 FAR = 10.0
@@ -406,25 +406,20 @@ def energy(law: ForceLawUnderTest) -> Result:
 @check("law.other-options")
 def other_options(law: ForceLawUnderTest) -> Result:
     """Derivatives, potential and passivity hold for other values of each option within its bounds, too."""
-    tried, undefined = 0, []
-    for name, chosen in variants(law.item, law.options):
+    undefined = []
+
+    def first_failure(name: str, chosen: dict[str, Any]) -> Result:
         other = ForceLawUnderTest(law.item, chosen, law.installed, RANDOM_OF_VARIANTS)
-        try:
-            if not other.is_finite:
-                undefined.append(name)
-                continue
-        except SpecError:  # the law refuses the values
-            continue
-        tried += 1
-        for one in (by_length, by_rate, potential, passivity):
-            result = one.run(other)
-            if result.outcome == "fail":
-                return failed(f"with {name}: {result.cause}; if that is not meant, give the option bounds")
-    if undefined:
+        if other.is_finite:
+            results = (one.run(other) for one in (by_length, by_rate, potential, passivity))
+            return next((result for result in results if result.outcome == "fail"), passed())
+        undefined.append(name)
+        return unclaimed()
+
+    result = results_of_variants(law.item, law.options, first_failure)
+    if undefined and result.outcome != "fail":
         return warned(f"with {listed(undefined, 'and')} its values are not finite; give the options bounds")
-    if not tried:
-        raise Skip("none of its options has another value to try")
-    return passed(variants=tried)
+    return result
 
 
 CHECKS = (options, finite, by_length, by_rate, potential, passivity, other_options, states, energy)

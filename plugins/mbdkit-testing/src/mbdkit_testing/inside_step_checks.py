@@ -125,8 +125,7 @@ def _order_inside(integrator: IntegratorUnderTest, steps: _Inside, where: str, f
         if parts == (2,) and not integrator.claims.states:
             continue
         errors = np.array([_largest(inside, exact, parts) for _, inside, exact in steps])
-        observed = observed_order(sizes, errors, floor=floor)
-        if not observed.found:
+        if not (observed := observed_order(sizes, errors, floor=floor)).found:
             return failed(f"{where} {what}its dense output follows no power of the step", coarsest=errors[0])
         measured = observed.order - 1  # errors of one step have one order more
         figures["measured_states" if what else "measured"] = round(measured, 3)
@@ -248,8 +247,7 @@ def _compare_estimates(
     """
     if not np.any(estimates):
         return failed("its error estimate is zero", largest_error=float(errors[0]))
-    observed = observed_order(sizes, estimates, floor=FLOOR)
-    if not observed.found:
+    if not (observed := observed_order(sizes, estimates, floor=FLOOR)).found:
         return failed("its error estimate follows no power of the step", claimed=claimed)
     low, high = min(observed.steps), max(observed.steps)
     window = np.flatnonzero((0.99 * low < sizes) & (sizes < 1.01 * high))
@@ -306,8 +304,7 @@ def work(integrator: IntegratorUnderTest) -> Result:
     equations, _ = equations_for(integrator, DRIVEN_PENDULUM)
     sizes, errors = list[float](), list[float]()
     for size, begin, made in steps_on(integrator, DRIVEN_PENDULUM):
-        end = made.state
-        if end.work is None or end.dissipated is None:
+        if (end := made.state).work is None or end.dissipated is None:
             raise Skip("its steps return no work and dissipated energy")
         kinetic = equations.kinetic(end.v) - equations.kinetic(begin.v)
         potential = equations.potential(equations.t0 + size, end.q) - equations.potential(equations.t0, begin.q)

@@ -63,8 +63,7 @@ class IntegratorUnderTest(ItemUnderTest):
     @property
     def tableau(self) -> ButcherTableau:
         """The integrator's tableau; raises Skip if the integrator has none."""
-        tableau = self.method().traits.tableau
-        if tableau is None:
+        if (tableau := self.method().traits.tableau) is None:
             raise Skip("it is not given by a tableau")
         return tableau
 

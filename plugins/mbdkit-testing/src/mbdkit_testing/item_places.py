@@ -34,8 +34,7 @@ def whereabouts(name: str) -> dict[str, object]:
     SpecError
         If there is no such item.
     """
-    items = [item for item in registry().items if name in (item.id, item.name)]
-    if not items:
+    if not (items := [item for item in registry().items if name in (item.id, item.name)]):
         names = list(dict.fromkeys(item.name for item in registry().items))
         raise SpecError(f"there is no item '{name}'{did_you_mean(name, names)}; see `mbdkit plugins list`")
     return {

@@ -119,8 +119,7 @@ def start(kind: JointUnderTest) -> Result:
     size = kind.workspace.mechanism.length
     bodies = [kind.workspace.mechanism.bodies.index(name) for name in mechanism.bodies]
     moved = np.abs(kind.workspace.q0.reshape(-1, 3)[bodies] - given) / [size, size, 1.0]
-    most = float(np.max(moved, initial=0.0))
-    if not most <= MOVED:
+    if not (most := float(np.max(moved, initial=0.0))) <= MOVED:
         return failed(
             "assembly moves the bodies of its example, because rows are not zero where these begin: compare signs and "
             "offsets of the functions with `start`",
@@ -203,8 +202,7 @@ def units(kind: JointUnderTest) -> Result:
             if twice is None:
                 continue
             scaled += 1
-            large = q.reshape(-1, 3) * [2.0, 2.0, 1.0]
-            rows, double = pair.rows_at(q), twice.rows_at(large.ravel())
+            rows, double = pair.rows_at(q), twice.rows_at((q.reshape(-1, 3) * [2.0, 2.0, 1.0]).ravel())
             for row, unit, one, other in zip(pair.joint.rows, pair.joint.units, rows, double, strict=True):
                 factor, size = (2.0, pair.size) if unit == "m" else (1.0, 1.0)
                 if not abs(other - factor * one) <= SAME * size:
@@ -284,8 +282,7 @@ def reaction(kind: JointUnderTest) -> Result:
         lam = np.random.default_rng(4).uniform(0.5, 1.0, equations.m) / pair.units
         for q in pair.states():
             force = equations.constraint_forces(pair.time, q, lam)
-            slopes = pair.differences(pair.rows_at, q)
-            allowed = np.linalg.svd(slopes)[2][equations.m :]
+            allowed = np.linalg.svd(pair.differences(pair.rows_at, q))[2][equations.m :]
             work = np.abs(allowed @ (force * pair.scales)) / np.linalg.norm(force * pair.scales)
             if not np.max(work, initial=0.0) <= DERIVATIVE:
                 return failed(f"the reaction of '{name}' does work along a displacement that its rows allow")
@@ -361,8 +358,7 @@ def methods(kind: JointUnderTest) -> Result:
     reference, agreed, refused, worst = end_of(_short(kind, 0.5, **gauss)), 0, [], 0.0
     half = len(reference) // 2
     size = np.array([kind.workspace.mechanism.length, kind.workspace.mechanism.length, 1.0])
-    motion = float(np.max(reference[half:] / size))
-    if not motion > 1e-9:
+    if not (motion := float(np.max(reference[half:] / size))) > 1e-9:
         raise Skip("the bodies of its example rest")
     for method in METHODS:
         try:

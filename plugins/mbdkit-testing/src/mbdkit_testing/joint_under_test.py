@@ -147,8 +147,7 @@ class Pair:
     def states(self) -> Iterator[np.ndarray]:
         """Yield positions near the start."""
         random = np.random.default_rng(1)
-        for _ in range(4):
-            yield self.q + NEAR * self.scales * random.uniform(-1.0, 1.0, len(self.q))
+        yield from (self.q + NEAR * self.scales * random.uniform(-1.0, 1.0, len(self.q)) for _ in range(4))
 
     def walk(self, *, around: bool) -> Iterator[tuple[float, np.ndarray, np.ndarray]]:
         """Yield turns, rows and positions on a way that the joint admits: the second body turns, or moves around `a`.

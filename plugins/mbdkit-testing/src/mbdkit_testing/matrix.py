@@ -80,8 +80,8 @@ class Row:
             figures = self.checks.get(check, {}).get("figures", {})
             known = [str(figures[name]) for name in names if name in figures]
             text = known[0] if known else "; ".join(f"{name} {value}" for name, value in figures.items() if not names)
-            is_failed = self.checks.get(check, {}).get("outcome") == "fail"  # errors may follow no power of the step
-            cells[heading] = text or "fails" * is_failed, check
+            # errors may follow no power of the step
+            cells[heading] = text or "fails" * (self.checks.get(check, {}).get("outcome") == "fail"), check
         for group in dict.fromkeys(name.partition(".")[0] for name in self.checks):
             own = {name: entry["outcome"] for name, entry in self.checks.items() if name.startswith(f"{group}.")}
             worst = [name for name, outcome in own.items() if outcome == "fail"]

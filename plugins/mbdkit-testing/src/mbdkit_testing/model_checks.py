@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbdkit.base.errors import MbdkitError, SpecError
+from mbdkit.base.errors import MbdkitError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
 from mbdkit.engine.kernels.motions import motions_at
 from mbdkit.expressions.program import MAX_DEPTH
@@ -19,7 +19,7 @@ from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import require_complete
 from mbdkit_testing.item_checks import ItemUnderTest, relative_difference
-from mbdkit_testing.options_under_test import options_result, validated, variants
+from mbdkit_testing.options_under_test import options_result, results_of_variants, validated
 
 END = 1.0
 START = 1e-10  #: Largest residual of an initial state [m, rad, m/s, rad/s].
@@ -125,13 +125,11 @@ def drivers(model: ModelUnderTest) -> Result:
     if not driven:
         raise Skip("it has no drivers")
     top = compiled.topology
-    wanted = compiled.drives.tolist()
     times = np.linspace(0.0, END, 2001)
     values = np.empty((len(times), len(top.motion_start) - 1, 3))
-    stack = np.zeros((MAX_DEPTH, 3))
-    motions_at(times, top.motion_start, top.motion_ops, top.motion_values, stack, values)
+    motions_at(times, top.motion_start, top.motion_ops, top.motion_values, np.zeros((MAX_DEPTH, 3)), values)
     worst = 0.0
-    for motion in wanted:
+    for motion in compiled.drives.tolist():
         for level, what in ((0, "rate"), (1, "acceleration")):
             x, slope = values[:, motion, level], values[:, motion, level + 1]
             h = times[2] - times[0]
@@ -158,8 +156,7 @@ def balance(model: ModelUnderTest) -> Result:
                 continue
             size = max(1.0, float(np.max(np.abs(run.energy.kinetic))))
             results.append(float(np.max(np.abs(run.energy.balance))) / size)
-    last = [value for value in results if np.isfinite(value)]
-    if not last:
+    if not (last := [value for value in results if np.isfinite(value)]):
         return failed("no run completed")
     figures = {"coarsest": last[0], "finest": last[-1]}
     if last[-1] < 1e-9 or last[-1] < last[0] / 4 ** (len(last) - 1):
@@ -174,27 +171,17 @@ def completes(model: ModelUnderTest) -> Result:
     """A run of one second completes; its misalignment is reported."""
     with simulate(model.spec(0.002)) as run:
         require_complete(run, f"a run of {END:g} s", MbdkitError)
-        if not run.joints:
-            return skipped("it has no joints")
-        return passed(misalignment_m=run.misalignment_max)
+        return passed(misalignment_m=run.misalignment_max) if run.joints else skipped("it has no joints")
 
 
 @check("model.other-options")
 def other_options(model: ModelUnderTest) -> Result:
     """Other values of each parameter within its bounds build a mechanism with positive masses, or are refused."""
-    tried = 0
-    for name, chosen in variants(model.item, model.options):
-        other = ModelUnderTest(model.item, chosen, model.installed)
-        try:
-            result = mass.function(other)
-        except SpecError:  # the values do not define a mechanism
-            continue
-        tried += 1
-        if result.outcome == "fail":
-            return failed(f"with {name}: {result.cause}; if that is not meant, give the parameter bounds")
-    if not tried:
-        raise Skip("none of its parameters has another value to try")
-    return passed(variants=tried)
+
+    def mass_of(name: str, chosen: dict[str, Any]) -> Result:
+        return mass.function(ModelUnderTest(model.item, chosen, model.installed))
+
+    return results_of_variants(model.item, model.options, mass_of, "parameter")
 
 
 CHECKS = (options, other_options, repeatable, mass, start, jacobian, drivers, balance, completes)

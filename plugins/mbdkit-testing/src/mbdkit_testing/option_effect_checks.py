@@ -30,8 +30,7 @@ DRAWS, STRIDE = 16, 2
 @check("law.option-effects")
 def option_effects(law: ForceLawUnderTest) -> Result:
     """Each option changes the force, the potential, the rate of a state or the valid range for some values."""
-    names = list(law.plugin.options.model_fields)
-    if not names:
+    if not (names := list(law.plugin.options.model_fields)):
         raise Skip("it has no options")
     effective = {state.name for state in law.law.states}
     symbols = _symbols(law)
@@ -134,8 +133,7 @@ def method_option_effects(integrator: IntegratorUnderTest) -> Result:
     ends = dict[str, bytes]()
 
     def end(options: dict[str, Any]) -> bytes:
-        key = str(sorted(options.items()))
-        if key not in ends:
+        if (key := str(sorted(options.items()))) not in ends:
             other = IntegratorUnderTest(integrator.item, options, integrator.installed)
             time = {"end": 0.6} if other.claims.adaptive else {"end": 0.6, "step": 0.05}
             with other.run(FORCED_PENDULUM, time) as run:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel, ValidationError
@@ -14,6 +14,7 @@ from mbdkit.base.strict_model import STRICT
 from mbdkit.base.text import listed
 from mbdkit.mechanism.validation_errors import spec_error
 from mbdkit.registry.catalogue import Registered
+from mbdkit_testing.check import Skip
 from mbdkit_testing.check_result import Result, failed, passed, warned
 
 MOST_CHOICES = 4  #: Largest number of choices of an option that are tried.
@@ -99,6 +100,26 @@ def variants(item: Registered, chosen: Mapping[str, object]) -> Iterator[tuple[s
             except (ValidationError, SpecError):  # options may exclude each other
                 continue
             yield f"{name} = {value}", options
+
+
+def results_of_variants(
+    item: Registered, chosen: Mapping[str, object], run: Callable[[str, dict[str, Any]], Result], what: str = "option"
+) -> Result:
+    """Return the first failure of a check, `run`, of the options that `variants` yields, or how many pass; options that
+    are refused are left out. Raises Skip if there are none.
+    """
+    tried = 0
+    for name, options in variants(item, chosen):
+        try:
+            result = run(name, options)
+        except SpecError:  # the item refuses the values
+            continue
+        tried += 1
+        if result.outcome == "fail":
+            return failed(f"with {name}: {result.cause}; if that is not meant, give the {what} bounds")
+    if not tried:
+        raise Skip(f"none of its {what}s has another value to try")
+    return passed(variants=tried)
 
 
 def _others(schema: Mapping[str, Any], now: Any) -> list[object]:

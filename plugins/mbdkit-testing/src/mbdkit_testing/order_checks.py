@@ -247,8 +247,7 @@ def _on(problem: str) -> Check[IntegratorUnderTest]:
 @check("order.multipliers")
 def multipliers(integrator: IntegratorUnderTest) -> Result:
     """The method's own multipliers converge with the order claimed for them."""
-    claimed = integrator.claims.multiplier_order
-    if claimed is None:
+    if (claimed := integrator.claims.multiplier_order) is None:
         raise Skip("it claims no order of multipliers")
     result = convergence(integrator, "forced-pendulum")
     return compare_orders(claimed, result.observed_of_multipliers, result.multiplier_errors, "order of multipliers")
@@ -259,8 +258,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     """With each other formulation that the method claims, positions, velocities and multipliers converge as claimed."""
     claimed_names = (name for name in integrator.claims.formulations if name != integrator.formulation)
     # those with options apply to loops, which the model of this check does not have
-    others = [name for name in claimed_names if choice_of(name) == name]
-    if not others:
+    if not (others := [name for name in claimed_names if choice_of(name) == name]):
         raise Skip(f"it claims only {integrator.formulation}")
     if integrator.claims.adaptive:
         raise Skip("it is adaptive and claims no order")
@@ -433,8 +431,7 @@ def variable_order(integrator: IntegratorUnderTest) -> Result:
             is_explicit = not run.stats["jacobian_evaluations"]
             costs.append(run.stats["rhs_evaluations"] / (counts[-1] + run.stats["rejected"]))
     # the number of steps of a method of order p is proportional to rtol^(-1/(p + 1))
-    growth = np.maximum(np.diff(np.log(counts)), NO_GROWTH)
-    exponents = -np.diff(np.log(COUNTED_TOLERANCES)) / growth
+    exponents = -np.diff(np.log(COUNTED_TOLERANCES)) / np.maximum(np.diff(np.log(counts)), NO_GROWTH)
     loose, tight = float(exponents[0]), float(exponents[-1])
     figures = {"order_at_loose": round(loose - 1, 2), "order_at_tight": round(tight - 1, 2)}
     if not claims.variable_order:

@@ -432,8 +432,7 @@ def _knees(result: Inverse, bars: np.ndarray | None) -> np.ndarray:
 
 
 def _muscles(result: Inverse) -> Muscles | None:
-    one = result.recruited
-    if one is None:
+    if (one := result.recruited) is None:
         return None
     contraction, muscles = one.contraction, tuple(result.problem.names.mechanism.muscles.values())
     fibers = contraction.fiber_length, contraction.fiber_rate

@@ -72,8 +72,7 @@ class LegParts(NamedTuple):
 def pinned_leg(person: BodySegments, pose: LegPose, hip: Hip) -> LegParts:
     """Return a leg with a pinned knee."""
     thigh, knee = _thigh(pose, hip), -1j * person.thigh_length
-    shank = thigh.hinged(knee, -pose.knee_flexion, -pose.knee_flexion_rate)
-    parts = _leg(person, pose, hip, thigh, shank)
+    parts = _leg(person, pose, hip, thigh, thigh.hinged(knee, -pose.knee_flexion, -pose.knee_flexion_rate))
     points = (xy(knee - person.thigh.centre), xy(-person.shank.centre))
     pin = Revolute(bodies=("thigh", "shank"), points=points)
     return parts._replace(joints={"hip": parts.joints["hip"], "knee": pin, "ankle": parts.joints["ankle"]})

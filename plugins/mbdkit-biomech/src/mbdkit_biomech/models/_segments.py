@@ -130,8 +130,7 @@ class BodySegments:
     @property
     def trunk(self) -> RigidSegment:
         """Head, arms and trunk: the body mass without both legs; origin at the hips."""
-        legs = 2 * sum(one.mass for one in self.fractions.values())
-        mass = (1.0 - legs) * self.body_mass
+        mass = (1.0 - 2 * sum(one.mass for one in self.fractions.values())) * self.body_mass
         gyration = TRUNK_GYRATION * self.height
         return RigidSegment(mass, complex(0.0, TRUNK_CENTRE * self.height), mass * (gyration * gyration))
 

@@ -94,8 +94,7 @@ class MuscleForce:
     @cached_property
     def _excitation(self) -> tuple[Form, list[float]]:
         """The form of an excitation that is a function of time, and its numbers; see `excitation_of`."""
-        given = self.muscle.excitation
-        if given is None or is_of_state(given):
+        if (given := self.muscle.excitation) is None or is_of_state(given):
             return (), []
         if isinstance(given, Table):
             curve = curve_of(given)
@@ -299,8 +298,7 @@ def torn_path(muscles: tuple[ActingMuscle, ...], workspace: Workspace, t: float,
     tangents_at(workspace.engine, t, q, v, np.zeros_like(q), np.zeros((len(top.pairs), 2)))
     rows = np.flatnonzero(np.isnan(workspace.scratch.s[:, 0]) & (top.springs[:, SPRING.segments] > 0))
     names = {muscle.place: muscle.force.name for muscle in muscles}
-    torn = [names[place] for place in top.force_place[rows].tolist() if place in names]
-    if not torn:
+    if not (torn := [names[place] for place in top.force_place[rows].tolist() if place in names]):
         return ""
     return f"muscle '{torn[0]}' would pass a circle on its other side, or a point of its path is inside of a circle"
 
@@ -344,22 +342,24 @@ def _unsupported(name: str, muscle: Muscle) -> Iterator[tuple[str, str]]:
     if muscle.tendon == "elastic" and muscle.curves == "millard" and not muscle.damping:
         why = "undamped fibres cannot be in equilibrium with every force of an elastic tendon"
         yield "damping", f"should be greater than 0: with the curves millard, {why}"
+    for key, what in _of_inverse_dynamics(muscle):
+        yield key, f"in a run, {what} are for inverse dynamics only"
+
+
+def _of_inverse_dynamics(muscle: Muscle) -> Iterator[tuple[str, str]]:
+    """Yield keys of items of a path that only inverse dynamics supports, with what runs support and what not."""
     for index, item in enumerate(muscle.path):
         key = f"path[{index}]"
         if item.wrap is not None:
             before, after = muscle.path[index - 1], muscle.path[index + 1]
             if before.wrap is not None or after.wrap is not None:
-                what = "a path has at most one circle between two points; several"
-                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+                yield f"{key}.wrap", "a path has at most one circle between two points; several"
             if before.offset != after.offset:
-                what = "the points next to a circle have equal offsets from the plane; different ones"
-                yield f"{key}.wrap", f"in a run, {what} are for inverse dynamics only"
+                yield f"{key}.wrap", "the points next to a circle have equal offsets from the plane; different ones"
         if item.when is not None:
-            what = "a path has all of its points at all times; conditions"
-            yield f"{key}.when", f"in a run, {what} are for inverse dynamics only"
+            yield f"{key}.when", "a path has all of its points at all times; conditions"
         if item.moves:
-            what = "points of muscles are fixed to their bodies; points that move with a coordinate"
-            yield f"{key}.point", f"in a run, {what} are for inverse dynamics only"
+            yield f"{key}.point", "points of muscles are fixed to their bodies; points that move with a coordinate"
 
 
 @spec_criterion

@@ -226,8 +226,7 @@ class MusclePath:
 
     def _require_no_turn(self, time: np.ndarray, centers: Sequence[np.ndarray], index: int, radius: float) -> None:
         sweep = _sweep(centers[index - 1], centers[index], centers[index + 1], radius)
-        jumps = np.flatnonzero(np.abs(np.diff(sweep)) > WIDEST)
-        if jumps.size:
+        if (jumps := np.flatnonzero(np.abs(np.diff(sweep)) > WIDEST)).size:
             raise RunError(
                 f"muscle '{self.name}' switches the side of its circle between t = {time[jumps[0]]:.6g} s and "
                 f"{time[jumps[0] + 1]:.6g} s, where its length would jump"

@@ -78,11 +78,9 @@ class MuscleValues:
             return self._energetics(name)
         if self.given is not None:
             return np.asarray(getattr(self.given, name))
-        acting = self.acting
-        if not acting:
+        if not (acting := self.acting):
             return NONE
-        column = {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)
-        if column is not None:
+        if (column := {"length": 0, "rate": 1, "force": 2, "power": 3}.get(name)) is not None:
             return np.asarray(self.states.observed.forces[:, [one.place for one in acting], column])
         return np.stack([self._of_acting_muscle(k, one, name) for k, one in enumerate(acting)], axis=1)
 

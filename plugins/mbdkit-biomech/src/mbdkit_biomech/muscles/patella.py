@@ -72,8 +72,7 @@ def contact_share(flexion: np.ndarray) -> np.ndarray:
 
 def lever_arm(flexion: np.ndarray) -> np.ndarray:
     """Return the effective lever arm (T,) [m] for flexions (T,) [rad]."""
-    x = np.clip(np.degrees(flexion), 0.0, FARTHEST)
-    return np.asarray(np.polynomial.polynomial.polyval(x, ARM))
+    return np.asarray(np.polynomial.polynomial.polyval(np.clip(np.degrees(flexion), 0.0, FARTHEST), ARM))
 
 
 def path_length(flexion: np.ndarray) -> np.ndarray:

@@ -156,8 +156,7 @@ class SegmentPair:
     def known(self) -> tuple[Poses, Poses]:
         """Return both poses in the frames in which both are known."""
         first, second = self.poses
-        frames = np.flatnonzero(first.known & second.known)
-        if not frames.size:
+        if not (frames := np.flatnonzero(first.known & second.known)).size:
             raise SpecError("in no frame are the markers of both segments seen", key=self.key)
         return first.rows(frames), second.rows(frames)
 

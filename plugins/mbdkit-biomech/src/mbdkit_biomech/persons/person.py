@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -175,24 +175,22 @@ class Skeleton:
         try:
             centers = segments.centers(asked_centers, plane)
         except SpecError as error:  # other clusters are a cause of whatever then fails
-            raise (
-                SpecError(f"{shape[0].sentence} With them, {error}", key="motion.static") if shape else error
-            ) from None
+            raise (SpecError(f"{shape[0]} With them, {error}", key="motion.static") if shape else error) from None
         positions = {joint: centers[joint].position(poses[a], poses[b]) for joint, (a, b) in segments.joints.items()}
         if not _faces_forward(segments, plane, positions):
             plane = plane.reversed()
             signs = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0], [1.0, -1.0, 1.0]])  # forward and right change theirs
             centers = {joint: replace(one, covariance=signs * one.covariance) for joint, one in centers.items()}
-        findings = [*_side_doubts(segments, plane), *shape]
+        findings = _doubts("centers", [*_side_doubts(segments, plane), *shape])
         plane = plane.with_residual(list(positions.values()))
-        findings += [*_plane_doubts(plane), *_center_doubts(centers)]
+        findings += _doubts("plane", _plane_doubts(plane)) + _doubts("centers", _center_doubts(centers))
         points = {joint: plane.coordinates(own) for joint, own in positions.items()}
-        findings += _place_doubts(points)
+        findings += _doubts("centers", _place_doubts(points))
         lengths = {}
         for name in ENDS:
             lengths[name], doubts = _length(name, segments, centers, points)
             findings += doubts
-        findings += _length_doubts(subject, lengths)
+        findings += _doubts("lengths", _length_doubts(subject, lengths))
         angles, zeros = {}, {}
         for body in poses:
             if body.startswith(("trunk", "foot")):
@@ -248,7 +246,7 @@ class Skeleton:
                         f"the force on foot{leg} acts {where} on average (doubtful from {1000 * BESIDE:.0f} mm): check "
                         "the place of its plates across the plane of motion, on which the forces in the knee depend"
                     )
-                    findings.append(_doubt("plates", sentence))
+                    findings += _doubts("plates", [sentence])
             if loads and deviation <= FARTHEST_ACROSS:
                 moment = side * sum(one.frontal_moment(at) for one in loads)
                 found[knee] = KneeLoad(np.asarray(moment), np.maximum(vertical, 0.0), deviation)
@@ -274,8 +272,7 @@ class Skeleton:
             values, vectors = symmetric_eigenvectors(cluster.inverse_inertia)
             turns = size * vectors * np.sqrt(np.maximum(values, 0.0))
             shifts = [np.zeros((len(columns), 6))]
-            angle = f"bodies.{body}.angle"
-            if angle in columns:
+            if (angle := f"bodies.{body}.angle") in columns:
                 shifts[0][columns.index(angle), 3:] = product(to_plane, turns)[2]
             for joint, pair in self.segments.joints.items():
                 if body not in pair:
@@ -295,8 +292,8 @@ class Skeleton:
         return found
 
 
-def _doubt(criterion: str, sentence: str) -> Finding:
-    return Finding(criterion, "doubtful", sentence)
+def _doubts(criterion: str, sentences: Iterable[str]) -> list[Finding]:
+    return [Finding(criterion, "doubtful", sentence) for sentence in sentences]
 
 
 def _require_units(subject: Subject, segments: Segments, plane: MotionPlane) -> None:
@@ -337,13 +334,12 @@ def _faces_forward(segments: Segments, plane: MotionPlane, positions: Mapping[st
     return False
 
 
-def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
-    """Yield a doubt about the side of a single leg; raise SpecError if two legs are exchanged."""
+def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[str]:
+    """Yield a sentence about the side of a single leg; raise SpecError if two legs are exchanged."""
     poses = segments.motion.poses
     mean = {body: float(np.nanmean(plane.coordinates(own.position)[:, 2])) for body, own in poses.items()}
     if len(segments.legs) == 2:
-        wrong = [name for name in ("thigh", "shank", "foot") if mean[name] < mean[name + LEFT]]
-        if wrong:
+        if wrong := [name for name in ("thigh", "shank", "foot") if mean[name] < mean[name + LEFT]]:
             raise SpecError(
                 f"sides are exchanged: the markers of {listed(wrong, 'and')}, the right side, are to the left of those "
                 f"of {listed([name + LEFT for name in wrong], 'and')} as the person faces"
@@ -352,24 +348,23 @@ def _side_doubts(segments: Segments, plane: MotionPlane) -> Iterator[Finding]:
             )
     elif (mean["thigh"] > mean["trunk"]) != ((side := segments.side("")) == "r"):
         leg = "right" if side == "r" else "left"
-        yield _doubt("centers", f"by the names of its markers, the leg is the {leg} one, but it is on the other side")
+        yield f"by the names of its markers, the leg is the {leg} one, but it is on the other side"
 
 
-def _place_doubts(points: Mapping[str, np.ndarray]) -> Iterator[Finding]:
-    """Yield a doubt for each knee or ankle that is hardly to the right of that of the left leg."""
+def _place_doubts(points: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """Yield a sentence for each knee or ankle that is hardly to the right of that of the left leg."""
     for joint in (name for name in ("knee", "ankle") if name + LEFT in points):
         apart = float(np.nanmean((points[joint] - points[joint + LEFT])[:, 2]))
         if apart < APART:
-            yield _doubt(
-                "centers",
+            yield (
                 f"{joint} is {1000 * abs(apart):.0f} mm to the {'left' if apart < 0 else 'right'} of {joint}{LEFT} on "
                 f"average (doubtful unless {1000 * APART:g} mm to the right): check `motion.centers` and the landmarks "
-                "of this joint, whose sides may be exchanged",
+                "of this joint, whose sides may be exchanged"
             )
 
 
-def _shape_doubts(segments: Segments) -> Iterator[Finding]:
-    """Yield a doubt if markers are at other places of the segments in the motion than in the static trial."""
+def _shape_doubts(segments: Segments) -> Iterator[str]:
+    """Yield a sentence if markers are at other places of the segments in the motion than in the static trial."""
     shares = {}
     for body, cluster in segments.clusters.items():
         residual = segments.motion.poses[body].residual
@@ -378,38 +373,34 @@ def _shape_doubts(segments: Segments) -> Iterator[Finding]:
     most = CHANGED if np.median(list(shares.values())) < CHANGED_ALL else CHANGED_ALL
     if segments.static is not None and (changed := {body: one for body, one in shares.items() if one > most}):
         worst = max(changed, key=lambda body: changed[body])
-        yield _doubt(
-            "centers",
+        yield (
             f"the clusters of {listed(list(changed), 'and')} have another shape in `motion.static` than in the motion "
             f"(by up to {changed[worst]:.0%} of the size, of {worst}; doubtful above {most:.0%}): is it a trial of "
-            "this person with the same markers at the same places, and are names or sides exchanged in one of both?",
+            "this person with the same markers at the same places, and are names or sides exchanged in one of both?"
         )
 
 
-def _plane_doubts(plane: MotionPlane) -> Iterator[Finding]:
+def _plane_doubts(plane: MotionPlane) -> Iterator[str]:
     off, residual = float(np.degrees(plane.off)), plane.residual
     if off > STATED and plane.sideways > 0:
-        yield _doubt(
-            "plane",
+        yield (
             f"the stated plane is {off:.0f} deg off the one across which the segments move least (doubtful from "
-            f"{STATED:g} deg); leave out `motion.plane` to use that one",
+            f"{STATED:g} deg); leave out `motion.plane` to use that one"
         )
     if residual > THICKNESS:
-        yield _doubt(
-            "plane",
+        yield (
             f"joint centres leave the plane by {1000 * residual:.0f} mm (root mean square, doubtful above "
-            f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out",
+            f"{1000 * THICKNESS:.0f} mm): the person turns or moves sideways, which a planar model leaves out"
         )
 
 
-def _center_doubts(centers: Mapping[str, JointCenter]) -> Iterator[Finding]:
+def _center_doubts(centers: Mapping[str, JointCenter]) -> Iterator[str]:
     for joint, center in centers.items():
         if center.misfit > MISFIT:
-            yield _doubt(
-                "centers",
+            yield (
                 f"landmarks and motion determine centres of {joint} that differ {center.misfit:.1f} times as much as "
                 f"their uncertainties explain (doubtful above {MISFIT:g}): check names and places of the markers, or "
-                f"choose one of both with `motion.centers.{joint}`",
+                f"choose one of both with `motion.centers.{joint}`"
             )
 
 
@@ -432,26 +423,24 @@ def _length(
     if abs(lengths[0] - lengths[-1]) > SIDES * size:
         told = listed([f"{body} {own:.3f} m" for body, own in values.items()], "and")
         apart = f"{told} long differ by more than {SIDES:g} standard deviations ({1000 * size:.0f} mm)"
-        doubts = [_doubt("lengths", f"{apart}: check markers and joint centres of both legs")]
+        doubts = _doubts("lengths", [f"{apart}: check markers and joint centres of both legs"])
     mean = float(np.sum(weights * np.array(lengths)) / np.sum(weights))
     return SegmentLength(mean, float(np.sqrt(1.0 / np.sum(weights))), variation, values), doubts
 
 
-def _length_doubts(subject: Subject, lengths: Mapping[str, SegmentLength]) -> Iterator[Finding]:
+def _length_doubts(subject: Subject, lengths: Mapping[str, SegmentLength]) -> Iterator[str]:
     for name, length in lengths.items():
         if length.variation > VARIES:
-            yield _doubt(
-                "lengths",
+            yield (
                 f"the length of the {name} varies by {1000 * length.variation:.0f} mm (standard deviation, doubtful "
-                f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment",
+                f"above {1000 * VARIES:.0f} mm): markers move with the skin or belong to another segment"
             )
     whole, (least, most) = sum(length.value for length in lengths.values()), LEG_SHARE
     if not least <= whole / subject.height <= most:
-        yield _doubt(
-            "lengths",
+        yield (
             f"thigh and shank together are {whole:.3f} m long, {whole / subject.height:.3f} of the body height of "
             f"{subject.height:g} m (doubtful outside {least:g} to {most:g}): check `subject.height` and the joint "
-            "centres",
+            "centres"
         )
 
 

@@ -129,6 +129,5 @@ class Uncertainty(Section):
     def model_post_init(self, _context: object) -> None:
         """Raise SpecError if a range is not in order."""
         for key in ("exponent", "minimum"):
-            own = getattr(self, key)
-            if own is not None and not own[0] <= own[1]:
+            if (own := getattr(self, key)) is not None and not own[0] <= own[1]:
                 raise SpecError(f"should be a range [lowest, highest], not [{own[0]:g}, {own[1]:g}]", key=key)

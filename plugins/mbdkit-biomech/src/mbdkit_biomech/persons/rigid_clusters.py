@@ -93,8 +93,7 @@ class MarkerCluster:
                 "segment, such as those of the joints at its ends",
                 key=key,
             )
-        whole = np.flatnonzero(~np.isnan(markers).any(axis=(1, 2)))
-        if not whole.size:
+        if not (whole := np.flatnonzero(~np.isnan(markers).any(axis=(1, 2)))).size:
             never = [name for index, name in enumerate(names) if np.isnan(markers[:, index, 0]).all()]
             why = f"marker {listed(list(map(shown, never)))} is never seen" if never else "no frame has all its markers"
             raise SpecError(f"{why}; leave out a marker of this cluster", key=key)

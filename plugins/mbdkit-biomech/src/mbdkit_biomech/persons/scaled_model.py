@@ -94,8 +94,7 @@ def moved_muscle(muscle: Mapping[str, Any], points: Mapping[str, tuple[float, fl
         if wrap:
             wrap = wrap | {"center": own, "radius": _stretched(wrap["radius"], factor, 0.0)}
         path.append(item | ({"wrap": wrap} if wrap else {"point": own}))
-    patella = muscle.get("patella")
-    if patella is not None:
+    if (patella := muscle.get("patella")) is not None:
         factor = points.get(path[-1]["body"], (1.0, 0.0, 0.0))[0]
         patella = {"patella": {**patella, "scale": patella.get("scale", 1.0) * factor}}
     return {**muscle, "path": path, **(patella or {})}

@@ -91,8 +91,7 @@ def contributions(run: Run, joint: str, at: float | None = None) -> Contribution
     """
     if joint not in run.joint_names:
         raise UnknownNameError("joint", joint, list(run.joint_names))
-    accuracy = run.accuracy
-    if accuracy is None or "contribution" not in accuracy.parts:
+    if (accuracy := run.accuracy) is None or "contribution" not in accuracy.parts:
         raise SpecError("the run has no contributions: its spec has no `uncertainty`", key="uncertainty")
     place, time = list(run.joint_names).index(joint), np.asarray(run.time)
     force = _forces(run)[:, place]

@@ -205,8 +205,7 @@ class _Sources:
             if size := self._size(key):
                 yield from (_scalar(size, key, name, kind="muscles") for name in recruiter.muscles)
         names = list(recruiter.muscles)
-        for knee in recruiter.targets.knees:
-            yield _scalar(knee.deviation, "across", knee.joint)
+        yield from (_scalar(knee.deviation, "across", knee.joint) for knee in recruiter.targets.knees)
         for channel in recruiter.targets.emg:
             yield _scalar(channel.deviation, "emg", names[channel.muscle], kind="muscles")
         if size := self._size("muscle_points"):

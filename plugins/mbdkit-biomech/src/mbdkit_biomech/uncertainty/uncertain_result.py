@@ -134,8 +134,7 @@ class UncertainResult:
                 f"in {self.failed} of {self.samples} samples of the uncertain muscles, some frames have no result "
                 f"({self.failed_rows:.2%} of all), and error bars leave them out: {self.reasons}"
             )
-        worst = float(np.nanmax(self.scatter, initial=0.0))
-        if worst > LARGEST_SCATTER:
+        if (worst := float(np.nanmax(self.scatter, initial=0.0))) > LARGEST_SCATTER:
             needed = math.ceil(self.samples * (worst / LARGEST_SCATTER) ** 2 / 100) * 100
             sentences.append(
                 f"uncertainty.samples: {self.samples} samples leave the error bars of the largest forces of joints "
@@ -216,8 +215,7 @@ def uncertain_result(result: Inverse, random: np.random.Generator) -> UncertainR
     """Return the effects of the uncertain scalars of a result; None if its spec states none. Raise MbdkitError if the
     result does not exist for a scalar that is changed by its standard deviation.
     """
-    sources = sources_of(result.problem)
-    if not sources:
+    if not (sources := sources_of(result.problem)):
         return None
     asked = asked_uncertainty(result.problem)
     assert asked is not None

@@ -69,8 +69,7 @@ def require_rows(run: Run) -> None:
 def blocks(rows: int, width: int) -> Iterator[slice]:
     """Divide `rows` rows of `width` numbers into slices that fit in memory."""
     size = max(1, BLOCK // max(1, width))
-    for start in range(0, rows, size):
-        yield slice(start, min(start + size, rows))
+    yield from (slice(start, min(start + size, rows)) for start in range(0, rows, size))
 
 
 def bands(time: Array, data: Any, values: Callable[[Array], Array] = np.asarray, points: int = POINTS) -> Bands:

@@ -469,8 +469,7 @@ class _Sketch:
                 outlines.append(outline if len(outline) > 1 else ())
                 continue
             points = list(dict.fromkeys(self.touched[body]))
-            end = self._free_end(body)
-            if end is not None:
+            if (end := self._free_end(body)) is not None:
                 points.append(self.point(body, end))
                 free.append(Trace(f"{name} end", points[-1]))
                 self.traced.add(body)

@@ -142,7 +142,8 @@ def draw_sketch(
     crowd = drawing.is_crowd
     if not moving_only:
         for index in drawing.grounds if not crowd else drawing.grounds[:1]:
-            _ground(canvas, at[index])
+            canvas.line(at[index] + np.array([[0, 0], [-7, 11], [7, 11]]), "ground", closed=True)
+            canvas.line(at[index] + np.array([[-12, 11], [12, 11]]), "ground")
         for ends in drawing.guides:
             canvas.line(at[list(ends)], "guide")
     for outline, color in zip(drawing.outlines, body_colors(drawing), strict=True):
@@ -193,11 +194,6 @@ def _draw_moment_scale(canvas: Canvas, largest: float) -> None:
     canvas.parts.append(text.format(end, y + 1.0, "start", f"{largest:.3g} N m"))
     canvas.parts.append(text.format(end - 78.0, y + 1.0, "end", f"\u2212{largest:.3g}"))
     canvas.drawn.append(np.array([[x, y - 4.0] for x in np.arange(end - 120.0, canvas.width, 6.0)]))
-
-
-def _ground(canvas: Canvas, point: Array) -> None:
-    canvas.line(point + np.array([[0, 0], [-7, 11], [7, 11]]), "ground", closed=True)
-    canvas.line(point + np.array([[-12, 11], [12, 11]]), "ground")
 
 
 def _draw_loads(canvas: Canvas, shown: NamedPose, mechanism: Mechanism) -> None:

@@ -13,8 +13,7 @@ _FLAT = 1e-9  # corners that protrude by less than this share of the body's size
 
 def convex_hull(points: Array) -> list[int]:
     """Return the indices of the corners of the convex hull of `points` (K, 2), counterclockwise."""
-    size = float(np.ptp(points, axis=0).max())
-    if size == 0.0:
+    if (size := float(np.ptp(points, axis=0).max())) == 0.0:
         return [0]
     order = np.lexsort((points[:, 1], points[:, 0])).tolist()
 

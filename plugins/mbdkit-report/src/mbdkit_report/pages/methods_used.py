@@ -104,8 +104,7 @@ def _paragraph(item: Registered, used: list[dict[str, object]]) -> str:
         f"Settings: {settings}." if settings else "",
     ]
     if isinstance(item.plugin, IntegratorPlugin):
-        plugin = item.plugin
-        parts += dict.fromkeys(_claims(plugin, options, alone=len(used) == 1) for options in used)
+        parts += dict.fromkeys(_claims(item.plugin, options, alone=len(used) == 1) for options in used)
     return " ".join(filter(None, parts))
 
 

@@ -4,20 +4,16 @@ of the joints at impacts, errors, events and cost.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mbdkit.archive.accuracy import Accuracy
 from mbdkit.archive.layout import COUNTERS, SOME_COUNTERS, SOME_TIMINGS, TIMINGS
+from mbdkit.archive.run import Run
 from mbdkit.quantities.registered_kinds import added_kinds
 from mbdkit_contact.modes import STICK
 from mbdkit_report.figures.beam_curves import has_beams
 from mbdkit_report.figures.page_model import Cell, Column, Table, columns_of
 from mbdkit_report.plot.element_quantity import GAPS, misalignment
-
-if TYPE_CHECKING:
-    from mbdkit.archive.accuracy import Accuracy
-    from mbdkit.archive.run import Run
 
 BODIES = 50  #: Largest number of bodies in the table of errors.
 JOINTS = 50  #: Largest number of rows in a table of joints or contacts.

@@ -180,8 +180,7 @@ def _energy(run: Run) -> Claim:
     off, most = float(balance.peaks[0]), float(kinetic.peaks[0])
     share = off / most if most > 0 else math.nan
     if not math.isfinite(off) or not np.all(np.isfinite(balance.high)):
-        sentence = "The energy is not finite."
-        return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, sentence)
+        return Claim("energy", "Energy is balanced", "", "not finite", Answer.NO, "The energy is not finite.")
     sentence = f"Energy is balanced to {off:.2g} J"
     smallest = rounding(max(most, _largest_energy(run)))
     sentence += f", {proportion(share)} of the largest kinetic energy." if most > smallest else "."

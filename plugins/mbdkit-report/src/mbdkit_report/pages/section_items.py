@@ -15,8 +15,7 @@ from mbdkit_report.seams import film_data, report_charts, report_sections
 
 
 def _items() -> Iterator[tuple[Registered, ReportSection]]:
-    for item in registry().of_kind("report-section"):
-        yield item, cast(ReportSection, item.plugin)
+    yield from ((item, cast(ReportSection, item.plugin)) for item in registry().of_kind("report-section"))
 
 
 def added_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:

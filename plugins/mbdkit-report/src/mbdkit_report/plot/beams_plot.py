@@ -5,10 +5,11 @@ over time.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import BeamForce, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
@@ -19,9 +20,6 @@ from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.figures.scene import nearest_rows
 from mbdkit_report.plot.charts import named
 from mbdkit_report.plot.element_quantity import MOST
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 _TITLES: dict[BeamForce, str] = {"moment": "Bending moment", "shear": "Shear force", "axial": "Axial force"}
 _TIMES = 5

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.figures.quantity_text import length
 from mbdkit_report.plot.element_quantity import GAPS, MOST, element_chart, misalignment, picked, value_text
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:
@@ -35,8 +32,7 @@ def chart(run: Run, *, joints: Names = None, gap: Gap = "position", most: int = 
     """
     if gap not in GAPS:
         raise SpecError(f"the misalignment should be {listed(GAPS, 'or')}, not {gap!r}")
-    quantity = misalignment(run, gap)
-    if not quantity.elements:
+    if not (quantity := misalignment(run, gap)).elements:
         raise SpecError("the mechanism of this run has no joints, so that there is no misalignment to draw")
     column, most_of_all = quantity.largest
     remark = f"The largest misalignment is {length(most_of_all)}, of joint {quantity.elements[column]}."

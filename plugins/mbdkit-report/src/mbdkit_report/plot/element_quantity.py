@@ -5,22 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
+import h5py
 import numpy as np
 
 from mbdkit.archive.headlines import answers
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Gap, Names
 from mbdkit_report.figures.beam_curves import distributed_loads
 from mbdkit_report.figures.curves import UNKNOWN, Array, Bands, band_over_time, bands, errors_at
 from mbdkit_report.figures.page_model import TIME, Axis, Line, Mark
 from mbdkit_report.figures.palette import PALETTE
 from mbdkit_report.plot.charts import HeadedChart, named
-
-if TYPE_CHECKING:
-    import h5py
-
-    from mbdkit.archive.run import Run
 
 MOST = len(PALETTE)  #: Largest number of elements in a chart if no elements are named.
 

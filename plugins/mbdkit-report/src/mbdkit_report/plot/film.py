@@ -6,7 +6,6 @@ import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter
@@ -14,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from PIL import Image
 
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.curves import evenly
@@ -21,10 +21,7 @@ from mbdkit_report.figures.palette import ALARM, INK, PALETTE, PAPER, SPRING, bo
 from mbdkit_report.figures.pose import BENDING_SHADES, PoseArtists
 from mbdkit_report.figures.scene import Scene, scene
 from mbdkit_report.plot.caption import caption
-from mbdkit_report.plot.style import dress, new_figure, quietly
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+from mbdkit_report.plot.style import dress_plane, new_figure, quietly
 
 RATE = 25  #: Frames per second.
 _LENGTH = {"shortest": 2.0, "longest": 16.0}  # seconds
@@ -52,9 +49,7 @@ class Film:
         room = 1.2 if shown.moments is None else 1.8  # inches for labels, and the scale of bending moments
         height = float(np.clip((_WIDTH - 0.8) * (y1 - y0) / (x1 - x0), 2.2, 5.6)) + room
         figure = new_figure(caption(run), _WIDTH, round(height * 50) / 50, dpi=100)
-        axes = dress(figure.add_subplot(), "x [m]", "y [m]")
-        axes.set_aspect("equal", adjustable="box")
-        axes.set(xlim=(x0, x1), ylim=(y0, y1))
+        axes = dress_plane(figure.add_subplot(), (x0, x1), (y0, y1))
         axes.set_title(shown.pace, size=8.5, color=INK, loc="left")
         self._clock = axes.set_title(" ", size=8.5, color=INK, loc="right", family="monospace")
         self._tails = [

@@ -4,15 +4,11 @@ the elements that exert a torque.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.element_quantity import MOST, element_chart, element_values, has_elements, picked
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:
@@ -28,8 +24,7 @@ def chart(run: Run, *, elements: Names = None, most: int = MOST) -> Figure:
     SpecError, UnknownNameError
         If no element exerts a force, or there is no such force element.
     """
-    force = element_values(run, "N", "force")
-    if not force.elements:
+    if not (force := element_values(run, "N", "force")).elements:
         raise SpecError("no force element of this run exerts a force; the plot of torques shows those with a torque")
     few = force.only(picked(force, elements, "force element with a force", most))
     caption = "Tension of springs, dampers and laws, positive where it pulls together; magnitude of forces at a point."

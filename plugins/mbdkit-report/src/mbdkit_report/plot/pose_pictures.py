@@ -12,7 +12,7 @@ from mbdkit_report.figures.drawing_geometry import draw_mechanism
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import draw_pose
 from mbdkit_report.plot.caption import Caption
-from mbdkit_report.plot.style import dress, new_figure
+from mbdkit_report.plot.style import dress_plane, new_figure
 
 INCHES = 4.8  #: Width and height of a picture, at 100 dots per inch.
 
@@ -32,9 +32,7 @@ class PosePictures:
         self._reached = np.array([known.min(axis=0), known.max(axis=0)])
         xlim, ylim, _ = view_box(self._reached[:, None], points)
         figure = new_figure(self._caption, INCHES, INCHES, dpi=100)
-        axes = dress(figure.add_subplot(), "x [m]", "y [m]")
-        axes.set_aspect("equal", adjustable="box")
-        axes.set(xlim=xlim, ylim=ylim)
+        axes = dress_plane(figure.add_subplot(), xlim, ylim)
         size = float(np.max(np.ptp(self._reached, axis=0)))
         draw_pose(axes, self._drawing.spanning(xlim, ylim, pose[None]), points, size, alpha=1.0)
         canvas: Any = figure.canvas

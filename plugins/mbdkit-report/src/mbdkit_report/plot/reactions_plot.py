@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Components, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -21,9 +20,6 @@ from mbdkit_report.plot.element_quantity import (
     with_errors,
 )
 from mbdkit_report.plot.torques_plot import carried_torque, torque_chart
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 #: Components to draw, by the value of the option `components`; none for the magnitude.
 COMPONENTS: dict[str, tuple[str, ...]] = {"magnitude": (), "global": ("x", "y"), "body": ("axial", "shear")}
@@ -56,8 +52,7 @@ def chart(run: Run, *, joints: Names = None, components: Components | str = "mag
     if components not in COMPONENTS:
         hint = did_you_mean(components, COMPONENTS)
         raise SpecError(f"components should be {listed(COMPONENTS, 'or')}, not {components!r}{hint}")
-    force = reaction_force(run)
-    if not force.elements:
+    if not (force := reaction_force(run)).elements:
         raise SpecError("the mechanism of this run has no joints, so that there are no joint forces to draw")
     shown = COMPONENTS[components]
     columns = picked(force, joints, "joint", max(1, most // max(1, len(shown))))

@@ -90,6 +90,13 @@ def dress(axes: Axes, xlabel: str = "", ylabel: str = "") -> Axes:
     return axes
 
 
+def dress_plane(axes: Axes, xlim: tuple[float, float], ylim: tuple[float, float]) -> Axes:
+    """Dress axes for a picture in the plane of motion with these limits, and return them."""
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlim=xlim, ylim=ylim)
+    return dress(axes, "x [m]", "y [m]")
+
+
 def powers_of_ten(axes: Axes) -> None:
     """Factor a power of ten out of the y tick labels of `axes` if the values are large or small."""
     formatter = ScalarFormatter(useOffset=False, useMathText=True)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from mbdkit.archive.headlines import ROUND_OFF
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.curves import Bands
@@ -21,9 +20,6 @@ from mbdkit_report.plot.element_quantity import (
     reaction_force,
     reaction_torque,
 )
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 def charts(run: Run) -> list[Figure]:
@@ -40,8 +36,7 @@ def chart(run: Run, *, joints: Names = None, elements: Names = None, most: int =
         If nothing in the mechanism exerts a torque, or there is no such joint, or force element with a torque.
     """
     if joints is None and elements is None:
-        quantity = _carried_by_any(run)
-        if not quantity.elements:
+        if not (quantity := _carried_by_any(run)).elements:
             raise SpecError("no joint, driver or force element of this run exerts a torque, so there is none to draw")
         few = quantity.only(picked(quantity, None, "torque", most))
     else:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
@@ -19,10 +18,7 @@ from mbdkit_report.figures.palette import FAINT, INK, KIND_COLORS, MUSCLE, body_
 from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import PoseArtists, draw_pose
 from mbdkit_report.plot.charts import Panel, named
-from mbdkit_report.plot.style import dress, legend
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
+from mbdkit_report.plot.style import dress_plane, legend
 
 _ROWS = 20_000
 _CHART_ROWS = 4_000
@@ -45,9 +41,7 @@ def panels(run: Run) -> list[Panel]:
     tags = name_tags(drawing, ends[-1], take(paths, evenly(len(paths), 400)), (x0, x1), (y0, y1))
 
     def draw(axes: Axes) -> None:
-        dress(axes, "x [m]", "y [m]")
-        axes.set_aspect("equal", adjustable="box")
-        axes.set(xlim=(x0, x1), ylim=(y0, y1))
+        dress_plane(axes, (x0, x1), (y0, y1))
         size = max(x1 - x0, y1 - y0)
         draw_pose(axes, drawing, ends[0], size, alpha=0.35, is_faint=True)
         colors, most = body_colors(drawing), largest_moment(last)

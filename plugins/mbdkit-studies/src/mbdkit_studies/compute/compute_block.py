@@ -274,9 +274,7 @@ def _results(
         for warning in chain.from_iterable(() if isinstance(result, Outcome) else result.warnings):
             notify(f"warning: {warning}")
         yield [numbers[place] for place in places], result
-    for number, spec in members.items():
-        if isinstance(spec, Outcome):
-            yield [number], spec
+    yield from (([number], spec) for number, spec in members.items() if isinstance(spec, Outcome))
 
 
 def _varied_runs(

@@ -129,8 +129,7 @@ class Pool:
                 batches += [innocent] if innocent else []
             else:
                 del self._begun[future]
-                for task, answer in zip(batch, answers, strict=True):
-                    yield task, self._outcome(task, answer)
+                yield from ((task, self._outcome(task, answer)) for task, answer in zip(batch, answers, strict=True))
 
     def _next_ended(self) -> Future[list[Message]] | None:
         """Return a future that has ended, after waiting for it; None if none will end.
@@ -150,8 +149,7 @@ class Pool:
 
     def say(self, text: str) -> None:
         """Pass a message to the user, unless it differs from an earlier one only in numbers."""
-        kind = without_numbers(text)
-        if kind not in self._said:
+        if (kind := without_numbers(text)) not in self._said:
             self._said.add(kind)
             self.notify(text)
 

@@ -193,8 +193,7 @@ def describe_measures(spec: StudySpec, runs: Iterable[tuple[str, RunSpec]]) -> d
             except SpecError as error:
                 text = f" (in {label})" if number else ""
                 raise _placed(spec, measure, SpecError(error.message + text, key=error.key)) from None
-            before = described.setdefault(measure.name, now)
-            if before != now:
+            if (before := described.setdefault(measure.name, now)) != now:
                 message = f"its unit is {before.units} in {first[measure.name]} and {now.units} in {label}"
                 raise _placed(spec, measure, SpecError(f"{message}; a column of the index has one unit"))
             first.setdefault(measure.name, label)

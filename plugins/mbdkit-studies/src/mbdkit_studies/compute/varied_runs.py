@@ -83,8 +83,7 @@ class EnsembleRuns:
     def finished(self, runs: VariedRuns, places: Sequence[int]) -> Iterator[tuple[list[int], FinishedRuns]]:
         """Yield indices in the study and results of some of the runs at `places`; `runs`: see `varied_in`."""
         columns = [column[places] for column in self._columns]
-        known = np.asarray(places)[self.texts.are_known(columns)].tolist()
-        if not known:
+        if not (known := np.asarray(places)[self.texts.are_known(columns)].tolist()):
             return
         values = np.stack([column[known].astype(float) for column in self._columns], axis=1)
         for members, results in runs.finished(values, lambda member: self.spec(known[member])):

@@ -39,8 +39,7 @@ def image(columns: Mapping[str, np.ndarray]) -> tuple[bytes, str]:
         for number, (key, values) in enumerate(columns.items(), start=1):
             dtype = TEXT if values.dtype == object else INTEGER if values.dtype.kind == "i" else FLOAT
             array = Array(f"members/value_{number:04d}", ("run",), "1", f"value of {key}", dtype)
-            dataset = tables.write_column(file, array, values)
-            set_text(dataset, "key", key)
+            set_text(tables.write_column(file, array, values), "key", key)
         seal(file)
         return tables.file_bytes(file), str(file.attrs["data_sha256"])
 

@@ -114,8 +114,7 @@ def write_hashes(file: h5py.File, array: Array, hashes: Sequence[str], *, compre
     values = np.frombuffer(b"".join(bytes.fromhex(text or "00" * width) for text in hashes), np.uint8)
     write_scale(file, f"{array.path}_byte", range(1, width + 1), f"number of the byte of {array.name}")
     bytes_ = Array(array.path, (*array.dims, f"{array.name}_byte"), "1", array.long_name, "|u1")
-    dataset = write_column(file, bytes_, values.reshape(-1, width), compress=compress)
-    set_text(dataset, "hash", "sha256")
+    set_text(write_column(file, bytes_, values.reshape(-1, width), compress=compress), "hash", "sha256")
 
 
 def read_column(dataset: h5py.Dataset) -> np.ndarray:

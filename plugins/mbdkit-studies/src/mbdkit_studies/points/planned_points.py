@@ -157,8 +157,7 @@ class Grid:
     def labels(self) -> dict[str, np.ndarray]:
         """Return the labels of all points on each axis, by dotted key: numbers, or an object array."""
         columns = {}
-        combinations = np.arange(self.count) // self.rows
-        places = _choices(combinations, self.shape)
+        places = _choices(np.arange(self.count) // self.rows, self.shape)
         for axis, choices in zip(self.axes, places, strict=True):
             for key, values in axis:
                 labels = [value.label for value in values]

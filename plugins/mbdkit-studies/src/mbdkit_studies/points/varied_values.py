@@ -160,14 +160,12 @@ def start_warnings_of_study(specs: Iterable[RunSpec]) -> list[str]:
             setup = RunSetup.of(spec, starts)
             start, compiled = setup.start, setup.workspace.mechanism
             has_freedom = compiled.coordinates > int(np.sum(compiled.topology.rows))
-            now = np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)])
-            changes.append(now - values)
+            changes.append(np.hstack([start.q.reshape(-1, 3), start.v.reshape(-1, 3)]) - values)
             kept.append(values)
     if len(kept) < 2:
         return []
     off, span = np.ptp(changes, axis=0), np.ptp(kept, axis=0)
-    varies = span > ROUNDING * np.max(np.abs(kept))
-    share = np.divide(off, span, out=np.zeros_like(off), where=varies)
+    share = np.divide(off, span, out=np.zeros_like(off), where=span > ROUNDING * np.max(np.abs(kept)))
     body, column = np.unravel_index(int(np.argmax(share)), share.shape)
     if not share[body, column] > KEPT:
         return []

@@ -244,8 +244,7 @@ def _extremes(study: Study, group: SampleGroup, name: str, values: np.ndarray, s
     numbers = told_apart(float(values[places[0]]), float(values[places[1]]), digits=4)
     for word, place, number in zip(("smallest", "largest"), places, numbers, strict=True):
         point = study.points[group.places[place]]
-        units = {key: axis_unit(key, [point]) for key in point.axes}
-        words = point_words(point, units)
+        words = point_words(point, {key: axis_unit(key, [point]) for key in point.axes})
         error = float(columns[name + ERROR][group.places[place]]) if name + ERROR in columns else math.nan
         value = number if math.isnan(error) else plus_minus(float(values[place]), error, sign)
         parts.append(f"{word} {f'{value} {unit}'.rstrip()} in run {point.number}{f' ({words})' if words else ''}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import counted, shown
@@ -14,7 +14,6 @@ from mbdkit_studies.points.planned_points import Grid
 from mbdkit_studies.report.study_headlines import headlines
 from mbdkit_studies.report.worst_cases import worst_cases
 from mbdkit_studies.results.study_notes import notes
-from mbdkit_studies.spec.measures import Description
 from mbdkit_studies.spec.sample_section import central_range, unit_of
 from mbdkit_studies.spec.study_spec import StudySpec
 from mbdkit_studies.store.study_index import STATUSES
@@ -71,7 +70,7 @@ def plan_summary(plan: StudyPlan) -> str:
     lines = [("study", " ".join(spec.title.split())), *(_lines_of_blocks(plan) if spec.in_blocks else _lines_of(plan))]
     is_ensemble = spec.sample is None and not spec.tolerances
     lines += [*_grid_lines(plan.points.grids, has_members=is_ensemble), *_sample_lines(spec), *_tolerance_lines(plan)]
-    lines += _measure_lines(plan.defined)
+    lines += [("measure", f"{name} [{one.units}]: {one.long_name}") for name, one in plan.defined.items()]
     return "\n".join(f"{label:<10} {shown(value)}" for label, value in lines if value)
 
 
@@ -82,8 +81,7 @@ def _lines_of(plan: StudyPlan) -> Iterator[tuple[str, str]]:
     references = len({point.reference_id for point in plan.points if not point.lacking and point.reference_id})
     different = f", {made} of them different" if made != len(plan.points) - absent.total() else ""
     yield "runs", f"{len(plan.points)}{different}{f'; reference runs: {references}' if references else ''}"
-    for name, count in absent.items():
-        yield "left out", f"{count}: the distribution {name} is not installed"
+    yield from (("left out", f"{count}: the distribution {name} is not installed") for name, count in absent.items())
 
 
 def _lines_of_blocks(plan: StudyPlan) -> Iterator[tuple[str, str]]:
@@ -128,11 +126,6 @@ def _tolerance_lines(plan: StudyPlan) -> Iterator[tuple[str, str]]:
     (grid, *_), tolerances = plan.points.grids, plan.spec.tolerances.values()
     for (key, column), given in zip(grid.table.items() if tolerances else (), tolerances, strict=True):
         yield "tolerance", f"{_with_unit(key, grid)}: {column[0]:.6g}, {given.limits[0]:g} to +{given.limits[1]:g}"
-
-
-def _measure_lines(defined: Mapping[str, Description]) -> Iterator[tuple[str, str]]:
-    for name, column in defined.items():
-        yield "measure", f"{name} [{column.units}]: {column.long_name}"
 
 
 def _few(labels: Sequence[object]) -> str:

@@ -88,8 +88,7 @@ def error_headlines(study: Study) -> list[tuple[str, str]]:
     if not study.references:
         return []
     errors = np.array([value(point, ERROR) for point in study.points])
-    known = errors[np.isfinite(errors)]
-    if not known.size:
+    if not (known := errors[np.isfinite(errors)]).size:
         return []
     text = f"{known.min():.2g} to {known.max():.2g} m at the end, against the reference"
     path = np.array([value(point, "trajectory_error") / value(point, "mechanism_size") for point in study.points])

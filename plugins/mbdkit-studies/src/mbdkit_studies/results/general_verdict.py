@@ -46,8 +46,7 @@ def with_added_methods(verdict: Verdict, study: Study) -> Verdict:
         def words(point: StudyPoint, method: str = method) -> list[str]:
             return [label for label in point.axes.values() if isinstance(label, str) and label != method]
 
-        groups = grouped(points, words)
-        rows += [_row(method, name, group, places) for name, group in groups.items()]
+        rows += [_row(method, name, group, places) for name, group in grouped(points, words).items()]
     if not rows:
         return verdict
     table = Table(ADDED, "Added methods", COLUMNS, tuple(rows), NOTE, headline=True)

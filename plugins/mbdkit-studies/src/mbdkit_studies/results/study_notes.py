@@ -68,8 +68,7 @@ def _evidence(study: Study) -> Iterator[tuple[str, str]]:
     specs = islice(valid_specs(study.points), MOST_SPECS)
     chosen = [(spec.integrator_item, spec.integrator) for spec in specs if spec.choose != "method"]
     others = [(item.id, evidence_of(item, one)) for item, one in chosen if item.origin.distribution != MBDKIT]
-    for name, evidence in dict.fromkeys(others):
-        yield "evidence", f"{name}: {evidence}"
+    yield from (("evidence", f"{name}: {evidence}") for name, evidence in dict.fromkeys(others))
 
 
 def _rated(study: Study, level: str) -> np.ndarray:
@@ -99,8 +98,7 @@ def _failures(study: Study) -> Iterator[tuple[str, str]]:
         (study.points, [(place, str(reasons[place])) for place in np.flatnonzero(status == "failed").tolist()]),
         (references, [(place, one.reason) for place, one in enumerate(references)]),
     ):
-        for numbers, reason in _grouped(points, found):
-            yield "failed", f"{numbers}{reason}"
+        yield from (("failed", f"{numbers}{reason}") for numbers, reason in _grouped(points, found))
 
 
 def _commands(study: Study) -> Iterator[tuple[str, str]]:

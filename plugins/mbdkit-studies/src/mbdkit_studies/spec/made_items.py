@@ -37,8 +37,7 @@ class MadeItems(Sequence[Item], Generic[Item]):
     def __getitem__(self, index: int | slice) -> Item | tuple[Item, ...]:
         if isinstance(index, slice):
             return tuple(self[place] for place in range(*index.indices(self._count)))
-        place = range(self._count)[index]
-        if place in self._kept:
+        if (place := range(self._count)[index]) in self._kept:
             return self._kept[place]
         item = self._make(place)
         if place < self._most_kept:

@@ -63,8 +63,7 @@ def _frozen(name: str, given: object) -> Any:
     distribution = _distribution(name)
     shapes = tuple(distribution.shapes.split(", ")) if distribution.shapes else ()
     names = LIMITS if name == "uniform" else tuple(_NORMAL) if name == "normal" else (*shapes, *_LOCATION)
-    needed = names if name == "uniform" else shapes
-    values = _values(name, given, names, needed)
+    values = _values(name, given, names, names if name == "uniform" else shapes)
     if name == "uniform":
         low, high = values["low"], values["high"]
         if not low < high:
@@ -224,8 +223,7 @@ def _check_variables(variables: dict[str, Any]) -> dict[str, Any]:
     for key in variables:
         if not (path := parse_key(key)):
             raise SpecError("should be a dotted key of a run spec, such as model.angles.0", key=quoted(key))
-        parts = comparable(path)
-        if parts in taken:
+        if (parts := comparable(path)) in taken:
             raise SpecError(f"is the same key as '{taken[parts]}'", key=quoted(key))
         taken[parts] = key
     for key in variables:

@@ -68,8 +68,7 @@ def groups_where(study: StudyRuns, where: Mapping[str, Label] | None) -> list[Sa
         If there is no such group.
     """
     groups = sample_groups(study)
-    wanted = dict(where or {})
-    if wanted and not any(group.words for group in groups):
+    if (wanted := dict(where or {})) and not any(group.words for group in groups):
         raise MbdkitError("the study has only one sample, without axes and families; leave out `where`")
     keys = list(dict.fromkeys(key for group in groups for key in ("family", *group.axes)))
     for key in wanted:

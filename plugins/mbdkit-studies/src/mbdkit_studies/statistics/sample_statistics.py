@@ -255,8 +255,7 @@ def statistics_of_group(
     sample = study.spec.sample
     runs_of_member = 1 if sample is None else sample.runs_of_member
     values = measured(study, measure, group.places).reshape(-1, runs_of_member)
-    count = int(np.sum(np.isfinite(values)))
-    if count < FEWEST:
+    if (count := int(np.sum(np.isfinite(values)))) < FEWEST:
         return None
     every = measured(study, measure, group.places, with_bad=True)
     known = every[np.isfinite(every)]

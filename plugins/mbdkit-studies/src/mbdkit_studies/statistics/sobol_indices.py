@@ -121,8 +121,7 @@ def sobol_indices(
     means = np.empty((1 + resamples, terms.shape[1]))
     means[0] = np.mean(terms, axis=0)
     for index in range(1, 1 + resamples):
-        chosen = np.bincount(random.integers(0, n, n), minlength=n)
-        means[index] = chosen @ terms / n
+        means[index] = np.bincount(random.integers(0, n, n), minlength=n) @ terms / n
     first, total = _indices(means)
     # Plain quantiles of the bootstrap give intervals that are too short by a factor of about sqrt(1 - 1/n).
     lower = float(ndtr(stdtrit(n - 1, (1 - confidence) / 2) * np.sqrt(n / (n - 1))))

@@ -198,8 +198,7 @@ class _Writer:
 
     def add(self, path: str, values: Any, dtype: str, units: str, what: str) -> h5py.Dataset:
         """Write a column with one row for each run of the block; create its group, with the axis ``run``, if needed."""
-        group = path.partition("/")[0]
-        if group not in self.file:
+        if (group := path.partition("/")[0]) not in self.file:
             self.scale("", group, "run", self.points.numbers, "number of the run in the study, from 1")
         array = Array(path, ("run",), units, what, dtype)
         return tables.write_column(self.file, array, values, compress=self.heading.compress)
@@ -307,8 +306,7 @@ class _Writer:
             for dim in GROUPS
         }
         for group in groups:
-            homes = dict.fromkeys(_home(one) for one in first.layout if one.group == group)
-            for home in homes:
+            for home in dict.fromkeys(_home(one) for one in first.layout if one.group == group):
                 self.scale(under, group, f"{home}run", numbers, "number of the run in the study, from 1")
             for dim in dict.fromkeys(one.dims[0] for one in first.layout if one.group == group and one.grows):
                 whole = range(1, max(lengths[dim]) + 1)

@@ -216,7 +216,6 @@ class Block:
         row = self.row(number)
         spec, stored = self._spec_and_mechanism(number, finished.names.bodies)
         with reading(f"run {number}", self.path, hint=_HINT):
-            common = plain_attributes(self.file["provenance"])
             columns, described = self.columns("measures"), self.described()
             names = [name for name in spec.measures if name in columns]
             measured = MeasuredValues(
@@ -229,7 +228,7 @@ class Block:
                 spec,
                 run_id=str(self.runs["run_id"][row]),
                 created_utc=self.created_utc,
-                provenance={**common, **json.loads(self.runs["plugins"][row])},
+                provenance={**plain_attributes(self.file["provenance"]), **json.loads(self.runs["plugins"][row])},
                 mechanism=stored,
                 store="" if self.store == "all" else self.store,
                 measured=measured,

@@ -133,8 +133,7 @@ class BlockStorage(Storage):
             raise NotStoredError("values over time", str(self.spec.store))
         for path in filter(Path.exists, map(self.folder.block, range(self._blocks.count))):
             with Block(path, self._sha256) as block:
-                for run, numbers, counts in block.joined_runs():
-                    yield run, numbers.tolist(), counts
+                yield from ((run, numbers.tolist(), counts) for run, numbers, counts in block.joined_runs())
 
     @cached_property
     def _sha256(self) -> str:

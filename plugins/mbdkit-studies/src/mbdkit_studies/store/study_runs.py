@@ -251,8 +251,7 @@ class StudyRuns:
 
         Close each run, or use it in a `with` block.
         """
-        for point in self.points if family is None else self.family(family):
-            yield point, self.run(point)
+        yield from ((point, self.run(point)) for point in (self.points if family is None else self.family(family)))
 
     @property
     def measures(self) -> dict[str, Description]:

@@ -13,7 +13,7 @@ from mbdkit.base.text import listed
 from mbdkit.engine.linear_systems import product
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
-from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import ROUND_OFF, TO_DEVIATION, doubt, doubts
 from mbdkit_biomech.inverse_dynamics.criteria.marker_distances import (
     changed_axes,
     exchanged_markers,
@@ -79,10 +79,10 @@ BEYOND_NOISE = 10.0
 def column_doubts(result: Inverse) -> Iterator[Finding]:
     """Yield doubts about the times and columns of a measured motion."""
     yield from doubts_before_fit(result.fitted.measured, result.problem.fitter.manifold.length)
-    yield from unit_of_time(result)
-    yield from _constants(result)
-    yield from _fit(result)
-    yield from _noise(result)
+    yield from doubts("time-unit", unit_of_time(result))
+    yield from doubts("constant", _constants(result))
+    yield from doubts("fit", _fit(result))
+    yield from doubts("noise", _noise(result))
 
 
 def doubts_before_fit(measured: Measured, length: float) -> Iterator[Finding]:
@@ -93,9 +93,9 @@ def doubts_before_fit(measured: Measured, length: float) -> Iterator[Finding]:
     length
         Longest link of the mechanism [m].
     """
-    yield from (doubt("units", f"{sentence}.") for sentence in measured.contradictions)
-    yield from uneven_times(measured)
-    yield from _radians(measured)
+    yield from doubts("units", (f"{sentence}." for sentence in measured.contradictions))
+    yield from doubts("times", uneven_times(measured))
+    yield from doubts("units", _radians(measured))
     for index, name in enumerate(measured.names):
         yield from _outliers(measured, index, name)
         yield from _units(measured, index, name, length)
@@ -146,8 +146,8 @@ def _size(measured: Measured, index: int, size: float, length: float) -> str:
     return f"{size * length:.3g} m ({size:.3g} times the longest link)"
 
 
-def _radians(measured: Measured) -> Iterator[Finding]:
-    """Yield a doubt if all angles that the spec declares in degrees look like radians.
+def _radians(measured: Measured) -> Iterator[str]:
+    """Yield a sentence if all angles that the spec declares in degrees look like radians.
 
     One small angle among larger ones, such as the tilt of a pelvis, is plausible.
     """
@@ -159,11 +159,10 @@ def _radians(measured: Measured) -> Iterator[Finding]:
     least, most = SMALL_RANGES
     if least <= span.max() <= most and np.nanmax(np.abs(numbers)) <= 2 * np.pi:
         names = listed([measured.names[index] for index in columns[:4]], "and")
-        yield doubt(
-            "units",
+        yield (
             f"the angles with `unit: deg` ({names}) change by at most {span.max():.3g} degrees during the motion "
             f"(doubtful below {most:g} if values are at most {2 * np.pi:.3g}): they look like radians; leave out "
-            "`unit: deg`.",
+            "`unit: deg`."
         )
 
 
@@ -173,8 +172,7 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Finding]:
         return
     off = np.abs(off_neighbours(measured.time, x))
     limit = max(SPIKE * TO_DEVIATION * float(np.median(off)), LEAST_SPIKE * float(np.ptp(x)))
-    rows = np.flatnonzero(off > limit) + 2
-    if rows.size:
+    if (rows := np.flatnonzero(off > limit) + 2).size:
         worst = int(np.argmax(off))
         yield doubt(
             "outliers",
@@ -184,7 +182,7 @@ def _outliers(measured: Measured, index: int, name: str) -> Iterator[Finding]:
         )
 
 
-def _constants(result: Inverse) -> Iterator[Finding]:
+def _constants(result: Inverse) -> Iterator[str]:
     """Yield doubts about columns that are constant for some time while other columns change, unless the joints keep
     these quantities constant.
     """
@@ -205,11 +203,10 @@ def _constants(result: Inverse) -> Iterator[Finding]:
         moves = [np.median(np.abs(x[end - begin :] - x[: begin - end]))] if end - begin < len(x) else [np.inf]
         if end - begin < FROZEN or not others or 2 * sum(others) < len(others) or moves[0] < MOVING * quantum[index]:
             continue
-        yield doubt(
-            "constant",
+        yield (
             f"column of {name}: the value stays exactly {x[begin]:.6g} from t = {measured.time[begin]:.6g} to "
             f"{measured.time[end - 1]:.6g} s, {end - begin} rows, while others change (doubtful from {FROZEN} rows): a "
-            "sensor that was lost, or a gap filled with a constant.",
+            "sensor that was lost, or a gap filled with a constant."
         )
 
 
@@ -251,7 +248,7 @@ def _units(measured: Measured, index: int, name: str, length: float) -> Iterator
         )
 
 
-def _fit(result: Inverse) -> Iterator[Finding]:
+def _fit(result: Inverse) -> Iterator[str]:
     measured, residual = result.fitted.measured, result.fitted.residual
     length = result.problem.fitter.manifold.length
     share = np.abs(residual) / measured.quantities.sizes(length)
@@ -261,25 +258,22 @@ def _fit(result: Inverse) -> Iterator[Finding]:
         worst, first = [measured.names[index] for index in large], large[0]
         limit = f"{RESIDUAL:g} {'rad' if measured.quantities.is_angle[first] else 'times the longest link'}"
         causes = "likely causes: exchanged or mirrored columns, wrong units, another frame, or wrong lengths."
-        yield doubt(
-            "fit",
+        yield (
             f"the mechanism does not fit the data: the root mean square residual of {worst[0]} is "
             f"{_size(measured, first, rms[first], length)} (doubtful above {limit}); columns with large residuals: "
-            f"{listed(worst, 'and')}; {_cause_of_misfit(result, share, causes)}",
+            f"{listed(worst, 'and')}; {_cause_of_misfit(result, share, causes)}"
         )
         return
     if np.any(rms > LEAST_SUDDEN) and (told := misplaced_marker(result, share)):
-        yield doubt("fit", told)
+        yield told
         return
     usual = np.maximum(SUDDEN * TO_DEVIATION * np.nanmedian(share, axis=0), LEAST_SUDDEN)
-    rows = np.flatnonzero(np.any(share > usual, axis=1))
-    if rows.size:
+    if (rows := np.flatnonzero(np.any(share > usual, axis=1))).size:
         columns = [name for name, one in zip(measured.names, (share > usual).T, strict=True) if np.any(one)][:4]
-        yield doubt(
-            "fit",
+        yield (
             f"the mechanism does not fit {len(rows)} rows between t = {measured.time[rows[0]]:.6g} and "
             f"{measured.time[rows[-1]]:.6g} s, with residuals above {SUDDEN:g} times the usual ones, of "
-            f"{listed(columns, 'and')}: " + _cause_of_misfit(result, share, "exchanged markers or outliers."),
+            f"{listed(columns, 'and')}: " + _cause_of_misfit(result, share, "exchanged markers or outliers.")
         )
 
 
@@ -292,7 +286,7 @@ def _cause_of_misfit(result: Inverse, share: np.ndarray, otherwise: str) -> str:
     return f"{told}." if told else misplaced_marker(result, share) or otherwise
 
 
-def _noise(result: Inverse) -> Iterator[Finding]:
+def _noise(result: Inverse) -> Iterator[str]:
     if isinstance(result.problem.spec.motion.smooth, NoSmoothing | QuinticSpline):
         return
     measured = result.fitted.measured
@@ -300,11 +294,10 @@ def _noise(result: Inverse) -> Iterator[Finding]:
     ratio = np.sqrt(np.nanmean(left**2, axis=0)) / measured.deviation
     told = [f"{name} {one:.3g}" for name, one in zip(measured.names, ratio, strict=True) if one > BEYOND_NOISE]
     if told:
-        yield doubt(
-            "noise",
+        yield (
             f"data and smoothed motion differ by more than {BEYOND_NOISE:g} times the stated noise: "
             f"{listed(told, 'and')} times. The cutoff is too low, the deviation has another unit, or the columns are "
-            "wrong.",
+            "wrong."
         )
 
 

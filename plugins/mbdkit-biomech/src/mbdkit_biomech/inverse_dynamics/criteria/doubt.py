@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from mbdkit.registry.seam import Seam
 from mbdkit.trust.finding import Finding
@@ -19,6 +19,11 @@ TO_DEVIATION = 1.4826
 def doubt(criterion: Criterion, sentence: str) -> Finding:
     """Return a reason to doubt measured data; the sentence names the likely cause."""
     return Finding(criterion, "doubtful", sentence)
+
+
+def doubts(criterion: Criterion, sentences: Iterable[str]) -> Iterator[Finding]:
+    """Yield a reason to doubt measured data for each sentence."""
+    return (doubt(criterion, sentence) for sentence in sentences)
 
 
 @Seam

@@ -247,8 +247,7 @@ def _offset(result: Inverse, index: int, name: str) -> Iterator[Finding]:
 
 def _balance(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]:
     """Yield a doubt if the loads and the motion of a mechanism with one free root contradict Newton's second law."""
-    mechanism = result.problem.names.mechanism
-    roots = free_roots(mechanism)
+    roots = free_roots(result.problem.names.mechanism)
     load, weight, limits = limits_of_balance(result)
     largest = max(load, weight)
     if len(roots) != 1 or not largest > 0:

@@ -13,7 +13,7 @@ from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.mechanism_quantities import Point
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, InverseProblem
-from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import TO_DEVIATION, doubt, doubts
 from mbdkit_biomech.inverse_dynamics.criteria.glitch_criterion import spans
 from mbdkit_biomech.inverse_dynamics.files.measured_table import cited
 from mbdkit_biomech.inverse_dynamics.loads.loads import UNLOADED_SHARE
@@ -114,9 +114,9 @@ def load_point_doubts(result: Inverse) -> Iterator[Finding]:
         examined = load.kind == "plate" or (moves and load.kind != "other")
         if examined and np.any(result.loads.force[:, index]):
             outside = list(_outside_of_body(result, index, name, wide))
-            yield from outside or _on_other_body(result, index, name, narrow)
-            yield from _metres(result, index, name, wide)
-            yield from _zeros(result, index, name, wide)
+            yield from doubts("load-point", outside or _on_other_body(result, index, name, narrow))
+            yield from doubts("units", _metres(result, index, name, wide))
+            yield from doubts("constant", _zeros(result, index, name, wide))
 
 
 def _outlines(result: Inverse) -> np.ndarray:
@@ -170,7 +170,7 @@ def _share_outside(result: Inverse, index: int, point: np.ndarray, outlines: np.
     return float(np.sum(size[_outside(result, point, body, outlines[body]) > OUTSIDE]) / np.sum(size))
 
 
-def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
+def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[str]:
     series, size = result.problem.loads[name], np.linalg.norm(result.loads.force[:, index], axis=1)
     centre, shift = centre_of_pressure(result, index)
     if _share_outside(result, index, centre, outlines) <= OFTEN:
@@ -191,14 +191,13 @@ def _outside_of_body(result: Inverse, index: int, name: str, outlines: np.ndarra
             "is its point in another frame, such as that of the laboratory, or in another unit, or is the load delayed?"
         )
     far = _outside(result, centre, series.body, outlines[series.body])
-    yield doubt(
-        "load-point",
+    yield (
         f"load '{name}' acts outside of {bodies[series.body]}, up to {np.max(far[rows]):.2g} of its extent from its "
-        f"outline (doubtful above {OUTSIDE:g}): {cause}",
+        f"outline (doubtful above {OUTSIDE:g}): {cause}"
     )
 
 
-def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
+def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[str]:
     size, own = np.linalg.norm(result.loads.force[:, index], axis=1), result.problem.loads[name].body
     bodies, (centre, _) = result.problem.fitter.bodies, centre_of_pressure(result, index)
     extent = np.linalg.norm(outlines[:, 1] - outlines[:, 0], axis=1)
@@ -208,15 +207,14 @@ def _on_other_body(result: Inverse, index: int, name: str, outlines: np.ndarray)
     other = int(np.argmax(share))
     if share[other] >= ON_OTHER:
         far, close = (float(np.average(off[body, rows], weights=size[rows])) for body in (own, other))
-        yield doubt(
-            "load-point",
+        yield (
             f"the point of load '{name}' is {far:.2g} m on average from the outline of {bodies[own]}, on which it "
             f"acts, but {close:.2g} m from that of {bodies[other]}, to which it is nearer for {100 * share[other]:.3g} "
-            f"% of its force (doubtful from {100 * ON_OTHER:g} %): does the load act on {bodies[other]}?",
+            f"% of its force (doubtful from {100 * ON_OTHER:g} %): does the load act on {bodies[other]}?"
         )
 
 
-def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
+def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[str]:
     load, rows = result.problem.spec.loads[name], np.any(result.loads.force[:, index] != 0, axis=1)
     declared = {
         axis: one.unit
@@ -231,15 +229,14 @@ def _metres(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Ite
         in_metres[:, axis] /= read_unit(unit).factor
     if _share_outside(result, index, in_metres, outlines) <= OFTEN:
         units = listed(sorted(set(declared.values())), "and")
-        yield doubt(
-            "units",
+        yield (
             f"the coordinates of the point of load '{name}' with `unit: {units}` are at most {1e3 * largest:.3g} mm "
             f"(doubtful below {1e3 * LEAST_POINT:g} mm), but in metres the same numbers are on "
-            f"{result.problem.fitter.bodies[result.problem.loads[name].body]}: leave out the unit.",
+            f"{result.problem.fitter.bodies[result.problem.loads[name].body]}: leave out the unit."
         )
 
 
-def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[Finding]:
+def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iterator[str]:
     load, series = result.problem.spec.loads[name], result.problem.loads[name]
     if series.point is None or load.point_frame != GROUND:
         return
@@ -269,11 +266,10 @@ def _zeros(result: Inverse, index: int, name: str, outlines: np.ndarray) -> Iter
             is_level = gravity[axis] > 0.5 * np.linalg.norm(gravity)  # the height of the plate
             is_lost = not is_level and bool(travel > TRAVELS * extent)
         if is_lost:
-            yield doubt(
-                "constant",
+            yield (
                 f"coordinate {'xy'[axis]} of the point of load '{name}' is exactly zero in {np.sum(zero)} rows with "
                 f"forces of up to {np.max(size[zero]):.4g} N, {spans(series.time, zero)}: values that were lost. Leave "
-                "out these rows, or measure the point.",
+                "out these rows, or measure the point."
             )
 
 

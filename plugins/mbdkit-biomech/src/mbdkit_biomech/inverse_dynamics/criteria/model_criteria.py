@@ -28,7 +28,7 @@ from mbdkit_biomech.inverse_dynamics.compute import (
     reactions_of,
     recorded_states,
 )
-from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt, doubts
 from mbdkit_biomech.inverse_dynamics.criteria.load_criteria import judged_frames, residual_wrench
 from mbdkit_biomech.inverse_dynamics.criteria.load_point_criterion import unmeasured_frames
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import ResultBars
@@ -64,11 +64,11 @@ def model_doubts(result: Inverse) -> Iterator[Finding]:
     if mechanism.beams:
         coarse = CoarseBeams(mechanism, result.problem.prepared.workspace.mechanism)
         coarse.add(recorded_states(result))
-        for warning in coarse.findings():
-            yield doubt("elements", f"{warning}.")
+        yield from doubts("elements", (f"{warning}." for warning in coarse.findings()))
     if result.recruited is not None:
-        for criterion in (_fibers, _reserves, _weak_muscles):
-            yield from criterion(result, result.recruited)
+        yield from doubts("fibers", _fibers(result, result.recruited))
+        yield from doubts("reserves", _reserves(result, result.recruited))
+        yield from doubts("max-force", _weak_muscles(result, result.recruited))
 
 
 def spec_doubts(spec: InverseSpec) -> Iterator[Finding]:
@@ -84,27 +84,23 @@ def mechanism_doubts(mechanism: Mechanism) -> Iterator[Finding]:
     """Yield a doubt for each inertia, quantity of a beam, free length, optimal length and size of a body that seems to
     have another unit, and for effects that the mechanism lacks.
     """
-    for criterion, sentence in improbable_measured(mechanism):
-        yield doubt(criterion, f"{sentence}.")
-    for sentence in mechanism.left_out:
-        yield doubt("left-out", f"{sentence}.")
+    yield from (doubt(criterion, f"{sentence}.") for criterion, sentence in improbable_measured(mechanism))
+    yield from doubts("left-out", (f"{sentence}." for sentence in mechanism.left_out))
 
 
-def _fibers(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+def _fibers(result: Inverse, recruited: Recruited) -> Iterator[str]:
     low, high = PULLING
     for index, (name, muscle) in enumerate(result.problem.names.mechanism.muscles.items()):
         lengths = recruited.contraction.fiber_length[:, index] / muscle.optimal_length
-        outside = np.flatnonzero((lengths < low) | (lengths > high))
-        if outside.size:
-            yield doubt(
-                "fibers",
+        if (outside := np.flatnonzero((lengths < low) | (lengths > high))).size:
+            yield (
                 f"the fibres of muscle '{name}' are {np.nanmin(lengths):.3g} to {np.nanmax(lengths):.3g} optimal "
                 f"lengths long, in {outside.size} rows outside of {low:g} to {high:g}, where they have almost no "
-                f"active force: check its path, optimal_length and tendon_length.",
+                f"active force: check its path, optimal_length and tendon_length."
             )
 
 
-def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+def _reserves(result: Inverse, recruited: Recruited) -> Iterator[str]:
     problem = result.problem
     names, every = [actuator.name for actuator in problem.actuators], recruited.actuators[..., 0]
     reserves = [actuator.name for actuator in problem.recorded_actuators[len(names) :]]
@@ -116,15 +112,14 @@ def _reserves(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
             at = result.motion.time[int(np.argmax(np.abs(values)))]
             unit = problem.actuators[actuator].unit
             share = f", {most / whole:.2g} of the largest value of {name}" if whole > 0 else ""
-            yield doubt(
-                "reserves",
+            yield (
                 f"the reserve of {name} supplies up to {most:.4g} {unit} at t = {at:.6g} s{share} (doubtful above "
                 f"{RESERVE_SHARE:g}), so that the muscles do not produce the motion alone: they are too weak or too "
-                f"few, or the optimal force of the reserve is so large that it costs less than they do.",
+                f"few, or the optimal force of the reserve is so large that it costs less than they do."
             )
 
 
-def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
+def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[str]:
     problem = result.problem
     arms = np.max(np.abs(recruited.sharing.arms), axis=0)  # (U, M)
     peaks = np.max(np.abs(result.dynamics.value), axis=0)
@@ -135,14 +130,12 @@ def _weak_muscles(result: Inverse, recruited: Recruited) -> Iterator[Finding]:
             continue
         moments = muscle.max_force * np.maximum(arms[acting, index], least)
         best = int(np.argmax(moments / peaks[acting]))
-        share = moments[best] / peaks[acting][best]
-        if share < WEAK:
+        if (share := moments[best] / peaks[acting][best]) < WEAK:
             actuator = problem.actuators[acting[best]]
-            yield doubt(
-                "max-force",
+            yield (
                 f"muscle '{name}' with a max_force of {muscle.max_force:g} N can exert at most {share:.2g} of the "
                 f"largest value of {actuator.name}, {peaks[acting][best]:.4g} {actuator.unit} (doubtful below "
-                f"{WEAK:g}): is its force in another unit, such as kN?",
+                f"{WEAK:g}): is its force in another unit, such as kN?"
             )
 
 
@@ -153,8 +146,7 @@ def misfit_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     both feet have loads, residual forces and moment. Residuals at different times have common causes, so that the mean
     square over time of each counts as that of one variable.
     """
-    person = result.problem.source.person
-    if person is None:
+    if (person := result.problem.source.person) is None:
         return
     squares = {f"centre of {joint}": center.square for joint, center in person.centers.items() if center.square}
     freedoms = 2 * len(squares)
@@ -247,8 +239,7 @@ def turn_doubts(result: Inverse) -> Iterator[Finding]:
         if not isinstance(pathway, AnglePathway | JointAngles):
             continue
         for a, b in (segment.bodies for segment in pathway.segments(mechanism.joints)):
-            off = abs(changes[b] - changes[a])
-            if off > HALF_TURN:
+            if (off := abs(changes[b] - changes[a])) > HALF_TURN:
                 columns = _angles_of(result, [bodies.index(one) for one in (a, b) if one != GROUND])
                 yield doubt(
                     "turns",
@@ -264,8 +255,7 @@ def uncertain_turns(result: Inverse) -> Iterator[str]:
     measured = result.problem.measured
     pose = measured.quantities.values(result.problem.prepared.equations.q0[None])[0]
     off = np.abs(measured.values[0] - pose) / measured.quantities.scale
-    columns = np.flatnonzero(measured.may_turn & (off > HALF_TURN)).tolist()
-    if columns:
+    if columns := np.flatnonzero(measured.may_turn & (off > HALF_TURN)).tolist():
         text = listed([f"{measured.names[index]} {off[index]:.3g} rad" for index in columns], "and")
         yield (
             f"the first values of columns differ by about half a turn from those of the model ({text}). If these "

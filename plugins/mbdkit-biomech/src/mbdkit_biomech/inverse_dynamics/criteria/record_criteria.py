@@ -15,7 +15,7 @@ from mbdkit.base import elementary
 from mbdkit.base.text import listed
 from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse, reactions_of
-from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
+from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt, doubts
 from mbdkit_biomech.inverse_dynamics.errors.ends_and_gaps import NAMED, long_gaps, longest_period, told_gaps
 from mbdkit_biomech.inverse_dynamics.errors.error_bars import LOAD_UNITS, ResultBars
 from mbdkit_biomech.inverse_dynamics.motion.smoothing import UNEVEN, cutoff_of
@@ -79,8 +79,7 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
     time, peaks = result.motion.time, _peaks(result, bars)
     for (start, end), gap in told_gaps(result, long_gaps(result)).items():
         rows = (time > start) & (time < end)
-        open_peaks = [peak for peak in peaks if np.any(peak.reached[rows] > peak.value)]
-        if open_peaks:
+        if open_peaks := [peak for peak in peaks if np.any(peak.reached[rows] > peak.value)]:
             told = listed((peak.told(time) for peak in open_peaks), "and", NAMED)
             yield doubt(
                 "gaps",
@@ -95,10 +94,10 @@ def record_doubts(result: Inverse, bars: ResultBars | None) -> Iterator[Finding]
                 f"errors are unknown because of {gap}: values of {told} may be wrong there (doubtful above {OF_GAPS:g} "
                 "of the largest value). Do not use values in the gap, or fill it with measured values.",
             )
-    yield from _doubts_at_ends(result, peaks)
+    yield from doubts("ends", _peaks_at_ends(result, peaks))
 
 
-def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding]:
+def _peaks_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[str]:
     time = result.motion.time
     cutoff = "" if isinstance(result.problem.spec.motion.smooth, QuinticSpline) else ", one period of the cutoff"
     for at_start in (True, False):
@@ -114,20 +113,18 @@ def _doubts_at_ends(result: Inverse, peaks: Sequence[_Peak]) -> Iterator[Finding
         move = f"or move `time.{side}` if it cuts the data there."
         if near:
             worst, told = max(near, key=lambda one: one.of_ends / one.value), [one.told(time) for one in near]
-            yield doubt(
-                "ends",
+            yield (
                 f"the largest values of {listed(told, 'and', NAMED)} are so close to the {side} of the record that the "
                 f"smoothing may change that of {worst.label} by {worst.of_ends:.2g} {worst.unit} (doubtful above "
-                f"{OF_ENDS:g} of the value): {more} them{cutoff}, {move}",
+                f"{OF_ENDS:g} of the value): {more} them{cutoff}, {move}"
             )
         if lost:
             (most, worst), told = max(lost, key=lambda pair: pair[0] / pair[1].value), [x.told(time) for _, x in lost]
-            yield doubt(
-                "ends",
+            yield (
                 f"the true largest values of {listed(told, 'and', NAMED)} may lie at the {side} of the record, where "
                 f"the smoothing takes accelerations for zero: the data before smoothing show about {most:.2g} "
                 f"{worst.unit} for {worst.label} there (doubtful above {1 + OF_ENDS:g} times the largest value): "
-                f"{more} the motion{cutoff}, {move}",
+                f"{more} the motion{cutoff}, {move}"
             )
 
 
@@ -238,8 +235,7 @@ def cutoff_doubts(result: Inverse) -> Iterator[Finding]:
     share = np.sqrt(
         np.sum(weight * np.maximum(0.0, removed - noise), axis=0) / np.maximum(np.sum(weight * kept, axis=0), TINY)
     )
-    low = np.flatnonzero((excess > EXCESS) & (share > REMOVED))
-    if low.size:
+    if (low := np.flatnonzero((excess > EXCESS) & (share > REMOVED))).size:
         texts = [f"{share[index]:.2g} of that of {independent.names[index]}" for index in low[:4]]
         yield doubt(
             "cutoff",
@@ -264,14 +260,12 @@ def large_deviations(result: Inverse, bars: ResultBars | None) -> Iterator[str]:
     """Yield sentences on stated deviations that are much larger than the noise of the data, or than the data."""
     if bars is None:
         return
-    told = [*_above_noise(result, bars)]
-    if told:
+    if told := [*_above_noise(result, bars)]:
         yield (
             f"stated deviations are more than {LARGE:g} times the noise seen in the data, so that error bars are too "
             f"wide: {listed(told, 'and', NAMED)}. Check their units."
         )
-    told = [*_above_values(result, bars)]
-    if told:
+    if told := [*_above_values(result, bars)]:
         yield f"stated deviations exceed the data themselves: {listed(told, 'and', NAMED)}. Check their units."
 
 
@@ -280,8 +274,7 @@ def _above_noise(result: Inverse, bars: ResultBars) -> Iterator[str]:
     left = measured.raw - measured.quantities.values(result.motion.q)
     correlation = np.nanmean(left[1:] * left[:-1], axis=0) / np.maximum(np.nanmean(left**2, axis=0), TINY)
     for index in np.flatnonzero((noise.excess > LARGE) & (correlation < CORRELATED)).tolist():
-        stated = float(measured.deviation[index])
-        if stated > LARGE * noise.seen[index]:
+        if (stated := float(measured.deviation[index])) > LARGE * noise.seen[index]:
             unit = measured.quantities.quantities[index].unit
             yield f"{measured.names[index]} {stated:.3g} {unit} (seen {noise.seen[index]:.2g} {unit})"
 

@@ -7,9 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from mbdkit.base.text import shown
-from mbdkit.trust.finding import Finding
 from mbdkit_biomech.inverse_dynamics.compute import Inverse
-from mbdkit_biomech.inverse_dynamics.criteria.doubt import doubt
 from mbdkit_biomech.inverse_dynamics.motion.measured import Measured
 from mbdkit_biomech.inverse_dynamics.signals.rounded_times import grid_of, rounded_to
 
@@ -43,8 +41,8 @@ EVEN, CERTAIN = 0.5, 6.0
 CERTAIN_OF_GRID = 3.0  #: Replaces `CERTAIN` if the given times are rounded, evenly spaced times.
 
 
-def uneven_times(measured: Measured) -> Iterator[Finding]:
-    """Yield a doubt if the columns fit evenly spaced times better than the given times."""
+def uneven_times(measured: Measured) -> Iterator[str]:
+    """Yield a sentence if the columns fit evenly spaced times better than the given times."""
     time, steps = measured.time, np.diff(measured.time)
     if len(time) < 6 or np.ptp(steps) <= UNEVEN * np.mean(steps) or np.max(steps) > 1.9 * np.median(steps):
         return  # evenly spaced, possibly with missing rows
@@ -59,18 +57,17 @@ def uneven_times(measured: Measured) -> Iterator[Finding]:
     if not product > max(EVEN * square, certain * np.sqrt(square)):
         return
     cause = "they probably have jitter" if grid is None else f"they are probably rounded to {grid:g} s"
-    yield doubt(
-        "times",
+    yield (
         f"the columns fit evenly spaced times better than the given times, whose intervals vary from "
         f"{steps.min():.6g} to {steps.max():.6g} s (share {product / square:.2g}, doubtful above {EVEN:g}; certain to "
         f"{product / np.sqrt(square):.3g} standard deviations, doubtful above {certain:g}): {cause}; derivatives "
-        "depend on them.",
+        "depend on them."
     )
 
 
-def unit_of_time(result: Inverse) -> Iterator[Finding]:
-    """Yield a doubt if accelerations, compared with gravity, are so small or large that the times seem to have another
-    unit.
+def unit_of_time(result: Inverse) -> Iterator[str]:
+    """Yield a sentence if accelerations, compared with gravity, are so small or large that the times seem to have
+    another unit.
     """
     motion, length = result.motion, result.problem.fitter.manifold.length
     if len(motion.time) < 3 or not length > 0:
@@ -91,16 +88,14 @@ def unit_of_time(result: Inverse) -> Iterator[Finding]:
             if column.factor == 1.0
             else f"are the times in {shown(column.unit)}?"
         )
-        yield doubt(
-            "time-unit",
+        yield (
             f"{rows} (doubtful above {COARSE:g}), and no acceleration exceeds {np.max(share):.2g} of gravity (doubtful "
-            f"below {SLOW:g}), so that inertia has no effect: {cause}",
+            f"below {SLOW:g}), so that inertia has no effect: {cause}"
         )
     elif interval < FINE * natural and rms > FAST:
-        yield doubt(
-            "time-unit",
+        yield (
             f"{rows} (doubtful below {FINE:g}), and accelerations are {rms:.2g} times gravity (doubtful above "
-            f"{FAST:g}): are the times in {shown(result.problem.spec.motion.time.unit)}?",
+            f"{FAST:g}): are the times in {shown(result.problem.spec.motion.time.unit)}?"
         )
 
 

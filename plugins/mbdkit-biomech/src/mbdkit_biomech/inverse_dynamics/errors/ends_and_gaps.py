@@ -172,8 +172,7 @@ def likely_at_ends(data: NoisyData) -> Smoothed:
     if isinstance(data.how[0], QuinticSpline):
         return data.series
     estimate = _end_accelerations(data.time, data.coordinates[:, :, None], data.how)
-    wrong = _response_to_ends(data.time, data.how)
-    parts = zip(data.series, wrong, strict=True)
+    parts = zip(data.series, _response_to_ends(data.time, data.how), strict=True)
     return Smoothed(*(part - np.sum(by * estimate[:, None, :, 0], axis=0) for part, by in parts))
 
 

@@ -162,8 +162,7 @@ def error_bars(result: Inverse) -> ResultBars | None:
     recruiter = result.problem.recruiter
     if recruiter is not None and recruiter.couples_frames:
         return None  # forces of muscles depend on the noise of other frames; the covariances are those within a frame
-    data = NoisyData.of(result)
-    if data is None:
+    if (data := NoisyData.of(result)) is None:
         return None
     times, series = data.time, data.series
     response = _Response(result, data.independent)
@@ -296,8 +295,7 @@ def _with_loads(
     for name, series in problem.loads.items():
         for component, deviation in series.deviation.items():
             # the outcome is linear in each component, so that one change of any size gives the exact derivative
-            loads = problem.loads | {name: series.moved(component, deviation)}
-            with_noise = replace(problem, loads=loads)
+            with_noise = replace(problem, loads=problem.loads | {name: series.moved(component, deviation)})
             moved = forces_of(with_noise, result.fitted, result.independent, result.motion, strict=False)
             columns.append([part / deviation for part in _outcome(moved).minus(base)])
             deviations.append(deviation)

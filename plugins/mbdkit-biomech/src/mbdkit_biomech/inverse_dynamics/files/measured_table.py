@@ -134,8 +134,7 @@ class MeasuredTable:
         SpecError
             If there is no such column, or a cell is not a number.
         """
-        place = self._place.get(heading)
-        if place is None:
+        if (place := self._place.get(heading)) is None:
             names = [cited(name) for name in self.headings if name]
             some = listed(names[:HEADINGS_SHOWN]) + (", ..." if len(names) > HEADINGS_SHOWN else "")
             hint = did_you_mean(heading, names) or f"; its columns: {some}"
@@ -210,11 +209,9 @@ class MeasuredTable:
         values = self._clock_times(heading, texts) if is_clock else factor * self.column(heading, key)
         if not len(values):
             raise self.error("this table has no rows")
-        missing = np.flatnonzero(np.isnan(values))
-        if missing.size:
+        if (missing := np.flatnonzero(np.isnan(values))).size:
             raise self.error(f"column '{cited(heading)}': the time is missing", row=int(missing[0]))
-        back = np.flatnonzero(np.diff(values) <= 0)
-        if back.size:
+        if (back := np.flatnonzero(np.diff(values) <= 0)).size:
             row = int(back[0]) + 1
             raise self.error(
                 f"column '{cited(heading)}': times should increase, but {values[row]:.10g} s follows "
@@ -256,8 +253,7 @@ class MeasuredTable:
         if not of_time.is_like(read_unit("s")):
             raise self.error(f"column '{cited(x)}': {of_time} is not a unit of time (s, ms)")
         times, values = self.times(x, "x", of_time.factor), self.column(y, "y")
-        missing = np.flatnonzero(np.isnan(values))
-        if missing.size:
+        if (missing := np.flatnonzero(np.isnan(values))).size:
             raise self.error(f"column '{cited(y)}': the value is missing; gaps are not bridged", row=int(missing[0]))
         if self.unit(y) is None and unit is None:
             why = f"because {self.name} states no unit of '{cited(y)}'"

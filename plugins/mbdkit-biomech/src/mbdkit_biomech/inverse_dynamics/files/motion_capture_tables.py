@@ -111,8 +111,7 @@ def read_vicon(file: str, rows: Rows) -> MeasuredTable:
     if not begins or begins[0]:
         raise SpecError("this Vicon file has no section with a rate in its second line", file=file)
     for begin, end in zip(begins, [*begins[1:], len(rows)], strict=True):
-        name = rows[begin][1][0].strip()
-        if name in SECTIONS:
+        if (name := rows[begin][1][0].strip()) in SECTIONS:
             found[name] = _section(file, name, rows[begin:end])
         else:
             other.append(cited(name))

@@ -71,8 +71,7 @@ def read_table(path: Path, key: str, separator: str | None = None, decimal: str 
     suffix = path.suffix.lower()
     content = read_data(path, LARGEST_FILE, "keep the rows and columns that are used")
     if suffix == ".c3d":
-        c3d = read_c3d(path, MOST_CELLS)
-        if c3d is None:
+        if (c3d := read_c3d(path, MOST_CELLS)) is None:
             raise _too_many_cells(str(path))
         return c3d
     readers: dict[str, Callable[[str, list[str]], MeasuredTable]] = {
@@ -100,8 +99,7 @@ def _read_csv(file: str, lines: list[str], separator: str | None = None, decimal
     """Read a table with a line of headings and possibly a line of units, or a file of a motion capture program; lines
     that begin with # or % are comments, of which the last one has the headings if the table has no others.
     """
-    first = next((line for line in lines if _is_row(line)), None)
-    if first is None:
+    if (first := next((line for line in lines if _is_row(line)), None)) is None:
         raise _empty(file)
     if is_qualisys(first):
         return read_qualisys(file, _rows_of(file, lines, "\t"))
@@ -324,8 +322,7 @@ def _is_in_degrees(file: str, header: Mapping[str, str]) -> bool:
 
     Files without `inDegrees` and without a version are motion files of SIMM, in degrees, as OpenSim reads them.
     """
-    key = next((key for key in header if key.lower() == "indegrees"), None)
-    if key is None:
+    if (key := next((key for key in header if key.lower() == "indegrees"), None)) is None:
         return "version" not in header
     if key != "inDegrees" or header[key].lower() not in ("yes", "no"):
         given = cited(f"{key}={header[key]}")

@@ -207,8 +207,7 @@ class _Frames:
         value, change = self._changes(np.asarray(self._described(lam, None).lack))
         actuators, muscles, recorded = self._actuators(dynamics.value, value), None, self.result.problem.actuators
         supplied = actuators[:, :, 1].sum(axis=1) + self._load_power()
-        recruited = self.result.recruited
-        if recruited is not None:
+        if (recruited := self.result.recruited) is not None:
             lam, recorded = self._of_pairs(recruited.lam), self.result.problem.recorded_actuators
             lack = np.asarray(self._described(lam, None).lack)
             change, actuators, muscles = self._with_muscles(recruited, value, lack)

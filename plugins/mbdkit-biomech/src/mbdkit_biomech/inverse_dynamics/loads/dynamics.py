@@ -117,8 +117,7 @@ class Balance:
         directions: Directions | None = None,
     ):
         directions = manifold.directions_at(motion.time, motion.q) if directions is None else directions
-        singular = np.flatnonzero(directions.singular())
-        if singular.size:
+        if (singular := np.flatnonzero(directions.singular())).size:
             raise RunError(
                 f"the mechanism is in a singular position at t = {motion.time[singular[0]]:.6g} s, where the forces of "
                 f"its joints are not determined; exclude this time with `time.start` and `time.end`"
@@ -176,15 +175,12 @@ def _rank(fitter: Fitter, balance: Balance, time: np.ndarray, report: bool) -> i
     Raise SpecError if the actuators do not drive all free directions, unless `report` is True.
     """
     free, effect = balance.directions.free, balance.effect
-    freedoms = free.shape[2]
-    if not freedoms:
+    if not (freedoms := free.shape[2]):
         return 0
     values = singular_values(effect)
-    largest = np.max(values, axis=1, initial=0.0)
-    ranks = np.sum(values > WEAK * largest[:, None], axis=1)
+    ranks = np.sum(values > WEAK * np.max(values, axis=1, initial=0.0)[:, None], axis=1)
     frame = int(np.argmin(ranks))
-    rank = int(ranks[frame])
-    if rank < freedoms and not report:
+    if (rank := int(ranks[frame])) < freedoms and not report:
         undriven = free[frame] @ np.linalg.svd(effect[frame], full_matrices=True)[0][:, rank:]
         where = "" if np.all(ranks == rank) else f" at t = {time[frame]:.6g} s"
         raise SpecError(

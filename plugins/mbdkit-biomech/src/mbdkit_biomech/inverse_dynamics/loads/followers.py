@@ -86,8 +86,7 @@ def _shares(problem: InverseProblem, motion: Motion, loads: Loads, plates: list[
     pushed = np.maximum(loads.force[:, plates] @ up, 0.0)
     weight = float(np.sum(mass[:, 0])) * float(np.linalg.norm(gravity))
     acts = (needed > LEAST * weight)[:, None]
-    safe = np.where(acts[:, 0], needed, np.inf)
-    known = np.sum(pushed, axis=1) / safe
+    known = np.sum(pushed, axis=1) / np.where(acts[:, 0], needed, np.inf)
     whole = np.clip((known - PART) / (WHOLE - PART), 0.0, 1.0)
     carried = np.minimum(known * (1.0 - whole) + whole, 1.0)
     share = pushed / np.maximum(np.sum(pushed, axis=1), 1e-12)[:, None]

@@ -115,8 +115,7 @@ def _box(frame: NamedPose) -> np.ndarray:
 
 
 def _svg(run: Run, mechanism: Mechanism, count: int, width: float) -> Markup:
-    times = _moments(run, count)
-    rows = np.unique(nearest_rows(np.asarray(run.time), times)).tolist()
+    rows = np.unique(nearest_rows(np.asarray(run.time), _moments(run, count))).tolist()
     frames, arrows = _frames(run, mechanism, rows)
     longest = max((float(np.hypot(*force)) for arrow in arrows for *_, force in arrow), default=0.0)
     boxes = [_box(frame) for frame in frames]
@@ -180,8 +179,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
     for name, force in zip(run.joint_names, forces, strict=True):
         if name in mechanism.joints and not mechanism.joints[name].is_driver:
             yield "joint", frame.named("joint", name), np.nan_to_num(force)
-    for load in run.loads.values():
-        yield "load", load.point[row], load.force[row]
+    yield from (("load", load.point[row], load.force[row]) for load in run.loads.values())
     for name, element in mechanism.forces.items():
         ends = [frame.place(body, point) for _, body, point in element.attachments()]
         if len(ends) == 2 and name in run.forces and run.forces[name].units == "N":
@@ -194,8 +192,7 @@ def _arrows(run: Run, frame: NamedPose, row: int) -> Iterator[Arrow]:
 def _arrow(canvas: Canvas, kind: str, start: np.ndarray, along: np.ndarray) -> None:
     """Draw a force at `start` [px]; arrows too short for a head are not drawn."""
     vector = along * (1.0, -1.0)
-    length = float(np.hypot(*vector))
-    if length > 4.0:
+    if (length := float(np.hypot(*vector))) > 4.0:
         canvas.arrow(start + vector, vector, length, f"arrow of-{kind}")
 
 

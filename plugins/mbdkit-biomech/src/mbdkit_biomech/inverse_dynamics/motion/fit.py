@@ -169,8 +169,7 @@ class Fitter:
             size = self._size(step)
             done = (size <= ROUND_OFF) | ((size >= 0.5 * before[active]) & (size < STAGNANT))
             before[active] = size
-            active = active[~done]
-            if not active.size:
+            if not (active := active[~done]).size:
                 return q
         raise FitError(
             f"the mechanism cannot be fitted to the motion at t = {target.time[active[0]]:.6g} s: the iteration does "
@@ -282,7 +281,6 @@ def raw_misalignment(manifold: Manifold, mechanism: CompiledMechanism, target: F
     hidden = np.linalg.norm(jacobian - products(jacobian, seen), axis=2) > BLIND * np.linalg.norm(jacobian, axis=2)
     names = [row.label.rpartition(".")[0] for row in mechanism.solved_rows]
     for number, name in enumerate(mechanism.joints):
-        rows = [row for row, joint in enumerate(names) if joint == name]
-        if rows:
+        if rows := [row for row, joint in enumerate(names) if joint == name]:
             values[np.any(hidden[:, rows], axis=1), number] = np.nan
     return values

@@ -209,8 +209,7 @@ def _require_all_or_none(
             "smoothing",
             key="motion.smooth",
         )
-    lacking = [name for name, has in zip(columns, has_derivatives, strict=True) if not has]
-    if lacking:
+    if lacking := [name for name, has in zip(columns, has_derivatives, strict=True) if not has]:
         raise SpecError(
             "is missing: either all columns have `rate` and `acceleration`, or none",
             key=f"motion.columns.{quoted(lacking[0])}.rate",
@@ -258,8 +257,7 @@ def _unit_in_file(table: MeasuredTable, heading: str, text: str, key: str) -> Un
 def si_values(column: ColumnOfTable, table: MeasuredTable, unit: str, key: str) -> np.ndarray:
     """Return the values of a column in the SI `unit`, (T,); gaps are nan. Raise SpecError if one is too large."""
     values = unit_factor(column, table, unit, key) * table.column(column.column, f"{key}.column")
-    large = np.flatnonzero(np.abs(values) > LARGEST)
-    if large.size:
+    if (large := np.flatnonzero(np.abs(values) > LARGEST)).size:
         row = int(large[0])
         raise table.error(
             f"column '{cited(column.column)}': {values[row]:.6g} {unit} is not possible: its magnitude exceeds "
@@ -276,8 +274,7 @@ def times_of(table: MeasuredTable, column: TimeColumn, key: str) -> np.ndarray:
     if in_file is not None and not read_unit(in_file).is_like(read_unit("s")):
         raise table.error(f"column '{cited(column.column)}': '{cited(in_file)}' is not a unit of time (s, ms)", key=key)
     times = table.times(column.column, key, factor)
-    wrong = np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))
-    if wrong.size:
+    if (wrong := np.flatnonzero((np.diff(times) < SHORTEST) | (np.diff(times) > LONGEST))).size:
         row = int(wrong[0]) + 1
         raise table.error(
             f"column '{cited(column.column)}': the interval of {times[row] - times[row - 1]:.6g} s from the row before "
@@ -291,8 +288,7 @@ def rows_within(spec: InverseSpec, times: np.ndarray) -> np.ndarray:
     """Return the rows whose times are within the span of the spec; raise SpecError if there are none."""
     start = -math.inf if spec.time.start is None else spec.time.start
     end = math.inf if spec.time.end is None else spec.time.end
-    kept = np.flatnonzero((times >= start) & (times <= end))
-    if not kept.size:
+    if not (kept := np.flatnonzero((times >= start) & (times <= end))).size:
         raise SpecError(
             f"leaves no row of the motion, which lasts from {times[0]:.6g} to {times[-1]:.6g} s", key="time"
         )
@@ -353,8 +349,7 @@ def _of_run(spec: InverseSpec, names: QuantityNames, path: Path) -> Measured:
         time, archived = run.time[kept], list(run.bodies)
         arrays = [run.array(f"trajectory/{name}")[kept] for name in ("position", "velocity", "acceleration")]
     bodies = list(names.mechanism.bodies)
-    missing = [name for name in bodies if name not in archived]
-    if missing:
+    if missing := [name for name in bodies if name not in archived]:
         raise SpecError(f"{cited(path.name)} has no body {listed(missing)} of the model", key="motion.file")
     places = [archived.index(name) for name in bodies]
     q, v, a = (array[:, places].reshape(len(time), -1) for array in arrays)

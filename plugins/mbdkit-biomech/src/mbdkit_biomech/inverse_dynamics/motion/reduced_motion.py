@@ -151,8 +151,7 @@ def _rates(manifold: Manifold, time: np.ndarray, q: np.ndarray, quantities: Quan
 
     They are divided by the `scale` of the quantity, and by the characteristic length (lengths) or 1 rad (angles).
     """
-    directions = manifold.directions_at(time, q)
-    rows = products(quantities.jacobian(q) * manifold.scale, directions.free)
+    rows = products(quantities.jacobian(q) * manifold.scale, manifold.directions_at(time, q).free)
     return np.asarray(rows / quantities.sizes(manifold.length)[:, None])
 
 
@@ -192,8 +191,7 @@ def motion_of_series(
         rows, columns = slice(begin, end), list(places)
         value, rate, acceleration = (x[rows][:, columns] for x in series)
         target = FitTarget(time[rows], independent.quantities.only(columns), value, np.ones(len(columns)))
-        pose = fitter.refined(target, q[rows])
-        parts.append(_derived(fitter.manifold, target, pose, rate, acceleration))
+        parts.append(_derived(fitter.manifold, target, fitter.refined(target, q[rows]), rate, acceleration))
     q, v, a = (np.concatenate([getattr(part, name) for part in parts]) for name in ("q", "v", "a"))
     told = tuple(
         (begin, tuple(independent.names[place] for place in places)) for begin, _, places in independent.intervals

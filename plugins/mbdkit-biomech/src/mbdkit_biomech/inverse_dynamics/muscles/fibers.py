@@ -283,8 +283,7 @@ def in_equilibrium(
         before = equilibriums[-1].length if equilibriums else None
         step = time[frame] - time[frame - 1] if equilibriums else 1.0
         given = path[frame], before, step, rate[frame]
-        least = LEAST * elastic.max_force
-        own = elastic.towards(least, tension, *given)
+        own = elastic.towards(LEAST * elastic.max_force, tension, *given)
         last, size = np.zeros(len(elastic.names)), 1.0
         for _ in range(ITERATIONS):
             activation = share(frame, own.stiffness, own.tension - own.stiffness * own.activation)

@@ -48,10 +48,8 @@ def measured_targets(spec: InverseSpec, names: QuantityNames, time: np.ndarray) 
 
 def _emg_table(spec: InverseSpec, file: str | None) -> tuple[MeasuredTable, np.ndarray]:
     """Return the table of a file with EMG, or that of the motion, and its times; the channels of a C3D file."""
-    own = file or spec.motion.file
-    if own is not None and own.lower().endswith(".c3d"):
-        table = read_c3d(spec.folder / own, MOST_CELLS, channels=True)
-        if table is None:
+    if (own := file or spec.motion.file) is not None and own.lower().endswith(".c3d"):
+        if (table := read_c3d(spec.folder / own, MOST_CELLS, channels=True)) is None:
             raise SpecError(
                 "its analog channels have too many samples: export those of the muscles to a table", key="emg"
             )
@@ -59,8 +57,7 @@ def _emg_table(spec: InverseSpec, file: str | None) -> tuple[MeasuredTable, np.n
     if file is not None:
         table = read_table(spec.folder / file, "emg")
         return table, times_of(table, TimeColumn(), "emg")
-    motion = source_table(spec.motion, spec.folder, "motion")
-    if motion is None:
+    if (motion := source_table(spec.motion, spec.folder, "motion")) is None:
         raise SpecError("needs `file`, a table with the column, because the motion is that of a run", key="emg")
     return motion, times_of(motion, spec.motion.time, "motion.time")
 
@@ -113,8 +110,7 @@ def _channel(
         values = low_passed(at, np.abs(centred)[:, None], ENVELOPE)[:, 0]
     has_scale = asked.scale != "estimated"
     values = np.interp(time - asked.delay, at, np.maximum(values, 0.0)) * (asked.scale if has_scale else 1.0)
-    largest = float(np.max(values))
-    if not largest > 0:
+    if not (largest := float(np.max(values))) > 0:
         raise SpecError(f"column '{cited(column)}' has no signal during the motion", key=f"{key}.column")
     if has_scale and not AT_REST <= largest <= MOST:
         raise SpecError(

@@ -80,8 +80,7 @@ class Recruiter:
     """
 
     def __init__(self, asked: Recruitment, names: QuantityNames, actuators: Sequence[NamedActuator], targets: Targets):
-        muscles = names.mechanism.muscles
-        if not muscles:
+        if not (muscles := names.mechanism.muscles):
             raise SpecError("needs muscles, but the model has none", key="recruitment")
         self.asked, self._actuators, self.targets = asked, actuators, targets
         self.muscles: Mapping[str, Muscle] = muscles

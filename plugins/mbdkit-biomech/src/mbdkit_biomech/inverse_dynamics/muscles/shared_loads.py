@@ -155,8 +155,7 @@ def _dual_newton(programme: Programme, p: float, start: np.ndarray | None = None
     if p > 2 and start is None:
         # start from the solution for p = 2, with the derivative of the cost converted from 2 x to p x^(p - 1)
         x, _, _ = _dual_newton(programme, 2.0)
-        cost = slope_of_cost(x, p)
-        begin = least_norms(np.swapaxes(programme.matrix, 1, 2), cost, 1e-10)
+        begin = least_norms(np.swapaxes(programme.matrix, 1, 2), slope_of_cost(x, p), 1e-10)
     y = _newton(programme, begin, p, 0.0, FIRST_STEPS)
     x = _unknowns(programme, y, p)[0]
     certificate = _certificate(programme, x, y, p)
@@ -201,8 +200,7 @@ def _newton(programme: Programme, start: np.ndarray, p: float, proximal: float, 
         ended = (norm <= max(ENDED, 0.01 * proximal)) | ((norm < NEARLY) & (norm > 0.5 * before))
         better = np.flatnonzero(moves & (norm < before))
         y[left[better]], residual[left[better]] = (there + ended * newton)[better], norm[better, 0]
-        on = np.flatnonzero(~(moves & ended))
-        if not on.size:
+        if not (on := np.flatnonzero(~(moves & ended))).size:
             break
         shorter = np.clip(rise / np.where(along < rise, rise - along, 1.0), 0.1, 0.5)
         size, base = np.where(moves, 1.0, size * shorter)[on], np.where(moves, there, base)[on]
@@ -274,8 +272,7 @@ def _linear(programme: Programme, exponent: float) -> Triple:
     solved, lowest = np.zeros(frames, dtype=bool), programme.lowest.copy()
     whole = Programme(matrix, programme.right, low, high, np.ones(matrix.shape[2]), lowest)
     for row in range(frames):
-        result = _optimal_face(whole, row, is_largest=math.isinf(exponent))
-        if result is not None:
+        if (result := _optimal_face(whole, row, is_largest=math.isinf(exponent))) is not None:
             (low[row], high[row], lowest[row]), solved[row] = result, True
     split, certificate, _ = _dual_newton(whole, 2.0)
     value = split[:, :count].copy()

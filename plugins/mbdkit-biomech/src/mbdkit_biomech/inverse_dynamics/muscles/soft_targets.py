@@ -171,8 +171,7 @@ class Targets:
         larger the less a channel is like its activation without EMG, and its moments like those that the other muscles
         leave: with EMG, they would follow noise.
         """
-        free = [k for k, one in enumerate(self.emg) if not one.has_scale]
-        if not free:
+        if not (free := [k for k, one in enumerate(self.emg) if not one.has_scale]):
             return self
         emg = [one if one.has_scale else one.scaled_to(activation[:, one.muscle]) for one in self.emg]
         known = np.all(np.isfinite(alone), axis=1)

@@ -57,8 +57,7 @@ def inverse_charts(run: Run) -> list[Figure]:
             found.append(Figure(f"residual-{word}", f"Residuals of {word}", caption, _TIME, axis, tuple(lines)))
     found += _contact_chart(run)
     raw = run.array("motion/raw_misalignment")
-    known = [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]
-    if known:
+    if known := [index for index in range(raw.shape[1]) if np.any(np.isfinite(raw[:, index]))]:
         lines = _lines(run, raw[:, known], [run.joint_names[k] for k in known])
         caption = "Misalignment of the joints if the bodies were placed by the measured data alone."
         axis = Axis("misalignment", "m")
@@ -90,8 +89,7 @@ def _muscles(run: Run) -> tuple[Section, ...]:
         error = float(muscle.force_error[row])
         values = (float(np.max(muscle.activation)), float(np.mean(muscle.activation)), float(muscle.force[row]))
         muscles.append((name, *values, error if np.isfinite(error) else None, float(run.time[row])))
-    shares = reserve_shares(run)
-    told = [f"{share:.2%} of {name}" for name, share in shares.items()]
+    told = [f"{share:.2%} of {name}" for name, share in reserve_shares(run).items()]
     sentence = "Muscles alone exert the moments of the joints that they act on: there are no reserves."
     if told:
         sentence = f"Reserves exert {listed(told, 'and')} (root mean squares); muscles exert the rest."

@@ -140,8 +140,7 @@ def samples_of(result: Inverse, measures: Sequence[str]) -> SampledMeasures | No
         None if no error bars are requested, if derivatives are part of the data, or if the noise of a column is neither
         stated nor can be estimated from the residuals.
     """
-    data = NoisyData.of(result)
-    if data is None:
+    if (data := NoisyData.of(result)) is None:
         return None
     value = _measured(result, measures)
     numbers, spec = (SAMPLES, UNCERTAIN_SAMPLES, HIDDEN_SAMPLES), result.problem.spec.canonical_json()
@@ -164,8 +163,7 @@ def _samples_of(result: Inverse, measures: Sequence[str], data: NoisyData, value
     of_lines = changes_of_lines(result, data.path)
     straight = [measured(_added(data.series, of_lines, one), own) for one in np.eye(of_lines.value.shape[2])]
     others = [measured(series, own) for _, _, series in data.other_cutoffs()]
-    changed = [*_uncertain(result, measures, data.random)]
-    samples = noisy, others, changed, straight
+    samples = noisy, others, [*_uncertain(result, measures, data.random)], straight
     found = SampledMeasures(value, *(np.array(sample).reshape(len(sample), len(value)) for sample in samples))
     change = changes_in_gaps(result, data.path, gaps)
     for _ in range(HIDDEN_SAMPLES if gaps else 0):

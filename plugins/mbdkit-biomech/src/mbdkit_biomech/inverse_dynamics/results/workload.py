@@ -134,8 +134,7 @@ class _Series:
 
     def within(self, time: np.ndarray, start: float, end: float) -> ElementWorkload:
         """Return the workload between two times; the values at these times are interpolated."""
-        inside = time[(time > start) & (time < end)]
-        t = np.concatenate([[start], inside, [end]])
+        t = np.concatenate([[start], time[(time > start) & (time < end)], [end]])
 
         def at(values: np.ndarray | None) -> Any:
             return None if values is None else np.interp(t, time, values)
@@ -180,8 +179,7 @@ class Workload(HtmlView):
         UnknownNameError
             If there is no joint or actuator with this name.
         """
-        found = [element for element in self.elements if element.name == name]
-        if not found:
+        if not (found := [element for element in self.elements if element.name == name]):
             raise UnknownNameError("joint or actuator", name, [element.name for element in self.elements])
         return found[-1]
 
@@ -271,8 +269,7 @@ def _with_errors(run: Run, elements: tuple[ElementWorkload, ...]) -> tuple[Eleme
     found = {(one.element, one.quantity): one for one in answers(run)}
 
     def known(name: str, load: ElementLoad, what: str) -> ElementLoad:
-        one = found.get((name, what))
-        if one is None or not one.bar.is_known:
+        if (one := found.get((name, what))) is None or not one.bar.is_known:
             return load
         return replace(load, peak=one.value, peak_error=one.bar, id=one.id)
 
@@ -298,8 +295,7 @@ def _parts(
             raise SpecError("cycles should begin at increasing times within the run", key="cycles")
     parts = []
     for number, begin in enumerate(starts.tolist(), 1):
-        ends = off[off > begin]
-        if ends.size:
+        if (ends := off[off > begin]).size:
             parts.append((f"contact {number}", begin, float(ends[0])))
         if number < len(starts):
             following = float(starts[number])

@@ -199,9 +199,8 @@ class InverseSpec(ModelSpec):
         If the observed quantities follow from the data, all possible actuators are listed.
         """
         names = QuantityNames(self.mechanism())
-        columns = self.motion.columns
         # checked one by one, because the first of several names of a quantity would hide the others
-        if columns is None:
+        if (columns := self.motion.columns) is None:
             groups = [{name: quantity} for name, quantity in names.candidates().items()]
         else:
             groups = [{name: names.find(name, path_text(("motion", "columns", name))) for name in columns}]

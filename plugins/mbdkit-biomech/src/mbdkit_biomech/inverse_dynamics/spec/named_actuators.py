@@ -169,8 +169,7 @@ def actuators_of(
 def _of_observed(observed: Mapping[str, Quantity], names: QuantityNames) -> list[NamedActuator]:
     found: dict[Quantity, NamedActuator] = {}
     for name, quantity in observed.items():
-        driven = quantity.unscaled
-        if driven.place is None:
+        if (driven := quantity.unscaled).place is None:
             own = name if name in names.mechanism.coordinates else names.element(name)
             found.setdefault(driven, NamedActuator(own, quantity))
     return list(found.values())
