@@ -131,6 +131,15 @@ class ArrayWriter(RunWriter):
         return self.finished
 
 
+_EMPTY = sha256()  #: A copy of it takes half the time of a new one.
+
+
+def _digest(values: Any) -> str:
+    own = _EMPTY.copy()
+    own.update(values)
+    return own.hexdigest()
+
+
 class ArrayHash:
     """Computes `data_sha256` for runs that record the same arrays and whose mechanisms have the same names.
 
@@ -203,10 +212,10 @@ class ArrayHash:
         for before, key, is_text in self._lines(tuple([arrays[key].shape[1:] for key in keys])):
             if key not in digests:
                 data = map(text_bytes, arrays[key]) if is_text else arrays[key]
-                digests[key] = [sha256(values).hexdigest() for values in data]
+                digests[key] = [_digest(values) for values in data]
             columns += repeat(before), digests[key]
         columns += repeat("\n" * bool(columns) + self._rest), range(count)
-        return [sha256("".join(parts[:-1]).encode()).hexdigest() for parts in zip(*columns, strict=False)]
+        return [_digest("".join(parts[:-1]).encode()) for parts in zip(*columns, strict=False)]
 
     def _lines(self, shapes: tuple[tuple[int, ...], ...]) -> Sequence[tuple[str, str, bool]]:
         """Return, for arrays with these shapes, the text between two digests, the key, and whether the array contains

@@ -25,7 +25,7 @@ from mbdkit.integrators.interface import Guards, StepEvidence, Timetable
 from mbdkit.integrators.lanes.lane_collocation import StagePivoting, StagePivots, load_stage_pivots
 from mbdkit.integrators.lanes.lane_control import ENDED, accelerate, new_lane_control
 from mbdkit.integrators.lanes.lane_mechanisms import fill_lanes
-from mbdkit.integrators.lanes.lane_run import BY_LANE, new_lane_run
+from mbdkit.integrators.lanes.lane_run import BY_LANE, LaneRun, new_lane_run
 from mbdkit.integrators.run.run_plan import guard_limits, smallest_step
 from mbdkit.integrators.run.run_state import FACTORIZATIONS, ITERATIONS, JACOBIANS, RHS
 from mbdkit.integrators.run.step_control import Control, control_data, first_size
@@ -153,6 +153,8 @@ class LaneStepper:
         self._pinned = PinnedBundle(self.run)
         #: The mechanism whose numbers are in the lanes, and the names of those that are replaced for each run.
         self._loaded: tuple[CompiledMechanism, list[str]] | None = None
+        #: The bundle, and views of its values by run; see `_collect`.
+        self._views: tuple[LaneRun, dict[str, np.ndarray], dict[str, np.ndarray]] | None = None
         self._guards = [new_guard_state(workspace.mechanism) for _ in range(WIDTH)]
         self._pinned_guards = [PinnedBundle(guard) for guard in self._guards]
         self.run.watch.guards[:] = [pinned_guard.address for pinned_guard in self._pinned_guards]
@@ -217,7 +219,8 @@ class LaneStepper:
         for name in ("start", "end"):
             getattr(c.times, name)[0] = [getattr(table, name) for table in tables]
         c.every[0] = tables[0].every
-        c.z[...] = np.stack([one.initial_states for one in mechanisms], axis=-1)
+        if len(c.z):
+            c.z[...] = np.stack([one.initial_states for one in mechanisms], axis=-1)
         c.w.source[: len(c.q) - 3] = c.top.mass[:-1].reshape(-1, WIDTH)
         zeros = c.q_low, c.v_low, c.z_low, c.energy, c.energy_low, c.gain, c.worst, c.counts, c.interval, c.lost, c.near
         for array in (*zeros, *c.guards):
@@ -237,14 +240,18 @@ class LaneStepper:
     ) -> None:  # fmt: skip
         """Collect the results of the runs in the first lanes; see `_drive`."""
         c, count = self.run, runs.stop - runs.start
-        last = int(rows[:count].max())
-        single = {"worst": c.worst, "lost": c.lost, "counts": c.counts}
-        single |= {name: getattr(c.guards, name) for name in ("kinetic", "jump", "jump_time")}
-        by_row = {
-            "time": c.row_time, "q": c.row_q, "v": c.row_v, "z": c.row_z, "energy": c.row_energy,
-            "iterations": c.row_interval, **c.observed._asdict(), **({} if work is None else {"work": work}),
-        }  # fmt: skip
-        collected.add(runs, {**single, **steps, "rows": rows}, {name: lanes[:last] for name, lanes in by_row.items()})
+        if self._views is None or self._views[0] is not c:
+            single = {"worst": c.worst, "lost": c.lost, "counts": c.counts}
+            single |= {name: getattr(c.guards, name) for name in ("kinetic", "jump", "jump_time")}
+            by_row = {
+                "time": c.row_time, "q": c.row_q, "v": c.row_v, "z": c.row_z, "energy": c.row_energy,
+                "iterations": c.row_interval, **c.observed._asdict(),
+            }  # fmt: skip
+            self._views = c, _views_by_run(single), _views_by_run(by_row)
+        _, single, by_row = self._views
+        single = {**single, **steps, "rows": rows}
+        by_row = by_row if work is None else by_row | {"work": _by_run(work)}
+        collected.add(runs, single, by_row, int(rows[:count].max()))
         collected.turns += [one.turns[: int(one.turn_count[0])].tolist() for one in self._guards[:count]]
 
 
@@ -259,18 +266,19 @@ class _Collected:
         self.single: dict[str, np.ndarray] = {}
         self.by_row: dict[str, np.ndarray] = {}
 
-    def add(self, runs: slice, single: Mapping[str, np.ndarray], by_row: Mapping[str, np.ndarray]) -> None:
-        """Add the values (..., WIDTH) and (T, ..., WIDTH) of some runs, by name."""
-        taken = [{name: _by_run(lanes, runs) for name, lanes in arrays.items()} for arrays in (single, by_row)]
-        if runs.stop - runs.start == self.count:
-            self.single, self.by_row = ({name: own.copy() for name, own in arrays.items()} for arrays in taken)
+    def add(self, runs: slice, single: Mapping[str, np.ndarray], by_row: Mapping[str, np.ndarray], rows: int) -> None:
+        """Add the values (WIDTH, ...) and the first `rows` values (WIDTH, T, ...) of the runs in the first lanes."""
+        count = runs.stop - runs.start
+        if count == self.count:
+            self.single = {name: own[:count].copy() for name, own in single.items()}
+            self.by_row = {name: own[:count, :rows].copy() for name, own in by_row.items()}
             return
-        for name, own in taken[0].items():
+        for name, own in single.items():
             if name not in self.single:
                 self.single[name] = np.empty((self.count, *own.shape[1:]), own.dtype)
-            self.single[name][runs] = own
-        for name, own in taken[1].items():
-            rows, values = own.shape[1], self.by_row.get(name)
+            self.single[name][runs] = own[:count]
+        for name, lanes in by_row.items():
+            own, values = lanes[:count, :rows], self.by_row.get(name)
             if values is None:
                 self.by_row[name] = values = np.empty((self.count, *own.shape[1:]), own.dtype)
             elif rows > values.shape[1]:
@@ -300,9 +308,11 @@ class _Collected:
 
 def _limits(mechanism: CompiledMechanism, guards: Sequence[Guards]) -> tuple[np.ndarray, np.ndarray]:
     """Return the fields `squared_misalignment` and `energy_jump` of `guard_limits` of R runs, (P, R) and (1, R)."""
-    limits = {one: guard_limits(mechanism, one) for one in set(guards)}
-    squared = np.array([limits[one].squared_misalignment for one in guards])
-    return squared.T, np.array([limits[one].energy_jump for one in guards]).T
+    limits = np.array([(one.misalignment, one.angle_misalignment, one.energy_jump) for one in guards]).T
+    has_angles = guard_limits(mechanism, Guards(0.0, 1.0)).squared_misalignment[:, None] > 0.0
+    with np.errstate(over="ignore"):  # an infinite limit is never exceeded
+        squared = np.where(has_angles, limits[1] ** 2, limits[0] ** 2)
+    return squared, np.where(mechanism.is_locked, np.inf, limits[2:])
 
 
 _COUNTED = {
@@ -311,11 +321,13 @@ _COUNTED = {
 }  # fmt: skip
 
 
-def _by_run(lanes: np.ndarray, runs: slice) -> np.ndarray:
-    """Return a view of the values (..., WIDTH) of the first lanes as an array (R, ...)."""
-    last = lanes.ndim - 1
-    own = lanes.view(np.ndarray).transpose(last, *range(last))  # `moveaxis` takes 20 times as long
-    return own[: runs.stop - runs.start]
+def _by_run(lanes: np.ndarray) -> np.ndarray:
+    """Return a view of the values (..., WIDTH) of lanes as an array (WIDTH, ...)."""
+    return np.moveaxis(lanes.view(np.ndarray), -1, 0)
+
+
+def _views_by_run(lanes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: _by_run(values) for name, values in lanes.items()}
 
 
 class PivotsAtStart:
@@ -416,7 +428,7 @@ class ControlledLaneStepper(LaneStepper):
         if None in sizes:
             accelerate(self._pinned.address)
             y, rates = (
-                np.ascontiguousarray(_by_run(np.concatenate([x[:-3] for x in pair]), slice(0, WIDTH)))
+                np.ascontiguousarray(_by_run(np.concatenate([x[:-3] for x in pair])))
                 for pair in ((self.run.q, self.run.v), (self.run.v, self.run.method.accelerations[0]))
             )
             sizes = [

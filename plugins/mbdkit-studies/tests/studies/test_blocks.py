@@ -51,7 +51,7 @@ def pendulums(count: int = 12, **options: Any) -> mbdkit.Study:
 
 
 @pytest.mark.parametrize(
-    ("runs", "size"), [(10, 64), (100, 64), (600, 75), (1000, 125), (10_000, 1000), (100_000, 3125), (200_000, 4000)]
+    ("runs", "size"), [(10, 64), (100, 64), (600, 75), (1000, 125), (10_000, 1000), (100_000, 5000), (200_000, 5000)]
 )
 def test_studies_have_several_blocks_for_several_processes(runs: int, size: int) -> None:
     first, second = (np.linspace(-1.0, 1.0, count).tolist() for count in (min(runs, 1000), max(1, runs // 1000)))
