@@ -40,8 +40,7 @@ class JointSums:
         self._is_length = np.zeros(pairs, dtype=bool)
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
         self._has_angles = not self._is_length.all()
-        self._row_pair = np.array([row.pair for row in mechanism.rows], dtype=np.int64)
-        self._row_place = np.array([row.place for row in mechanism.rows], dtype=np.int64)
+        self._rows = np.array([2 * row.pair + row.place for row in mechanism.rows], dtype=np.int64)
 
     def misalignment(self, residual: np.ndarray) -> np.ndarray:
         """Return the misalignment of joints, (T, J) [m], from the residuals (T, P, 2) of their pairs.
@@ -74,7 +73,7 @@ class JointSums:
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Return the values (T, m) of constraint rows, in the order of the archive, from those of pairs (T, P, 2)."""
-        return values[:, self._row_pair, self._row_place]
+        return values.reshape(len(values), 2 * values.shape[1]).take(self._rows, axis=1)
 
 
 @lru_cache(maxsize=16)
