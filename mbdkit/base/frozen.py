@@ -24,7 +24,7 @@ else:
         """Return a class as a dataclass; see `dataclasses.dataclass`."""
         if cls is None:
             return lambda cls: dataclass(cls, **options)
-        if options.get("frozen"):
+        if options.get("frozen") and not options.get("order"):
             own = vars(cls)
             if options.pop("repr", True) and "__repr__" not in own:
                 cls.__repr__ = _text
@@ -38,7 +38,7 @@ else:
 @cache
 def _compared(cls: Any) -> Callable[[Any], object]:
     names = [item.name for item in fields(cls) if item.compare]
-    return attrgetter(*names) if names else lambda value: ()
+    return attrgetter(*names) if len(names) > 1 else lambda value: tuple(getattr(value, name) for name in names)
 
 
 def _is_equal(self: Any, other: object) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from decimal import Decimal, getcontext, localcontext
+from decimal import MAX_EMAX, MIN_EMIN, ROUND_HALF_EVEN, Context, Decimal, getcontext, localcontext
 from functools import lru_cache
 
 import numpy as np
@@ -11,10 +11,18 @@ import numpy as np
 DIGITS = 30
 
 
+def digits(count: int) -> Context:
+    """Return a decimal context with a number of digits, which does not depend on that of the caller."""
+    return Context(prec=count, rounding=ROUND_HALF_EVEN, Emin=MIN_EMIN, Emax=MAX_EMAX, capitals=1, clamp=0, traps=[])
+
+
 def legendre_roots(count: int) -> list[Decimal]:
     """Return the roots of the Legendre polynomial of degree `count` in ascending order, in decimal's precision."""
     roots = []
     for i in range(count, 0, -1):
+        if 2 * i == count + 1:
+            roots.append(Decimal(0))
+            continue
         x = Decimal(math.cos(math.pi * (i - 0.25) / (count + 0.5)))
         change = Decimal(1)
         while abs(change) > Decimal(10) ** (-getcontext().prec // 2):  # the next change is smaller by the square
@@ -29,7 +37,7 @@ def legendre_roots(count: int) -> list[Decimal]:
 @lru_cache(maxsize=16)
 def gauss_legendre(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the nodes and weights (count,) of Gauss-Legendre quadrature over [-1, 1]."""
-    with localcontext(prec=DIGITS):
+    with localcontext(digits(DIGITS)):
         nodes = legendre_roots(count)
         weights = [2 / ((1 - x * x) * _legendre(count, x)[1] ** 2) for x in nodes]
     return np.array(nodes, dtype=float), np.array(weights, dtype=float)

@@ -30,6 +30,7 @@ from mbdkit.cli.registered_commands import MainCommands
 QUIET = rf"({'|'.join(OWN_PACKAGES)}|numpy|scipy)\b"
 
 _BUFFERED = frozenset({io.TextIOWrapper, io.BufferedWriter, io.BufferedRandom})
+_OWN: set[str] = set()  #: Descriptors of streams that the command itself opens; none if the system does not list them.
 
 app = typer.Typer(cls=MainCommands, pretty_exceptions_enable=False, **PLAIN)
 
@@ -64,6 +65,7 @@ def mbdkit(
 def main() -> None:
     """Run the command line."""
     begin_with_one_thread()
+    before = _open_files()
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which it looks for in all installed distributions
     try:
         open_streams()  # first, because the next file opened would get the file descriptor of a closed stream
@@ -76,6 +78,8 @@ def main() -> None:
                 # a name may contain characters that the terminal cannot encode
                 stream.reconfigure(errors="backslashreplace")
         sys.stdout, sys.stderr = PlainStream(sys.stdout), PlainStream(sys.stderr)
+        if opened := _open_files() - before:  # the pipe of signals, and a copy of standard output
+            _OWN.update({"0", "1", "2"} | opened)
         app(prog_name="mbdkit")
     except KeyboardInterrupt:  # `--json` before or after the command itself
         sys.exit(INTERRUPTED)
@@ -95,16 +99,17 @@ def run_and_exit() -> None:
     if threading.active_count() == 1 and (status is None or isinstance(status, int)):
         atexit._run_exitfuncs()
         with suppress(OSError, ValueError):
-            for thing in gc.get_objects() if _has_open_files() else ():
+            for stream in filter(None, (sys.stdout, sys.stderr, sys.__stdout__, sys.__stderr__)):
+                stream.flush()
+            for thing in gc.get_objects() if not _OWN or _open_files() - _OWN else ():
                 if type(thing) in _BUFFERED and not thing.closed:  # a file that a plugin has left open
                     thing.flush()
             os._exit(status or 0)
     sys.exit(status)  # type: ignore[arg-type]
 
 
-def _has_open_files() -> bool:
-    """Return whether files are open besides the standard streams; True if the system does not list them."""
-    try:
-        return any(int(name) > 2 and os.path.isfile(f"/dev/fd/{name}") for name in os.listdir("/dev/fd"))
-    except OSError:
-        return True
+def _open_files() -> set[str]:
+    """Return the descriptors of open files; none if the system does not list them."""
+    with suppress(OSError):
+        return {name for name in os.listdir("/dev/fd") if os.path.exists(f"/dev/fd/{name}")}
+    return set()

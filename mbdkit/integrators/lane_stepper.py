@@ -392,7 +392,9 @@ class ControlledLaneStepper(LaneStepper):
         self._load_control(mechanisms, tables, [pivot.size for pivot in pivots])
         while self._in_lanes.drive_controlled(self._pinned.address) != ENDED:
             self._grow()
-        accepted, rejected = (x[0].astype(int) for x in (self.runs.progress.accepted, self.runs.progress.rejected))
+        accepted, rejected = (
+            x[0].view(np.ndarray).astype(int) for x in (self.runs.progress.accepted, self.runs.progress.rejected)
+        )
         return {"steps": accepted, "accepted": accepted, "rejected": rejected}, self.runs.rows, self.runs.row_work
 
     def _control(self, mechanism: CompiledMechanism) -> Control:

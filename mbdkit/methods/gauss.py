@@ -14,7 +14,7 @@ from typing import Annotated
 from pydantic import Field
 
 from mbdkit.base.bibliography import entry
-from mbdkit.base.quadrature import legendre_roots
+from mbdkit.base.quadrature import digits, legendre_roots
 from mbdkit.engine.formulation import ORDINARY
 from mbdkit.methods.kinds import ImplicitRungeKutta, integrator_method
 from mbdkit.methods.method_options import OF_TREES, ORDER_DRIFT, TOLERANCE_DRIFT, ImplicitOptions
@@ -33,7 +33,7 @@ def tableau(stages: int) -> ButcherTableau:
     name = f"gauss-{stages}"
     if closed_form := coefficients(__file__).get(str(stages)):
         return ButcherTableau(name, **closed_form, order=2 * stages, reference=REFERENCE)
-    with localcontext(prec=75):
+    with localcontext(digits(75)):
         nodes = [str((1 + x) / 2) for x in legendre_roots(stages)]
     return collocation(name, nodes, order=2 * stages, reference=REFERENCE)
 

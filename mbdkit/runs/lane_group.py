@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from mbdkit.spec.run_spec import RunSpec
     from mbdkit.trust.finding import Finding
 
-#: Largest size of the recorded arrays that are computed together [bytes]: smaller arrays would remain in the processor's
+#: Largest size of the recorded arrays that are computed together [bytes]: smaller ones would remain in the processor's
 #: cache, but each group takes some milliseconds whatever its number of runs.
 BYTES = 1 << 24
 

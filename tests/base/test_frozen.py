@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mbdkit.base import frozen
@@ -19,6 +21,12 @@ class Plain:
     x: int
     hidden: int = dataclasses.field(default=0, compare=False, repr=False)
     inner: Any = None
+
+
+class Single:
+    """A body with one field."""
+
+    x: Any
 
 
 class WithOwn:
@@ -47,6 +55,8 @@ def _facts(make: Callable[..., Any], body: type, options: dict[str, bool]) -> li
     first, second, third = made(1), made(1), made(2)
     facts: list[object] = [first == second, first == third, first == (1,), repr(first).partition(" object at ")[0]]
     facts += [hash(first) == hash(second) if made.__hash__ else "no hash", made.__match_args__]
+    same = np.array([math.nan, 1.0])
+    facts += [made(same) == made(same), made(math.nan) == made(math.nan)]
     if body is Plain:
         facts += [made(1, hidden=3) == first, hash(made(1, hidden=3)) == hash(first)] if made.__hash__ else []
         if not options.get("frozen"):
@@ -61,7 +71,7 @@ def _facts(make: Callable[..., Any], body: type, options: dict[str, bool]) -> li
     return [*facts, dataclasses.replace(first, x=9) == made(9)]
 
 
-@pytest.mark.parametrize("body", [Plain, WithOwn, WithHash])
+@pytest.mark.parametrize("body", [Plain, Single, WithOwn, WithHash])
 @pytest.mark.parametrize(
     "options",
     [{}, {"frozen": True}, {"frozen": True, "eq": False}, {"frozen": True, "repr": False, "kw_only": False},

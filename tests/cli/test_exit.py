@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,21 @@ if "{thread}":
 sys.argv = ["mbdkit", *{words}]
 from mbdkit.cli import run_and_exit
 run_and_exit()
+"""
+
+
+WITHIN = """
+import os, sys
+import mbdkit.cli as cli
+
+def app(prog_name):
+    print("printed by a plugin")
+    cli.left_open = os.fdopen(os.dup(1), "w"), os.fdopen(int(sys.argv[1]), "w")
+    for stream in cli.left_open:
+        stream.write("left open")
+
+cli.app = app
+cli.run_and_exit()
 """
 
 
@@ -36,3 +52,14 @@ def test_threads_are_waited_for_and_statuses_kept(tmp_path: Path) -> None:
     done = run(tmp_path, "run", "no-such-example", thread="yes")
     assert (done.returncode, done.stdout) == (2, "")
     assert (tmp_path / "thread.txt").read_text() == "done"
+
+
+def test_streams_that_a_plugin_opens_are_flushed() -> None:
+    reader, writer = os.pipe()
+    done = subprocess.run(
+        [sys.executable, "-c", WITHIN, str(writer)], pass_fds=[writer], capture_output=True, text=True
+    )
+    os.close(writer)
+    with os.fdopen(reader) as stream:
+        assert stream.read() == "left open"
+    assert done.stdout + done.stderr == "printed by a plugin\nleft open"

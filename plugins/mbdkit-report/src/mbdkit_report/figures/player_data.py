@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.archive.run import Run
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.drawing_geometry import Drawing, mechanism_of
 from mbdkit_report.figures.palette import KIND_COLORS, MUSCLE, body_colors, color_key, trace_colors
 from mbdkit_report.figures.plane_geometry import Array
 from mbdkit_report.figures.scene import Scene, scene
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 RATE = 50  #: Frames per second; fewer if there are many bodies.
 _GRAIN = 1.0 / 20_000  # unit of positions, as a share of the view; a fourteenth of a pixel on a wide screen

@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbdkit.archive.run import Run
 from mbdkit_report.figures.beam_curves import bending_moments
 from mbdkit_report.figures.curves import evenly, take
 from mbdkit_report.figures.drawing_geometry import Drawing, Trace, traced_paths
 from mbdkit_report.figures.mechanism_drawing import Tag, name_tags
 from mbdkit_report.figures.plane_geometry import Array, view_box
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 _PATH_ROWS = 4_000
 _SPEEDS = [digit * 10.0**power for power in range(-9, 10) for digit in (1.0, 2.0, 5.0)]

@@ -5,14 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mbdkit.archive.run import Run
 from mbdkit.base.files import check_suffix, replacing
 from mbdkit_report.figures.curves import require_rows
 from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.pages.templating import render
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.film import write_gif, write_mp4
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 
 def animate(run: Run, path: str | os.PathLike[str]) -> Path:

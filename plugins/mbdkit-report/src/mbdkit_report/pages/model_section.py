@@ -5,15 +5,13 @@ parameters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbdkit.archive.run import Run
 from mbdkit.archive.stored_mechanism import built_mechanism
 from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameter_values
 from mbdkit.mechanism.pathways import JointAngles, path_ends
 from mbdkit.mechanism.values import Table as TimeTable
@@ -22,6 +20,10 @@ from mbdkit_report.figures.mechanism_drawing import NamedPose, illustration, nam
 from mbdkit_report.figures.page_model import Cell, Illustration, Section, Table, columns_of
 from mbdkit_report.figures.quantity_text import count
 from mbdkit_report.spec_words import described_unit
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
+    from mbdkit.mechanism.mechanism import Mechanism
 
 _MEASURES = 4  # largest number of measures that are listed at the start of a report
 ROWS = 200  #: Largest number of rows in a table.

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mbdkit.archive.run import Run
 from mbdkit.spec.formulation_choice import name_of
 from mbdkit.spec.spec_kinds import kind_of
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
@@ -12,6 +13,9 @@ from mbdkit_report.figures.curves import Array, bands
 from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line
 from mbdkit_report.figures.palette import INK, PALETTE
 from mbdkit_report.plot.charts import HeadedChart
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 COLORS = {
     "kinetic": PALETTE[1],

@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.animation import FFMpegWriter
@@ -13,7 +14,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from numpy.typing import NDArray
 from PIL import Image
 
-from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit_report.figures.beam_curves import largest_moment
 from mbdkit_report.figures.curves import evenly
@@ -22,6 +22,9 @@ from mbdkit_report.figures.pose import BENDING_SHADES, PoseArtists
 from mbdkit_report.figures.scene import Scene, scene
 from mbdkit_report.plot.caption import caption
 from mbdkit_report.plot.style import dress_plane, new_figure, quietly
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 RATE = 25  #: Frames per second.
 _LENGTH = {"shortest": 2.0, "longest": 16.0}  # seconds

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Names
 from mbdkit_report.figures.beam_curves import bending_moments, largest_moment
 from mbdkit_report.figures.curves import Array, band_along_path, errors_at, evenly, take
@@ -19,6 +20,9 @@ from mbdkit_report.figures.plane_geometry import view_box
 from mbdkit_report.figures.pose import PoseArtists, draw_pose
 from mbdkit_report.plot.charts import Panel, named
 from mbdkit_report.plot.style import dress_plane, legend
+
+if TYPE_CHECKING:
+    from mbdkit.archive.run import Run
 
 _ROWS = 20_000
 _CHART_ROWS = 4_000

@@ -220,7 +220,7 @@ def ensemble(
         Measures to compute, as in a study spec.
     block
         Number of runs in a block; by default an eighth of all runs, from 64 to 1000, or fewer if arrays are large.
-        Studies of more than 32,000 runs have larger blocks, of up to 4000 runs.
+        Studies of more than 20,000 runs have larger blocks, of up to 5000 runs.
     compress
         Whether arrays are compressed.
     progress, notify, overwrite

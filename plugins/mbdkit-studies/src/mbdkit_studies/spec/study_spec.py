@@ -214,8 +214,8 @@ class StudySpec(StrictSpec):
     spec, status, verdict, largest misalignment, measures and hash of each run. The default is `files` for up to 500
     runs, and `all` for more."""
     block: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    """Number of runs in a block; by default an eighth of all runs, from 64 to 1000, a 32nd of more than 32,000 runs, up
-    to 4000, or fewer if the arrays of a block would exceed 64 MiB."""
+    """Number of runs in a block; by default an eighth of all runs, from 64 to 1000, a 20th of more than 20,000 runs, up
+    to 5000, or fewer if the arrays of a block would exceed 64 MiB."""
     compress: bool = False
     """Whether the arrays of blocks are compressed."""
     members: Members | None = None
