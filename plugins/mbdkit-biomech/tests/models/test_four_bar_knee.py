@@ -5,12 +5,16 @@ of the exoskeleton knee of emelieseguin/Group3_Matlab (commit 0664a50), for a he
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 from pydantic import ValidationError
 
+import mbdkit
 from mbdkit.base.errors import SpecError
+from mbdkit.runs.varied_numbers import Variant
+from mbdkit.spec import load_spec
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.four_bar_knee import FourBarKneeOptions, KneeLinks, KneePitches, build, linkage
 from tests.margins import assert_within
@@ -179,3 +183,25 @@ def test_a_spring_s_name_must_be_usable(name):
 def test_wrong_parameters_are_refused(values):
     with pytest.raises(ValidationError):
         FourBarKneeOptions(**values)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("number", ["stiffness", "damping", "free_length"])
+def test_runs_with_other_springs_are_computed_by_formulas(number: str) -> None:
+    spring: dict[str, Any] = {
+        "points": [[0.05, 0.1], [0.05, -0.1]],
+        "stiffness": 500.0,
+        "damping": 1.0,
+        "free_length": 0.15,
+    }
+    data: dict[str, Any] = {
+        "mbdkit": 1,
+        "model": {"name": "four-bar-knee", "springs": {"s": spring}},
+        "integrator": {"name": "rk4"},
+        "time": {"end": 0.05, "step": 0.001},
+    }
+    formulas = Variant.of(load_spec(data), [("model", "springs", "s", number)])
+    assert formulas.places.keys() == {"linear"}
+    prepared, other = mbdkit.prepare(data), 1.1 * spring[number]
+    spring[number] = other
+    assert prepared.run({f"model.springs.s.{number}": other}).data_sha256 == mbdkit.run(data).data_sha256

@@ -131,7 +131,7 @@ class FourBarKneeOptions(StrictModel):
 def linkage(height: float, links: KneeLinks, pitches: KneePitches) -> CrossedFourBar:
     """Return the four-bar linkage of a person with this body height [m]; lengths in `links` replace scaled ones."""
     scale = height / REFERENCE_HEIGHT
-    given = links.model_dump(exclude_none=True)
+    given = {name: length for name, length in links if length is not None}
     lengths = {name: given.get(name, scale * length) for name, length in LINKS.items()}
     return CrossedFourBar(**lengths, tibial_pitch=pitches.tibial, femoral_pitch=pitches.femoral)
 
@@ -159,7 +159,8 @@ def build(options: FourBarKneeOptions) -> Mechanism:
     for name, spring in options.springs.items():
         on_thigh, on_shank = (complex(*point) for point in spring.points)
         points = xy(thigh.to_global(on_thigh)), xy(on_shank - leg.centre)
-        numbers = spring.model_dump(exclude={"points"})
+        # not by `model_dump`, which takes numbers with recorded formulas for wrong types
+        numbers = {name: value for name, value in spring if name != "points"}
         try:
             mechanism.spring_damper(name, mechanism.ground, "shank", points=points, **numbers)
         except SpecError as error:
