@@ -309,6 +309,7 @@ class _Collected:
 def _limits(mechanism: CompiledMechanism, guards: Sequence[Guards]) -> tuple[np.ndarray, np.ndarray]:
     """Return the fields `squared_misalignment` and `energy_jump` of `guard_limits` of R runs, (P, R) and (1, R)."""
     limits = np.array([(one.misalignment, one.angle_misalignment, one.energy_jump) for one in guards]).T
+    # pairs whose residuals are angles: only these have the limit of angles
     has_angles = guard_limits(mechanism, Guards(0.0, 1.0)).squared_misalignment[:, None] > 0.0
     with np.errstate(over="ignore"):  # an infinite limit is never exceeded
         squared = np.where(has_angles, limits[1] ** 2, limits[0] ** 2)

@@ -58,7 +58,7 @@ class Sampler:
         self.is_needed = bool(self._controllers or self._inputs)
         held = np.flatnonzero(workspace.mechanism.topology.states[:, STATE_ROW.rate] < 0)
         #: Indices of the first-order states that change at stops.
-        self.held = np.array(sorted({*held.tolist(), *(item.state for item in self._inputs)}), dtype=np.int64)
+        self.held = np.union1d(held, [item.state for item in self._inputs]).astype(np.int64)
 
     def passed(self, stop: float, q: np.ndarray, v: np.ndarray, z: np.ndarray, margin: float = 0.0) -> np.ndarray:
         """Return the first-order states after the changes at a time; a repeated call has no effect.
