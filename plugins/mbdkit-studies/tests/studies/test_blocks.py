@@ -123,6 +123,27 @@ def test_every_store_keeps_results_and_makes_runs_again(store: Any, tmp_path: Pa
             kept.save(tmp_path / "run.h5")
 
 
+def test_files_stand_beside_the_blocks_of_a_table(tmp_path: Path) -> None:
+    given: Any = {"store": "files", "out": tmp_path / "s", "block": 5}
+    given |= {"measures": ["misalignment_max", {"last": "final(rod1.x)"}]}
+    study = pendulums(**given)
+    archives = {point.path for point in study.points}
+    assert {path for path in (tmp_path / "s" / "runs").iterdir() if "block" not in path.name} == archives
+    assert len(archives) == 12
+    for point in study.points:
+        assert check(point.path) == []
+        with mbdkit.run(point.spec) as single, mbdkit.load(point.path) as stored, study.run(point) as opened:
+            assert opened.data_sha256 == point.data_sha256 == stored.data_sha256 == single.data_sha256
+            assert opened.measures["last"] == stored["rod1"].position[-1, 0]
+    lost, damaged, kept = (study.points[place].path for place in (0, 1, 7))
+    lost.unlink()
+    damaged.write_bytes(damaged.read_bytes()[:-1000])
+    before = kept.stat().st_mtime_ns
+    assert pendulums(**given).computed == 5  # those of the block in which one was lost
+    assert [check(path) for path in archives] == [[]] * 12
+    assert kept.stat().st_mtime_ns == before
+
+
 def test_a_run_that_cannot_be_made_again_is_told_from_the_one_that_was_stored(tmp_path: Path) -> None:
     study = pendulums(4, store="hashes", out=tmp_path / "s")
     other = study.points[1]

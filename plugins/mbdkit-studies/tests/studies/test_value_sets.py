@@ -196,7 +196,6 @@ REFUSED: dict[str, tuple[dict[str, Any], str, str]] = {
     "a key and a part": (_steps(variables={ANGLE: UNIFORM, "model.angles": UNIFORM}), f'{ANGLES}.0"', "is part of"),
     "an axis of the same key": (_steps() | {"axes": AXES}, "axes[0]", "is a variable of the sample"),
     "an axis of a family": (_steps() | {"families": {"a": {"axes": AXES}}}, "families.a.axes[0]", "is a variable of"),
-    "a file for each run": (_steps() | {"store": "files"}, "store", "is stored in blocks"),
     "a reference": (_steps() | {"reference": {"time.step": 0.1}}, "sample", "cannot be combined with `reference`"),
 }
 

@@ -37,7 +37,6 @@ from mbdkit_studies.points.sampled_values import with_sample_values
 from mbdkit_studies.spec.study_loading import StudySource, load_study_spec
 from mbdkit_studies.spec.study_spec import Storing, StudySpec
 from mbdkit_studies.store import study_index
-from mbdkit_studies.store.block_writer import Store
 from mbdkit_studies.store.storage import with_store
 from mbdkit_studies.study import Study
 from mbdkit_studies.texts import without_numbers
@@ -187,7 +186,7 @@ def ensemble(
     source: RunSource,
     variables: Mapping[str, object],
     *,
-    store: Store = "summary",
+    store: Storing = "summary",
     out: str | Path | None = None,
     workers: int = 1,
     executor: Executor | None = None,
@@ -207,8 +206,9 @@ def ensemble(
     variables
         (N,) values by key of the spec, such as ``model.angles.0``: numbers or texts. Run i has the values at index i.
     store
-        What is stored of each run: ``all`` arrays, ``histories``, a ``summary`` or ``hashes``. In all cases,
-        `Study.remake` can compute a run again and verify that it is bitwise identical.
+        What is stored of each run: ``all`` arrays, ``histories``, a ``summary`` or ``hashes``; ``files`` writes an
+        archive of each run beside a summary. In all cases, `Study.remake` can compute a run again and verify that it is
+        bitwise identical.
     out
         Folder of the study; by default a temporary one that is deleted with the returned study. A second call with the
         same arguments computes only what is missing in it.
@@ -329,7 +329,9 @@ def _execute(
                 study_index.write(folder.index, store.spec, store.index())
 
 
-def _spec_of(source: RunSource, columns: dict[str, np.ndarray], store: Store, keys: Mapping[str, object]) -> StudySpec:
+def _spec_of(
+    source: RunSource, columns: dict[str, np.ndarray], store: Storing, keys: Mapping[str, object]
+) -> StudySpec:
     """Return the spec of a study that runs one spec with the values of a table."""
     document = read_source(source)
     base = plain(document.data)

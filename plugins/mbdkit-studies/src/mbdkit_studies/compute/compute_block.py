@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
@@ -18,9 +18,10 @@ import numpy as np
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.archive.part_file import write_image
+from mbdkit.archive.reader import load
 from mbdkit.archive.stored_mechanism import mechanism_json
 from mbdkit.base import file_locks
-from mbdkit.base.errors import ResourceError, SpecError
+from mbdkit.base.errors import MbdkitError, ResourceError, SpecError
 from mbdkit.base.files_read import files_json
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
@@ -28,7 +29,7 @@ from mbdkit.base.terminal import say
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.provenance import plugins_of, surroundings
-from mbdkit.runs.simulation import simulate_arrays
+from mbdkit.runs.simulation import simulate, simulate_arrays
 from mbdkit.runs.varied_runs import VariedRuns
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import DefinedMeasure
@@ -197,9 +198,26 @@ def _compute_block(
                 specs = [spec for number in numbers if isinstance(spec := missing[number], RunSpec)]
                 runs.append(_own_runs(plan, numbers, specs, result))
                 unfinished.add(runs[-1:])
+        if plan.spec.store == "files":
+            for some in runs:
+                _write_archives(plan, files, some)
         write_image(files.block(block), block_image(heading, _points(plan.points, places), runs), overwrite=True)
         unfinished.remove()
     return sum(len(some.numbers) if some.status == "failed" else [*some.status].count("failed") for some in runs)
+
+
+def _write_archives(plan: BlockPlan, files: StudyFolder, runs: BlockRuns) -> None:
+    """Write the archives of runs that have results, computed again in the ordinary way; sound ones are kept."""
+    for number, sha256 in zip(runs.numbers, runs.results.data_sha256 if runs.results else (), strict=False):
+        spec = plan.points[number - 1].spec
+        path = files.archive(spec.run_id())
+        with suppress(MbdkitError), load(path) as there:
+            if there.file and there.data_sha256 == sha256:  # all arrays are verified
+                continue
+        with simulate(spec, path=path, overwrite=True, measures=plan.expressions) as run:
+            if run.status == "interrupted":
+                raise KeyboardInterrupt
+            _check_equal(number, "data_sha256", sha256, run.data_sha256)
 
 
 def _points(points: PlannedPoints, places: range) -> BlockPoints:
@@ -303,11 +321,15 @@ def _compare(place: int, spec: RunSpec, run: FinishedRun, hashes: Sequence[str],
     theirs = other.data_sha256, spec.sha256(), spec.run_id(), other.judgement, other.warnings, other.status
     names = "data_sha256", "spec_sha256", "run_id", "verdict", "warnings", "status"
     for name, one, two in zip(names, mine, theirs, strict=True):
-        if one != two:
-            raise DifferenceError(
-                f"run {place + 1} has the {name} {one} by the way of ensembles, but {two} by the ordinary way. This is "
-                "a defect of mbdkit; please report it, with this study. Its block was computed by the ordinary way"
-            )
+        _check_equal(place + 1, name, one, two)
+
+
+def _check_equal(number: int, name: str, one: object, two: object) -> None:
+    if one != two:
+        raise DifferenceError(
+            f"run {number} has the {name} {one} by the way of ensembles, but {two} by the ordinary way. This is "
+            "a defect of mbdkit; please report it, with this study. Its block was computed by the ordinary way"
+        )
 
 
 def _own_runs(

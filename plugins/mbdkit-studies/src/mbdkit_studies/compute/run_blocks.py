@@ -135,6 +135,10 @@ class RunBlocks(RunStore[int]):
         """See `RunStore.read`."""
         if (rows := self._rows(key)) is None:
             return MISSING
+        if self.spec.store == "files":
+            stored = rows.runs["run_id"][rows.runs["data_sha256"] != ""]
+            if not all(self.folder.archive(run_id).exists() for run_id in stored):
+                return MISSING
         runs = zip(rows.runs["status"], rows.runs["status_reason"], strict=True)
         is_final = all(Outcome(str(status), str(reason)).is_final for status, reason in set(runs))
         return Outcome("complete", "") if is_final else MISSING

@@ -32,7 +32,7 @@ from mbdkit_report import keys_ending_in
 
 if TYPE_CHECKING:
     from mbdkit_studies.lanes.run_batch import Measures, RunBatch
-    from mbdkit_studies.store.block_writer import Store
+    from mbdkit_studies.spec.study_spec import Storing
 
 #: Runs are computed by the vectorized loop until one takes more evaluations times bodies than this.
 #:
@@ -155,7 +155,7 @@ class PreparedRun:
         parameters: Mapping[str, Sequence[float] | np.ndarray],
         measures: Measures = "all",
         derivatives: str | Sequence[str] = (),
-        store: Store = "hashes",
+        store: Storing = "hashes",
         *,
         out: str | FilePath | None = None,
         workers: int = 1,

@@ -18,7 +18,7 @@ from mbdkit.base.plain_data import value_text
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit.spec.study_measures import built_in_measures
 from mbdkit_studies.compute.carry_out import ensemble
-from mbdkit_studies.store.block_writer import Store
+from mbdkit_studies.spec.study_spec import Storing
 from mbdkit_studies.study import Study
 
 T = TypeVar("T")
@@ -75,7 +75,7 @@ def batch(
     columns: Mapping[str, np.ndarray],
     measures: Measures,
     derivatives: Sequence[str],
-    store: Store,
+    store: Storing,
     out: str | Path | None,
     workers: int,
 ) -> RunBatch:

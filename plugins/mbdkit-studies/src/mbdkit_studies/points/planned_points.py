@@ -217,7 +217,7 @@ def _check_size(spec: StudySpec) -> None:
     families = _families(spec)
     runs = sum(count for count, _ in families)
     is_in_files = spec.store == "files" or bool(spec.needs_files)
-    key = next((one for one in ("sample", "tolerances", "families") if getattr(spec, one)), "axes")
+    key = next((one for one in ("sample", "tolerances", "members", "families") if getattr(spec, one)), "axes")
     if runs > LARGEST_TABLE or (runs > LARGEST_STUDY and is_in_files):
         number = runs if runs < 10**12 else "too many"
         most = f"{LARGEST_STUDY} with a file for each" if runs <= LARGEST_TABLE else f"{LARGEST_TABLE}"

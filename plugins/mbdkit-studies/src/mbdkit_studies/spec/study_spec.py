@@ -208,7 +208,8 @@ class StudySpec(StrictSpec):
     in a table; the claims of a verdict are about the other methods."""
 
     store: Storing | None = None
-    """What is stored of each run. `files` writes one archive per run. The other values write blocks of many runs: `all`
+    """What is stored of each run. `files` writes one archive per run, beside blocks if the runs are those of a sample,
+    a table or tolerances. The other values write blocks of many runs: `all`
     keeps all arrays; `histories` keeps time, positions, velocities, reactions and misalignments; `summary` keeps
     counters, times, the misalignment of each joint, and warnings; `hashes` keeps none of these. Every value keeps the
     spec, status, verdict, largest misalignment, measures and hash of each run. The default is `files` for up to 500
@@ -254,13 +255,10 @@ class StudySpec(StrictSpec):
             for index, measure in enumerate(self.measures):
                 if isinstance(measure, str) and built_in_measures().get(measure) == REFERENCE:
                     raise SpecError(f"'{measure}' needs a `reference` to compare with", key=f"measures[{index}]")
-        if self.has_table and self.store == "files":
-            which = "tolerances" if self.tolerances else "a table of members" if self.sample is None else "a sample"
-            raise SpecError(f"a study with {which} is stored in blocks, not in files", key="store")
-        if (self.sample is not None or self.tolerances) and self.needs_files:
-            key = "tolerances" if self.tolerances else "sample"
+        if self.has_table and self.needs_files:
+            key = "tolerances" if self.tolerances else "members" if self.sample is None else "sample"
             raise SpecError(f"cannot be combined with {self.needs_files}", key=key)
-        if (self.in_blocks or self.members is not None) and self.needs_files:
+        if self.in_blocks and self.needs_files:
             message = f"blocks cannot be combined with {self.needs_files}, which needs `store: files`"
             raise SpecError(message, key="store")
         return self
@@ -290,8 +288,8 @@ class StudySpec(StrictSpec):
 
     @property
     def in_blocks(self) -> bool:
-        """Whether the study requests blocks instead of a file for each run."""
-        return self.store not in (None, "files")
+        """Whether the study requests blocks, instead of or beside a file for each run."""
+        return self.store is not None and (self.store != "files" or self.has_table)
 
     @property
     def has_references(self) -> bool:

@@ -149,9 +149,21 @@ class BlockStorage(Storage):
             return StudyBlocks.of(self.spec, self.planned)
 
 
+class FilesBesideBlocks(BlockStorage):
+    """The stored runs of a study, in an archive for each, beside blocks from which the index is made."""
+
+    HOW_TO_READ = Storage.HOW_TO_READ
+    open, joined_runs = Storage.open, Storage.joined_runs
+
+    def path(self, point: StudyPoint) -> Path:
+        """See `Storage.path`."""
+        return self.folder.archive(point.run_id)
+
+
 def storage_of(spec: StudySpec, folder: StudyFolder, planned: PlannedPoints) -> Storage:
     """Return how the runs of a study are stored."""
-    return (BlockStorage if spec.in_blocks else Storage)(spec, folder, planned)
+    kind = Storage if not spec.in_blocks else FilesBesideBlocks if spec.store == "files" else BlockStorage
+    return kind(spec, folder, planned)
 
 
 def storage_in(folder: Path) -> Storage:
@@ -240,8 +252,7 @@ def _most_runs(runs: int) -> int:
 def stored(spec: StudySpec) -> Store:
     """Return the value of `store`: which data of each run the blocks of a study contain."""
     assert spec.store is not None
-    assert spec.store != "files"
-    return spec.store
+    return "summary" if spec.store == "files" else spec.store
 
 
 def _bytes(spec: RunSpec, store: Store) -> int:
