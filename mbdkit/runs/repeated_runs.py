@@ -18,6 +18,7 @@ from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.plain_data import Path, copied
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.registry.manager import registry
+from mbdkit.registry.policy import ALLOW, DISABLE, STRICT
 from mbdkit.runs.findings import criteria
 from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
@@ -33,6 +34,9 @@ FIRST = 2  #: Number of runs of a mapping that are computed in the ordinary way 
 
 MOST_CONTENTS = 8  #: Largest number of mappings that are remembered.
 
+#: Environment variables of mbdkit that are read at any time; others are read once, when the machine code is loaded.
+_VARIABLES = (ALLOW, DISABLE, STRICT)
+
 _LOCK = threading.Lock()
 _KNOWN: dict[Hashable, list[VariedRuns | None]] = {}  # `VariedRuns` after as many runs as entries
 
@@ -44,8 +48,7 @@ def repeated_run(data: Mapping[str, Any], load: Callable[[Mapping[str, Any]], Ru
     """
     numbers: dict[Path, float] = {}
     try:
-        own = {name: value for name, value in os.environ.items() if name.startswith("MBDKIT_")}
-        content = (_content(data, (), numbers), registry(), tuple(own.items()))
+        content = (_content(data, (), numbers), registry(), *map(os.environ.get, _VARIABLES))
     except TypeError:  # a value of another type
         return None
     if not _LOCK.acquire(blocking=False):

@@ -128,7 +128,7 @@ def test_other_plugins_and_settings_of_the_environment_share_nothing(monkeypatch
     mbdkit.run(BASE)
     for change in (
         lambda patch: patch.setattr(repeated_runs, "registry", object),
-        lambda patch: patch.setenv("MBDKIT_ANY", "1"),
+        lambda patch: patch.setenv("MBDKIT_STRICT_PLUGINS", "1"),
     ):
         with monkeypatch.context() as patch:
             change(patch)
