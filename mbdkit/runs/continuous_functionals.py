@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -94,7 +95,9 @@ class ContinuousFunctionals:
 
     def _beside_stop(self, time: float, side: float) -> float:
         """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if none."""
-        for stop, margin in zip(self._table.stops, self._table.stop_margins, strict=True):
+        stops, margins = self._table.stops, self._table.stop_margins
+        after = bisect_left(stops, time)
+        for stop, margin in zip(stops[max(0, after - 1) : after + 1], margins[max(0, after - 1) : after + 1], strict=True):
             if abs(time - stop) <= SAME_TIME * margin:
                 return stop + side * margin
         return -side * math.inf
