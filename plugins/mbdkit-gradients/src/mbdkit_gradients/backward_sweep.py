@@ -224,7 +224,8 @@ class BackwardSweep:
         is_kept = len(run.rows) > 0 and not is_implicit
         top, wants_points = self.workspace.mechanism.topology, self.bundle.wants[kernels.POINTS]
         acting = self.bundle.terms, top.springs, top.loads, top.interactions
-        needs_positions = any(map(len, acting)) or wants_points or "stage_q_bar" in arrays
+        only_pins = self.bundle.only_pins[0] != 0  # the tangents of other joints depend on positions
+        needs_positions = any(map(len, acting)) or wants_points or not only_pins or "stage_q_bar" in arrays
         scratch = self.workspace.scratch  # without terms, only the Jacobian is in use
         used = len(scratch.source) if len(self.bundle.terms) else places_in(scratch, "jac").size + size - 3
         names = ("q_stage", "v_stage", "acc", "to_q", "to_v", "to_acc", "by_q", "by_v", "kept")

@@ -544,6 +544,21 @@ def test_adaptive_steps_end_at_discontinuities() -> None:
     assert_passed(mbdkit.gradient(spec, "final(arm.angle)", names, mode="adjoint"))
 
 
+@pytest.mark.parametrize("kind", ["driver", "weld"])
+def test_joints_that_are_no_pins_need_no_forces(kind: str) -> None:
+    # expected: the forward way
+    bodies = {name: {"mass": 1.0, "inertia": 0.1, "position": [x, 0.0]} for name, x in (("a", 0.5), ("b", 1.3))}
+    outer = {"type": "revolute", "bodies": ["a", "b"], "points": [[0.5, 0.0], [-0.3, 0.0]]}
+    pin = {"type": "revolute", "bodies": ["ground", "a"], "points": [[0.0, 0.0], [-0.5, 0.0]]}
+    driver = {"type": "driver", "bodies": ["ground", "a"], "coordinate": "angle", "motion": "-0.5*t**2"}
+    inner = {"pin": pin, "driver": driver} if kind == "driver" else {"weld": pin | {"type": "weld"}}
+    model = {"name": "mechanism", "bodies": bodies, "joints": inner | {"outer": outer}}
+    names = ["model.bodies.b.inertia", "model.bodies.b.mass", "model.joints.outer.points.1.0"]
+    for method, time in ((METHODS[0], {"end": 0.5, "step": 0.01}), (METHODS[2], {"end": 0.5})):
+        spec = {"mbdkit": 1, "model": model, "integrator": method, "time": time}
+        compared_ways(spec, ["final(b.angle)", "max(joints.outer.force_y)"], names)
+
+
 def test_pins_whose_system_is_solved_with_pivots_have_the_derivatives_of_the_forward_way() -> None:
     # expected: the forward way; the second rod is a million times lighter, and the Schur complement is not used
     bodies = {
