@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -175,10 +176,11 @@ class StateObserver:
         def evaluate(end: int) -> int:
             """Evaluate the states from `done` to `end`, increase `done` by their number, and return a status."""
             nonlocal done
-            part = slice(done, end)
-            stress, rows = self._self_stress(end - done), out.rows(part)
-            states = times[part], q[part], v[part], z[part]
-            status, reached = observe(self.workspace.engine, *states, rows, stress, self._near)
+            part, stress = slice(done, end), self._self_stress(end - done)
+            states: Any = times, q, v, z, out
+            if end - done < count:
+                states = times[part], q[part], v[part], z[part], out.rows(part)
+            status, reached = observe(self.workspace.engine, *states, stress, self._near)
             new = slice(done, done + reached)
             if given is not None:
                 given.replace(out, new)

@@ -57,6 +57,40 @@ def test_methods_keep_their_order(integrator: dict[str, Any], more: dict[str, An
     assert_within(errors[1], 1e-4)
 
 
+EVERY_KIND: list[dict[str, Any]] = [
+    {"name": "rk4"}, {"name": "dop853", "adaptive": True, "rtol": 1e-10}, {"name": "gauss", "stages": 2},
+    {"name": "gauss", "stages": 3, "stage_solver": "fixed-point"}, {"name": "radau-iia", "stages": 3},
+    {"name": "scipy-dop853", "rtol": 1e-10, "atol": 1e-10},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("integrator", EVERY_KIND, ids=lambda one: f"{one['name']}-{one.get('stages', '')}")
+def test_states_need_neither_forces_nor_inputs(integrator: dict[str, Any]) -> None:
+    # expected: the recorded angles, and integrals of the rates
+    pin = {"J": {"type": "revolute", "bodies": ["ground", "b"], "at": [0, 0]}}
+    hung = pin | {"W": {"type": "revolute", "bodies": ["b", "c"], "at": [1.0, 0.0]}}
+    driven = pin | {"D": {"type": "driver", "bodies": ["ground", "b"], "coordinate": "angle", "motion": "0.3*sin(3*t)"}}
+    welded = pin | {"W": {"type": "weld", "bodies": ["b", "c"], "at": [1.0, 0.0]}}
+    bodies = {name: {"mass": 1.0, "inertia": 0.1, "position": [x, 0.0]} for name, x in (("b", 0.5), ("c", 1.5))}
+    spring = {"S": {"type": "torsion-spring", "bodies": ["ground", "b"], "stiffness": 2.0}}
+    controlled = {"adaptive", "rtol"} & integrator.keys()
+    time = {"end": 1.0} if controlled else {"end": 1.0, "step": 0.01}
+    for joints in (pin, hung, driven, welded):
+        some = {name: body for name, body in bodies.items() if name == "b" or "W" in joints}
+        for rate, forces in (("b.angular_velocity", {}), ("cos(3*t)", {}), ("cos(3*t)", spring)):
+            own = joints if not (forces and "D" in joints) else pin
+            model = {
+                "name": "mechanism",
+                "bodies": some,
+                "joints": own,
+                "forces": forces,
+                "states": {"z": {"rate": rate}},
+            }
+            run = mbdkit.run({"mbdkit": 1, "model": model, "integrator": integrator, "time": time}).check()
+            expected = run["b"].angle if rate == "b.angular_velocity" else np.sin(3 * run.time) / 3
+            assert_within(np.abs(run.states["z"].value - expected).max(), 1e-6)
+
+
 @pytest.mark.parametrize("integrator", ["dop853", "radau-iia"])
 def test_adaptive_methods_reach_their_tolerance(integrator: str) -> None:
     chosen = {"name": integrator, "adaptive": True, "rtol": 1e-9, "atol": 1e-9}

@@ -55,8 +55,10 @@ two_points_hessian, lifted_hessian, tangent_hessian = e.two_points_hessian, e.li
 
 @inlined
 def any_forces(top):
-    """Return whether there are force elements, loads, interactions or beams; if not, `applied_forces` writes zeros."""
-    return len(top.springs) + len(top.loads) + len(top.interactions) + len(top.sections) > 0
+    """Return whether `applied_forces` is needed: for force elements, loads, interactions, beams, or the expressions of
+    the rates of first-order states.
+    """
+    return len(top.springs) + len(top.loads) + len(top.interactions) + len(top.sections) + len(top.states) > 0
 
 
 @subkernel

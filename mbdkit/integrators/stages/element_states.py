@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mbdkit.engine.kernels.applied_forces import applied_forces, expression_value, law_value, path_rate, pathway_lengths
+from mbdkit.engine.kernels.applied_forces import applied_forces, law_value, path_rate, pathway_lengths
 from mbdkit.engine.kernels.system import DIVERGED, OK, prepare
 from mbdkit.engine.kernels.table_rows import STATE_ROW, STATE_USE
 from mbdkit.engine.native.arithmetic import is_lanes
@@ -158,7 +158,7 @@ def state_rate(c, m, i, e, at):
     if top.states[e, STATE_ROW.rate] < 0:
         return 0.0
     if top.states[e, STATE_ROW.segment] < 0:
-        return expression_value(top, w, top.states[e, STATE_ROW.rate])
+        return law_value(top, w, top.states[e, STATE_ROW.rate], 0.0, 0.0, at)
     return law_value(top, w, top.states[e, STATE_ROW.rate], room.length[i, e], room.speed[i, e], at)
 
 

@@ -170,7 +170,7 @@ def _solve_tree_of_pins(c, m, t, i):
     """
     r = m.relative
     c.counts[RHS] += 1
-    if any_forces(c.top) or len(c.top.states) > 0:
+    if any_forces(c.top):
         place_bodies(c.top, c.w, r.tree, t, r.vectors[Y], m.rates[i], m.q_stage, r.vectors[V_STAGE])
         if len(c.top.states) > 0:
             take_states(c.top, c.w, m.z_stage)

@@ -55,7 +55,9 @@ IN_JOINTS: dict[str, dict[str, Any]] = {
 """The same in joint coordinates."""
 WITH_FORCES = "taylor, joints, adaptive, with joint forces"
 """The last one, with all joint forces after every step among what is timed."""
-ADAPTIVE |= IN_JOINTS | {WITH_FORCES: IN_JOINTS["taylor, joints, adaptive"]}
+AT_END = f"{WITH_FORCES} at the end"
+"""The same, with the joint forces of the last state only."""
+ADAPTIVE |= IN_JOINTS | dict.fromkeys((WITH_FORCES, AT_END), IN_JOINTS["taylor, joints, adaptive"])
 
 FIRST = {2: 40, 100: 25}
 MOST_STEPS = 10_000_000
@@ -67,14 +69,15 @@ def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
     for method, integrator in (METHODS | ADAPTIVE).items():
         adaptive = method in ADAPTIVE
         ladder = TOLERANCES if adaptive else steps_from(FIRST[motion.rods.count])
-        in_joints, with_forces = method in IN_JOINTS or method == WITH_FORCES, method == WITH_FORCES
-        run = functools.partial(_run, motion, integrator, adaptive, in_joints, with_forces)
+        forces = {WITH_FORCES: 1, AT_END: MOST_STEPS}.get(method, 0)
+        in_joints = method in IN_JOINTS or forces > 0
+        run = functools.partial(_run, motion, integrator, adaptive, in_joints, forces)
         try:
             load_spec(_spec(motion, integrator, adaptive, in_joints, ladder[0]))
         except SpecError:
             missing.append(f"{OURS} {method}")
         else:
-            found.append(Contender(OURS, method, run, ladder, has_forces=with_forces))
+            found.append(Contender(OURS, method, run, ladder, has_forces=forces > 0))
     return found, missing
 
 
@@ -97,9 +100,12 @@ def _spec(
 
 
 def _run(
-    motion: Motion, integrator: dict[str, Any], adaptive: bool, in_joints: bool, with_forces: bool, setting: float
+    motion: Motion, integrator: dict[str, Any], adaptive: bool, in_joints: bool, forces: int, setting: float
 ) -> Outcome:
-    """Drive the stepper by hand: as for the others only steps are timed, not the recorder."""
+    """Drive the stepper by hand: as for the others only steps are timed, not the recorder.
+
+    `forces`: number of steps between states with joint forces, which are timed, too; 0 for none.
+    """
     spec = load_spec(_spec(motion, integrator, adaptive, in_joints, setting))
     problem, _ = build(spec)
     timetable = Timetable(
@@ -107,19 +113,22 @@ def _run(
         end=motion.end,
         step=spec.time.step,
         steps=spec.time.count or 0,
-        every=1 if with_forces else spec.output.every or MOST_STEPS,
+        every=forces or spec.output.every or MOST_STEPS,
         max_steps=MOST_STEPS,
     )
     stepper = start_method(spec.integrator_plugin.create(spec.integrator), problem, timetable)
     states: list[Array] = []
     observer = StateObserver(problem)
+    row = observer.arrays(1)
 
     def work() -> None:
         while not (stepper.finished or stepper.failure):
             stretch = stepper.advance()
             states.extend(stretch.q)
-            if with_forces:
+            if forces == 1:
                 observer.observe(stretch.time, stretch.q, stretch.v, observer.arrays(len(stretch.time)))
+        if forces > 1:
+            observer.observe(stretch.time[-1:], stretch.q[-1:], stretch.v[-1:], row)
 
     _, wall, cpu = timed(work)
     count = motion.rods.count

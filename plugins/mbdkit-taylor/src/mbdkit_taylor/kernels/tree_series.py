@@ -34,17 +34,17 @@ COSINE, SINE, OMEGA, VX, VY, P, Q, X, Y, SERIES = range(10)
 #: Rows of the series of a spring between two points: the vector between them, its length, and tension over length.
 DX, DY, LENGTH, PULL, OF_SPRING = range(5)
 
-#: Columns of `bodies` (B + 1, 34), in the order of the tree, ground last.
+#: Columns of `bodies` (B + 1, 35), in the order of the tree, ground last.
 #:
 #: The articulated mass M, later K; h; 1 / I; h / I; the vector from the centre of mass to the body's pin; the vector
 #: from the pin of the body before to this pin; both points of the pin in the frames of the body, and of the one before;
 #: that vector in the frame of the one before; mass. Of the present order: applied forces and torque, later the bias of
 #: articulated bodies; P and Q of the applied forces; c'' and s'' without alpha, and their sums; sums P and Q; bias of
-#: the pin's acceleration; acceleration of the pin.
+#: the pin's acceleration; acceleration of the pin, and of the angle.
 (
     MXX, MXY, MYY, HX, HY, INVERSE, GX, GY, RX, RY, DPX, DPY, OWN_X, OWN_Y, BEFORE_X, BEFORE_Y, EX, EY, MASS,
-    FX, FY, TURN, FORCE_P, FORCE_Q, BEND_C, BEND_S, SUM_C, SUM_S, SUM_P, SUM_Q, WX, WY, AX, AY, OF_BODY,
-) = range(35)  # fmt: skip
+    FX, FY, TURN, FORCE_P, FORCE_Q, BEND_C, BEND_S, SUM_C, SUM_S, SUM_P, SUM_Q, WX, WY, AX, AY, ALPHA, OF_BODY,
+) = range(36)  # fmt: skip
 
 _TWO_POINTS, _RELATIVE_ANGLE = PATHWAYS["two_points"], PATHWAYS["relative_angle"]
 
@@ -185,7 +185,7 @@ def _load(top, places, series, u, bodies, k):
             x[TURN] += px * second[k] - py * first[k]
 
 
-@subkernel
+@inlined
 def _begin(links, series, bodies, k):
     """Compute the bias of each body alone, by coefficients of lower order than `k` and the applied forces.
 
@@ -206,10 +206,11 @@ def _begin(links, series, bodies, k):
         bend_c += s[k + 1] * omega[0]
         bend_s += c[k + 1] * omega[0]
         if k > 0:
+            p[k - 1], q[k - 1] = x[SUM_P], x[SUM_Q]
             bend_c += s[1] * omega[k]
             bend_s += c[1] * omega[k]
-            turn_p += c[1] * p[k - 1]
-            turn_q += s[1] * q[k - 1]
+            turn_p += c[1] * x[SUM_P]
+            turn_q += s[1] * x[SUM_Q]
         x[SUM_C], x[SUM_S] = bend_c, bend_s
         bend_c, bend_s = -(k + 1) * bend_c, (k + 1) * bend_s
         x[BEND_C], x[BEND_S] = bend_c, bend_s
@@ -228,7 +229,7 @@ def _begin(links, series, bodies, k):
         x[SUM_P], x[SUM_Q] = x[FORCE_P], x[FORCE_Q]
 
 
-@subkernel
+@inlined
 def _gather(links, bodies):
     """Compute the biases of articulated bodies from the leaves; see `mbdkit.engine.kernels.articulated`."""
     for n in range(len(links) - 1, -1, -1):
@@ -242,7 +243,7 @@ def _gather(links, bodies):
             y[TURN] += x[DPX] * fy - x[DPY] * fx
 
 
-@subkernel
+@inlined
 def _spread(links, inverses, series, bodies, k):
     """Compute the accelerations of order `k` from the roots, and with them the next coefficients of all series."""
     share, next_share = inverses[k + 1], inverses[k + 2]
@@ -257,7 +258,7 @@ def _spread(links, inverses, series, bodies, k):
             fx, fy = x[FX], x[FY]
             if before >= 0:
                 y = bodies[before]
-                alpha = y[TURN]
+                alpha = y[ALPHA]
                 ax, ay = y[AX] - alpha * x[DPY], y[AY] + alpha * x[DPX]
                 fx += x[MXX] * ax + x[MXY] * ay
                 fy += x[MXY] * ax + x[MYY] * ay
@@ -266,15 +267,12 @@ def _spread(links, inverses, series, bodies, k):
             x[SUM_P] += x[OWN_X] * fy - x[OWN_Y] * fx
             x[SUM_Q] += x[OWN_X] * fx + x[OWN_Y] * fy
         alpha = -x[INVERSE] * (x[HX] * ax + x[HY] * ay + x[TURN])
-        x[TURN], x[AX], x[AY] = alpha, ax + x[WX], ay + x[WY]
+        x[ALPHA], x[AX], x[AY] = alpha, ax + x[WX], ay + x[WY]
+        x[FX] = x[FY] = x[TURN] = x[FORCE_P] = x[FORCE_Q] = 0.0  # of the next order
         rate = share * alpha
         series[n, OMEGA, k + 1] = rate
         c[k + 2] = -next_share * (s[0] * rate + x[SUM_C])
         s[k + 2] = next_share * (c[0] * rate + x[SUM_S])
-    for n in range(len(links)):
-        x = bodies[n]
-        series[n, P, k], series[n, Q, k] = x[SUM_P], x[SUM_Q]
-        x[FX] = x[FY] = x[TURN] = x[FORCE_P] = x[FORCE_Q] = 0.0
 
 
 @subkernel
