@@ -118,14 +118,13 @@ class ArrayWriter(RunWriter):
         for dim, rows in self._rows.items():
             self._resize(dim, rows)
         arrays, self._buffers = self._buffers, {}
-        of_data = array_hash(self.names, self.arrays).of(arrays)
         self.finished = FinishedRun(
             **vars(ending) | {"stats": {**ending.stats, "finish_s": time.perf_counter() - started}},
             names=self.names,
             layout=self.arrays,
             arrays=arrays,
             shared=self._shared,
-            data_sha256=of_data,
+            data_sha256=array_hash(self.names, self.arrays).of(arrays),
             assembly=self._assembly,
         )
         return self.finished

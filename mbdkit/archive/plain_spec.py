@@ -26,8 +26,7 @@ class PlainSpec:
     @property
     def measures(self) -> Mapping[str, Any]:
         """The measures by name."""
-        measures: Mapping[str, Any] = self.data.get("measures") or {}
-        return measures
+        return self.data.get("measures") or {}
 
     def canonical_json(self) -> str:
         """Return the data as JSON; unlike canonical JSON, it lacks defaults."""

@@ -110,8 +110,7 @@ class Commands(TyperGroup):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the arguments, and note whether JSON is requested."""
         ctx.meta[JSON] = "--json" in args
-        parsed: list[str] = super().parse_args(ctx, args)
-        return parsed
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> object:
         """Run the selected command."""

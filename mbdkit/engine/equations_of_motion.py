@@ -144,8 +144,7 @@ class EquationsOfMotion(EvaluatedEquations):
         """
         if make not in self._derived:
             self._derived[make] = make(self)
-        result: T = self._derived[make]
-        return result
+        return self._derived[make]
 
     def time_derivative(self, t: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> Rates:
         """Return the partial derivatives with respect to time of what `derivatives` returns, at a fixed state.

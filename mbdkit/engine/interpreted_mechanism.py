@@ -260,14 +260,12 @@ class InterpretedMechanism:
     @property
     def topology(self) -> Topology:
         """The arrays of the mechanism, without gravity."""
-        top: Topology = self._equations.top
-        return top
+        return self._equations.top
 
     @property
     def law_values(self) -> np.ndarray:
         """Parameters of all laws."""
-        values: np.ndarray = self._equations.w.law_values
-        return values
+        return self._equations.w.law_values
 
     def coordinates(self, t: Any, whole: Motion) -> Motion:
         """Return the motion of the coordinates (n,), given that of all bodies (3 B,)."""

@@ -127,8 +127,7 @@ def _sample_between_kinks(
         return samples[position]
 
     stack: list[tuple[list[float], int]] = []
-    ends = sorted({0.0, *kinks, 1.0})
-    for begin, end in pairwise(ends):
+    for begin, end in pairwise(sorted({0.0, *kinks, 1.0})):
         if end - begin <= SHORTEST:
             continue
         places = [position for position in sorted(known) if begin <= position <= end]

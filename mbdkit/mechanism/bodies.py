@@ -97,8 +97,7 @@ class Element(StrictModel):
     @property
     def friction_coefficients(self) -> tuple[float, ...]:
         """Coefficients of dry friction; empty without friction."""
-        values: tuple[float, ...] = getattr(getattr(self, "friction", None), "coefficients", ())
-        return values
+        return getattr(getattr(self, "friction", None), "coefficients", ())
 
     def extent_points(self) -> list[tuple[str, tuple[float, float]]]:
         """Return (body name, point in the body's frame [m]) of each point that the extent of the mechanism includes."""

@@ -235,8 +235,7 @@ def check_elements(elements: Mapping[str, Mapping[str, object]], mechanism: Elem
 
 def field_of(kind: ElementKind) -> FieldInfo:
     """Return the field of the model `mechanism` for the elements of a kind, whose class is imported."""
-    elements: Any = Field(default_factory=dict, description=kind.summary)
-    return FieldInfo.from_annotated_attribute(_named(kind), elements)
+    return FieldInfo.from_annotated_attribute(_named(kind), Field(default_factory=dict, description=kind.summary))
 
 
 @cache
@@ -254,8 +253,7 @@ def with_kinds(model: type[AnyModel], kinds: tuple[ElementKind, ...]) -> type[An
     """Return a class derived from that of the data of a mechanism, with fields for further kinds."""
     fields: dict[str, Any] = {kind.key_in_model: (_named(kind), field_of(kind)) for kind in kinds}
     derived = create_model(model.__name__, __base__=model, __module__=__name__, __doc__=model.__doc__, **fields)
-    absent: tuple[str, ...] = model.ABSENT_BY_DEFAULT  # type: ignore[attr-defined]
-    derived.ABSENT_BY_DEFAULT = (*absent, *fields)  # type: ignore[attr-defined]
+    derived.ABSENT_BY_DEFAULT = (*model.ABSENT_BY_DEFAULT, *fields)  # type: ignore[attr-defined]
     return derived
 
 

@@ -72,8 +72,7 @@ class StepFilter:
         import numpy as np
 
         (b1, b2, b3), (a2, a3) = self.errors, self.ratios
-        roots = np.roots([1.0, a2 - 1.0 + b1, a3 - a2 + b2, b3 - a3])
-        return tuple(map(complex, roots))
+        return tuple(map(complex, np.roots([1.0, a2 - 1.0 + b1, a3 - a2 + b2, b3 - a3])))
 
 
 def _is_number(value: object) -> bool:

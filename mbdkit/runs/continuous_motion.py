@@ -394,6 +394,5 @@ def _roots(
         left = value * fx > 0.0
         a[open_], fa[open_] = np.where(left, inside, x), np.where(left, value, np.where(value == 0.0, fx, 0.5 * fx))
         b[open_], fb[open_] = np.where(left, y, inside), np.where(left, 0.5 * fy, value)
-        undefined = ~np.isfinite(value)
-        b[open_] = np.where(undefined, x, b[open_])
+        b[open_] = np.where(~np.isfinite(value), x, b[open_])
     return group, np.where(fa == 0.0, a, np.where(fb == 0.0, b, 0.5 * (a + b)))

@@ -161,8 +161,7 @@ class CompiledStepper:
     @property
     def run_state(self) -> RunState:
         """State, work arrays and results of the run."""
-        state: RunState = self.pinned_state.bundle
-        return state
+        return self.pinned_state.bundle
 
     @property
     def _accepted(self) -> int:

@@ -65,8 +65,7 @@ class FailedSteps:
 
     @property
     def _state(self) -> RunState:
-        state: RunState = self._run.bundle
-        return state
+        return self._run.bundle
 
     def handle(self, status: int) -> Failure | None:
         """React to a failed step: prepare another attempt, or return why the run stops.

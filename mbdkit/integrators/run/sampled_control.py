@@ -178,8 +178,7 @@ class Sampler:
 
     def stored(self) -> dict[str, Any]:
         """Return the state of the sampler as plain values, after all settings and samples have been taken."""
-        pending = [values.tolist() for values in self._pending]
-        return {"pending": pending, "last": self._last, "latest": self._latest}
+        return {"pending": [values.tolist() for values in self._pending], "last": self._last, "latest": self._latest}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Restore a stored state."""

@@ -145,13 +145,12 @@ class InputHistory:
 
     def stored(self) -> dict[str, list[Any]]:
         """Return the history as plain data; what is pending is part of it."""
-        pending = [[number, value] for number, value in self._pending.items()]
         return {
             "times": [[*times] for times in self._times],
             "values": [[*values] for values in self._values],
             "ramps": sorted(self._ramps),
             "pauses": [*self.pauses],
-            "pending": pending,
+            "pending": [[number, value] for number, value in self._pending.items()],
         }
 
     def restore(self, stored: Mapping[str, list[Any]]) -> None:

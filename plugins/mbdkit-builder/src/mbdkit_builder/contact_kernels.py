@@ -37,12 +37,11 @@ def _function(name: str, kind: str, count: int, note: str) -> str:
             steps.append(f"    {symbol} = {printer.doprint(expression)}")
     given = [(symbol, f"{'ab'[i // 7]}[{i % 7}]") for i, symbol in enumerate(ARGUMENTS)]
     given += [(symbol, f"p[{i}]") for i, symbol in enumerate(numbers_of(kind))]
-    reads = [f"    {symbol} = {place}" for symbol, place in given if symbol in used]
     lines = [
         "@subkernel",
         f"def {name}(a, b, p{', out' if count > 1 else ''}):",
         f'    """{note}"""',
-        *reads,
+        *[f"    {symbol} = {place}" for symbol, place in given if symbol in used],
         *steps[::-1],
     ]
     if count == 1:

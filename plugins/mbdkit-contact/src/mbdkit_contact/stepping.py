@@ -38,10 +38,9 @@ FAILURES = {
 
 def new_held(count: int, size: int) -> HeldContacts:
     """Return what is known before the first step, for C contacts and state vectors of this size."""
-    none = (np.zeros(count, dtype=np.int64) for _ in range(2))
     return HeldContacts(
         np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(size), np.zeros((2, size)),
-        np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1), *none,
+        np.zeros(1, dtype=np.int64), np.zeros(1), np.zeros(1), *(np.zeros(count, dtype=np.int64) for _ in range(2)),
     )  # fmt: skip
 
 

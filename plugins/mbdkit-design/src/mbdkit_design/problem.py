@@ -42,8 +42,7 @@ class Bound:
 
 def _weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the weighted sum (N,) of goals and limits (N, S, K); nan is ignored where the weight is zero."""
-    counted: np.ndarray = np.where(weights != 0.0, weights * values, 0.0)
-    return np.asarray(counted.sum(axis=(1, 2)))
+    return np.asarray(np.where(weights != 0.0, weights * values, 0.0).sum(axis=(1, 2)))
 
 
 class Problem:

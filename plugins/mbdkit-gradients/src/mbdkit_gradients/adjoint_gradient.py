@@ -269,8 +269,7 @@ class AdjointRun:
             q, v = self.q[some], self.v[some]
             of_laws, no_acc = self._sides_at(begin), self.method.traits.suits_stiff or not self._needs.ends
             acc = None if no_acc else self._observed(np.clip(time[some], *sides), q, v, of_laws).acc
-            ends = StepEnds(time[some], q, v, acc)
-            motion = MotionPart(self._observer, names, ends, range(end - begin), sides)
+            motion = MotionPart(self._observer, names, StepEnds(time[some], q, v, acc), range(end - begin), sides)
             parts.append(SweptPart(begin, end, motion, begin in corners, partial(self._use, of_laws)))
         return parts
 
@@ -346,8 +345,7 @@ class AdjointRun:
 
     def measures(self, expressions: Mapping[str, MeasureExpression]) -> dict[str, DerivedMeasure]:
         """Return measures with their derivatives; raise NotByAdjointError if the adjoint does not give them."""
-        mechanism = self.workspace.mechanism
-        self.doubts = doubts_of_laws(mechanism)
+        self.doubts = doubts_of_laws(self.workspace.mechanism)
         nodes = None
         if self._needs.nodes:
             weights = self.method.tableau.floats()[1]

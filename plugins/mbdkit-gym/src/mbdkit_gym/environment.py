@@ -86,8 +86,7 @@ class Environment(gymnasium.Env[Array, NDArray[np.float32]]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Start an episode; `options` are values that replace those of `randomize`."""
         super().reset(seed=seed)
-        observations = self._episodes.start([0], [self.np_random], options)
-        return observations[0], {"t": 0.0}
+        return self._episodes.start([0], [self.np_random], options)[0], {"t": 0.0}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Set the inputs to the action, and advance by one period."""

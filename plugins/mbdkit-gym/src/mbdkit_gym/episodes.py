@@ -36,8 +36,7 @@ class Episodes:
     ) -> np.ndarray:
         """Start episodes of some simulations, and return the observations (N, n) of all."""
         if len(which):
-            starts = [self.definition.start(generator, given) for generator in random]
-            self.simulations.start(which, starts)
+            self.simulations.start(which, [self.definition.start(generator, given) for generator in random])
         return self._observed()
 
     def _observed(self) -> np.ndarray:

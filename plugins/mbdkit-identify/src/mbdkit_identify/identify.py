@@ -112,7 +112,6 @@ class _Identification:
         following = next_experiment(self) if spec.candidates else None
         estimates, covariance = self._described(estimates)
         is_bad = failed(self.fit)
-        raw = problem.white(problem.predicted(self.fit.x) - problem.measured)
         return Identification(
             spec=data_of(spec),
             base=self.base_data(self.fit.x),
@@ -128,7 +127,7 @@ class _Identification:
             doubts=tuple(self.doubts),
             notes=tuple(self.notes),
             cost=self.fit.cost,
-            log_likelihood=problem.log_likelihood(raw),
+            log_likelihood=problem.log_likelihood(problem.white(problem.predicted(self.fit.x) - problem.measured)),
             evaluations=(problem.runs, problem.derived),
             way=problem.differences or "exact",
             title=spec.title or f"Estimates of {listed(self.names, 'and')}",
@@ -325,10 +324,9 @@ class _Identification:
             some = piece.places
             band = self.level * np.sqrt(of_fit[some] + noise.deviation**2)
             measured, fitted = problem.measured[some], predicted[some]
-            covered = float(np.mean(np.abs(measured - fitted) <= band))
             yield Residuals(
                 *key, data.unit, time_of[some], measured, fitted, white[some], noise.deviation, noise.correlation,
-                is_hold_out, band, covered,
+                is_hold_out, band, float(np.mean(np.abs(measured - fitted) <= band)),
             )  # fmt: skip
 
     def _held_out(self) -> list[Residuals]:
@@ -356,8 +354,7 @@ class _Identification:
                 shared = self.covariance[np.ix_(of_fit, of_fit)]
                 own_covariance = covariance_of(fit.jacobian, own)
                 # own unknowns follow the shared ones
-                follow = -own_covariance @ fit.jacobian.T @ fit.jacobian[:, places]
-                transfer = follow + np.eye(len(x))[:, places]
+                transfer = -own_covariance @ fit.jacobian.T @ fit.jacobian[:, places] + np.eye(len(x))[:, places]
                 covariance = transfer @ shared @ transfer.T + own_covariance
                 found += self._residuals(problem, x, covariance, is_hold_out=True)
             except MbdkitError as error:

@@ -88,8 +88,7 @@ def posterior(problem: Problem, fit: Fit, known: np.ndarray, seed: int) -> tuple
                 costs = costs_of(points, problem)
         squares = np.sum(np.linalg.solve(factor, (points - center).T) ** 2, axis=0) / FREEDOM
         by_width = [(1.0 + squares / w**2) ** (-0.5 * (FREEDOM + len(places))) / w ** len(places) for w in widths]
-        density = np.log(np.sum(by_width, axis=0))
-        logs = -0.5 * costs - density
+        logs = -0.5 * costs - np.log(np.sum(by_width, axis=0))
         excess = _excess(1.0, logs)
         if number == ROUNDS // 3 and excess < -0.9 * ENOUGH:  # there is no progress
             return None

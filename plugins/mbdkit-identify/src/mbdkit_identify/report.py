@@ -60,10 +60,9 @@ _SOURCES = Path(__file__).with_name("references.bib").read_text(encoding="utf-8"
 def identification_report(path: Path, workers: int = 1) -> Iterator[ReportPage]:
     """Context manager that provides the report of an identification, which is read from its file."""
     result = load_identification(path)
-    experiments = {one.experiment for one in result.residuals}
     settings = (
         counted(len(result.parameters), "parameter"),
-        counted(len(experiments), "experiment"),
+        counted(len({one.experiment for one in result.residuals}), "experiment"),
         f"{100 * result.level:g} % intervals",
         counted(result.evaluations[0], "run"),
     )

@@ -31,8 +31,7 @@ def cuffs_in(states: States) -> dict[str, np.ndarray]:
 def displacements(states: States) -> np.ndarray:
     """Return the displacements (T, C, 3) of C cuffs in T states."""
     cuffs: tuple[ActingCuff, ...] = states.mechanism.extensions["cuffs"]
-    length: np.ndarray = states.of(cuffs_in)["length"]
-    return np.asarray(length - np.array([cuff.zeros for cuff in cuffs]))
+    return np.asarray(states.of(cuffs_in)["length"] - np.array([cuff.zeros for cuff in cuffs]))
 
 
 def _of_cuffs(name: str, units: str, what: str, **more: Any) -> Recorded:

@@ -174,8 +174,7 @@ def _bezier_of(points: Points, u: Traced) -> tuple[Traced, Traced, Traced]:
     rises = b * (u * uu * (10.0 * ww + 5.0 * u * w + uu))
     value = start + a * (1.0 - w * ww * ww) + rises + c * (u * uu * uu)
     derivative = 5.0 * (a * (ww * ww) + b * (6.0 * uu * ww) + c * (uu * uu))
-    second = 20.0 * (b * (3.0 * u * w * (w - u)) + c * (u * uu) - a * (w * ww))
-    return value, derivative, second
+    return value, derivative, 20.0 * (b * (3.0 * u * w * (w - u)) + c * (u * uu) - a * (w * ww))
 
 
 def _reached(points: Points, goal: Traced, iterations: int) -> Traced:
@@ -203,8 +202,7 @@ def _bezier(points: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     u2, w2 = u * u, w * w  # powers of NumPy depend on the processor
     u4, w4 = u2 * u2, w2 * w2
     value = a * w4 * w + b * (5 * u * w4 + 10 * u2 * w2 * w) + c * (10 * u2 * u * w2 + 5 * u4 * w) + d * u4 * u
-    derivative = 5 * ((b - a) * w4 + 6 * (c - b) * u2 * w2 + (d - c) * u4)
-    return value, derivative
+    return value, 5 * ((b - a) * w4 + 6 * (c - b) * u2 * w2 + (d - c) * u4)
 
 
 def _parameter(points: np.ndarray, x: np.ndarray, u: np.ndarray) -> np.ndarray:

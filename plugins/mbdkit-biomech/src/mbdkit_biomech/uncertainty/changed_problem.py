@@ -104,8 +104,7 @@ class Changer:
             segment = segment_of(name, self.person)
             mass = factor(change, "masses", segment)
             if body.inertia is not None:
-                inertia = body.inertia * mass * factor(change, "inertias", segment)
-                body = body.model_copy(update={"inertia": inertia})
+                body = body.model_copy(update={"inertia": body.inertia * mass * factor(change, "inertias", segment)})
             other.bodies[name] = body.model_copy(update={"mass": body.mass * mass})
         sizes = {name: factor(change, "lengths", segment_of(name, self.person)) for name in base.bodies}
         if any(size != 1.0 for size in sizes.values()):

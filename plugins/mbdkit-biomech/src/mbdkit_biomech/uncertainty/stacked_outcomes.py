@@ -80,9 +80,8 @@ class _Mechanics:
         problem, motion = own.problem, own.motion
         self.own, self._sums = own, JointSums(problem.prepared.workspace.mechanism)
         loads = loads_of(problem, motion)
-        report = problem.spec.unbalanced == "report"
         self.dynamics, self._balance, _ = solve_dynamics(
-            problem.fitter, motion, loads, problem.actuators, report=report
+            problem.fitter, motion, loads, problem.actuators, report=problem.spec.unbalanced == "report"
         )
 
     def reactions(self, lam: np.ndarray) -> np.ndarray:

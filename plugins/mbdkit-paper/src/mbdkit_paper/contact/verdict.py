@@ -157,8 +157,7 @@ def _error(run: Run, case: str) -> float:
 def _overlap(run: Run) -> tuple[float, float]:
     every = [run.contacts[name] for name in run.contacts]
     depth = max(max(0.0, -float(np.min(touch.gap))) for touch in every)
-    creep = max(float(np.max(np.abs(touch.slip[touch.mode == STICK]), initial=0.0)) for touch in every)
-    return depth, creep
+    return depth, max(float(np.max(np.abs(touch.slip[touch.mode == STICK]), initial=0.0)) for touch in every)
 
 
 def _worst(touches: Sequence[Touched], of: Callable[[Touched], float]) -> tuple[float, str]:

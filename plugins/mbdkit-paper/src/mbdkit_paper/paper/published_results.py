@@ -61,8 +61,7 @@ def ranking(study: Study) -> tuple[Claim, Claim, Table]:
     rows: list[tuple[Cell, ...]] = []
     worst, best, exceptions = [], [], []
     for model in dict.fromkeys(model for model, _ in groups):
-        steps = sorted((step for name, step in groups if name == model), reverse=True)
-        for step in steps:
+        for step in sorted((step for name, step in groups if name == model), reverse=True):
             cell = groups[model, step]
             values = [value(cell[method], "misalignment_max") if method in cell else math.nan for method in METHODS]
             gill, two, three = values

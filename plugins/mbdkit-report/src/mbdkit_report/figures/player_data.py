@@ -44,7 +44,6 @@ def _scene_data(shown: Scene) -> dict[str, object]:
     with np.errstate(invalid="ignore", over="ignore"):
         poses = np.clip((shown.poses - centre) / (grain, grain, _ANGLE), -2e9, 2e9).round()
     colors = body_colors(drawing)
-    flat = [None if value != value else int(value) for value in poses.reshape(-1).tolist()]
     return {
         "time": _short(shown.time, 9),
         "speed": shown.speed,
@@ -66,7 +65,7 @@ def _scene_data(shown: Scene) -> dict[str, object]:
             {"label": trace.label, "point": trace.point, "color": color_key(color)}
             for trace, color in zip(shown.traces, trace_colors(drawing, shown.traces), strict=True)
         ],
-        "poses": flat,
+        "poses": [None if value != value else int(value) for value in poses.reshape(-1).tolist()],
     }
 
 

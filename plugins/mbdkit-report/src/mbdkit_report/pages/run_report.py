@@ -36,7 +36,6 @@ def run_report(run: Run) -> ReportPage:
     head = caption(run)
     mechanism = mechanism_of(run)
     glance, model = model_sections(run, mechanism)
-    command = run.spec_kind.command
     return ReportPage(
         title=head.title,
         settings=head.settings,
@@ -49,7 +48,7 @@ def run_report(run: Run) -> ReportPage:
         environment=environment(run.provenance, {"run": run.run_id, "created (UTC)": run.created_utc}),
         reproduce="Save the spec below as run.yaml. With the same versions on the same machine the arrays are "
         f"identical bit for bit; their SHA-256 is {run.data_sha256 or 'unknown, because the run did not finish'}.",
-        commands=f"{command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
+        commands=f"{run.spec_kind.command} run.yaml\nmbdkit rerun {run.path.name if run.path else 'run.h5'}",
         spec=yaml_text(run.spec),
         spec_file="run.yaml",
         glance=glance,

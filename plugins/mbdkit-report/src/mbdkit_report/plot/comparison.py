@@ -167,8 +167,7 @@ def differences(runs: Sequence[Run]) -> list[str]:
         if len(set(found)) == len(found):
             return found
     titles = [" ".join(str(run.spec.get("title") or "").split()) for run in runs]
-    files = [Path(run.path).stem if run.path else "" for run in runs]
-    for found in (titles, files, [run.run_id for run in runs]):
+    for found in (titles, [Path(run.path).stem if run.path else "" for run in runs], [run.run_id for run in runs]):
         if all(found) and len(set(found)) == len(found):
             return found
     return [f"run {number}" for number in range(1, len(runs) + 1)]

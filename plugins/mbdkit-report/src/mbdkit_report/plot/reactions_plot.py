@@ -8,7 +8,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_views import Components, Names
 from mbdkit.base.errors import SpecError
 from mbdkit.base.text import did_you_mean, listed
-from mbdkit_report.figures.curves import Array, bands
+from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.page_model import Axis, Figure
 from mbdkit_report.plot.charts import Panel, chart_panel
 from mbdkit_report.plot.element_quantity import (
@@ -80,7 +80,6 @@ def _components(run: Run, columns: list[int], shown: tuple[str, ...]) -> Element
         force = run.column(path, column, None)
         values += [force[:, int(component in ("y", "shear"))] for component in shown]
         labels += [name if len(shown) == 1 else f"{name}, {component}" for component in shown]
-    together: Array = np.stack(values, axis=1)
-    quantity = ElementQuantity("joint force", "N", labels, bands(np.asarray(run.time), together))
+    quantity = ElementQuantity("joint force", "N", labels, bands(np.asarray(run.time), np.stack(values, axis=1)))
     # The estimate bounds the norm of the error of the vector, and therefore the error of every component.
     return with_errors(run, quantity, "reaction_error", [column for column in columns for _ in shown])

@@ -57,8 +57,7 @@ class StudyFolder(OwnedFolder[StudySpec]):
 
     def plain_spec(self, spec: StudySpec) -> dict[str, object]:
         """See `OwnedFolder.plain_spec`."""
-        plain: dict[str, object] = spec.model_dump(mode="json", exclude_unset=True)
-        return plain
+        return spec.model_dump(mode="json", exclude_unset=True)
 
     def remove_results(self) -> None:
         """Remove the archives of runs, and the charts of the report; other images remain."""

@@ -75,8 +75,7 @@ def cost_at_error(study: Study) -> Table | None:
         "whose cheapest run is more accurate has the cost of that run. Operations are evaluations of the right-hand "
         f"side, evaluations of Jacobians and factorizations. {TIMED if is_timed(study.points) else TIMED_ONCE}"
     )
-    listed = tuple(cells for _, cells in rows)
-    return Table("cost-at-error", "Cost at a given error", tuple(columns), listed, note)
+    return Table("cost-at-error", "Cost at a given error", tuple(columns), tuple(cells for _, cells in rows), note)
 
 
 def error_headlines(study: Study) -> list[tuple[str, str]]:

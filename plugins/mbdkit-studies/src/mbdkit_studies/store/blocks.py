@@ -187,8 +187,7 @@ class Block:
         SpecError
             If the block is damaged or does not contain the run.
         """
-        row = self.row(number)
-        if not self.runs["data_sha256"][row]:
+        if not self.runs["data_sha256"][self.row(number)]:
             return None
         return Run(self._contents(number, self.results(number)))
 

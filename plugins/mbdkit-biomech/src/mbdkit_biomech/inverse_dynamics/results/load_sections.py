@@ -27,10 +27,9 @@ def inverse_sections(run: Run, mechanism: Mechanism | None) -> tuple[Section, ..
     """Return the sections of a run of inverse dynamics that has at least two rows; empty for other runs."""
     if run.kind != "inverse" or len(run.time) < 2:
         return ()
-    elements = workload(run).elements
     return (
         Section("loads", "Loads over the motion", (), load_drawing(run, mechanism)),
-        Section("workload", "Workload", (), None, (_workload_table(elements),)),
+        Section("workload", "Workload", (), None, (_workload_table(workload(run).elements),)),
         *_muscles(run),
         _disagreement(run),
         *uncertainty_sections(run),

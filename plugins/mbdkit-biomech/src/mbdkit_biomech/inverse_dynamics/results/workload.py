@@ -319,8 +319,7 @@ def _series_of(run: Run) -> list[_Series]:
             errors = {"error": bars.reaction_error[:, column], "torque_error": bars.torque_error[:, column]}
         force, torque = np.linalg.norm(joint.reaction_force, axis=1), joint.reaction_torque
         if name in drivers:
-            is_torque = joint.angle_units == "rad"
-            value, units = (torque, "N m") if is_torque else (force, "N")
+            value, units = (torque, "N m") if joint.angle_units == "rad" else (force, "N")
             found.append(_Series(name, "actuator", units, value, power=joint.driver_power))
         else:
             carries = np.max(np.abs(torque)) > ROUND_OFF * np.max(force)

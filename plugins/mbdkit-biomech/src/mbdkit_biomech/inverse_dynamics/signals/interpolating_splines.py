@@ -106,6 +106,5 @@ def interpolating_spline(x: np.ndarray, values: np.ndarray, degree: int, ends: t
             parts.append((np.full(degree + 1, row), near, slopes))
             right[row] = value
     row_of, column_of, entry = (np.concatenate(one) for one in zip(*parts, strict=True))
-    factors = SparseFactors(row_of, column_of, entry, np.arange(count), 1.0)
-    solved = factors.solve(right.reshape(count, -1).T)
+    solved = SparseFactors(row_of, column_of, entry, np.arange(count), 1.0).solve(right.reshape(count, -1).T)
     return Spline(knots, np.ascontiguousarray(solved.T).reshape(right.shape), degree)

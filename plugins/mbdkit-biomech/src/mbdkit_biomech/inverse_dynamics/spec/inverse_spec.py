@@ -130,8 +130,7 @@ class InverseSpec(ModelSpec):
         """The spec that is computed: for a person, that of the motion and loads of the scaled model; otherwise this
         one.
         """
-        spec: InverseSpec = self if self.subject is None else self._person_and_spec[1]
-        return spec
+        return self if self.subject is None else self._person_and_spec[1]
 
     @property
     def _person_and_spec(self) -> Any:
