@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -22,14 +22,12 @@ from mbdkit.archive.peak_errors import (
     missed_by_rows,
     skips_steps,
 )
+from mbdkit.archive.run import Run
 from mbdkit.base.text import listed
 from mbdkit.base.units import read_unit
 from mbdkit.registry.feature_items import HeadlineItem
 from mbdkit.registry.manager import use
 from mbdkit.trust.criteria import NOTHING_SUSPICIOUS
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 class RunErrors:

@@ -13,12 +13,12 @@ Units are checked.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.headlines import is_at_end
 from mbdkit.archive.named_columns import NotRecordedError
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import SpecError
 from mbdkit.base.frozen import dataclass
 from mbdkit.base.units import Unit, read_unit
@@ -29,10 +29,6 @@ from mbdkit.measures.measured_quantities import recorded
 from mbdkit.measures.reductions import EXTREMA, REDUCTIONS, Functional, Series, applied, from_functional, interpolated
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.spec.model_spec import ModelSpec
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-
 
 #: A remark is issued if a recorded row exceeds an extremum by more than this share of the range of the quantity.
 BEYOND = 1e-6

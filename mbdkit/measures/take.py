@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Never
+from typing import Any, Never
 
 from mbdkit.archive.headlines import not_unique
 from mbdkit.archive.measured_values import MeasuredValues
+from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.plain_data import path_text
 from mbdkit.base.text import listed, message_of
@@ -18,9 +19,6 @@ from mbdkit.registry.seam import Seam
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.study_measures import DefinedMeasure
 from mbdkit.trust.measure_error import measure_error, natural_scales, natural_size
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
 
 
 class SpecMeasure:

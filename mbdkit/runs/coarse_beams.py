@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.beams import Beam
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.states import States
 from mbdkit.runs.run_seams import rows_criterion
-
-if TYPE_CHECKING:
-    from mbdkit.archive.measured_values import Integrals
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec import RunSpec
-    from mbdkit.trust.energy_record import EnergyRecord
+from mbdkit.spec import RunSpec
+from mbdkit.trust.energy_record import EnergyRecord
 
 #: Largest angle [rad] by which bending may turn a node relative to its neighbour without a warning.
 #:

@@ -8,13 +8,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import SAME_TIME, ConsecutiveSteps, Timetable
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
@@ -22,9 +22,6 @@ from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import MotionPart, Peak, observed_at, sampled, steps_of_extremum
 from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
-
-if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
 
 #: Number of steps in a block; they are evaluated together. The number is fixed for the reason given in
 #: `integrals.BLOCK`.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from bisect import bisect
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +20,8 @@ from mbdkit.mechanism.motion_corners import JUMP, Corner, corners_of, jet_of, ov
 from mbdkit.mechanism.motion_pieces import step_limits
 from mbdkit.mechanism.values import Motion, Table
 from mbdkit.runs.run_seams import spec_criterion
+from mbdkit.spec import RunSpec
 from mbdkit.trust.finding import Finding
-
-if TYPE_CHECKING:
-    from mbdkit.spec import RunSpec
 
 _TIME = re.compile(r"\bt\b")
 

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
+from mbdkit.archive.measured_values import Integrals
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.quantities.states import States
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.feature_items import CriterionItem
 from mbdkit.registry.manager import registry, use
 from mbdkit.runs.run_seams import StateWatcher, rows_criterion
+from mbdkit.spec import RunSpec
+from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
-
-if TYPE_CHECKING:
-    from mbdkit.archive.checkpoint import StoredState
-    from mbdkit.archive.measured_values import Integrals
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.spec import RunSpec
-    from mbdkit.trust.energy_record import EnergyRecord
 
 Stage = Literal["spec", "start", "rows", "end", "data"]
 

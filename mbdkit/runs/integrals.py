@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from mbdkit.archive.checkpoint import StoredState
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.peak_errors import expression_of_largest
 from mbdkit.engine.observed_states import StateObserver
+from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import Nodes, Timetable
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import EventTimes, Functional, Series
@@ -33,10 +33,7 @@ from mbdkit.quantities.states import States
 from mbdkit.runs.continuous_functionals import ContinuousFunctionals, no_events
 from mbdkit.runs.continuous_motion import observed_at
 from mbdkit.runs.law_ranges import steps_are_rows
-
-if TYPE_CHECKING:
-    from mbdkit.engine.workspace import Workspace
-    from mbdkit.spec import RunSpec
+from mbdkit.spec import RunSpec
 
 #: Largest number of joints whose largest forces are determined between rows if every step is recorded.
 #:

@@ -8,27 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from mbdkit.archive.checkpoint import StoredState
+from mbdkit.archive.measured_values import Integrals
 from mbdkit.base.plain_data import quoted
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.stored_arrays import fill
 from mbdkit.mechanism.checks import line_of_undefined_direction
 from mbdkit.mechanism.joint_friction import JointFriction, PinFriction
 from mbdkit.mechanism.joints import Revolute
+from mbdkit.mechanism.mechanism import Mechanism
+from mbdkit.quantities.states import States
 from mbdkit.runs.law_ranges import steps_are_rows
 from mbdkit.runs.run_seams import rows_criterion
+from mbdkit.spec import RunSpec
+from mbdkit.trust.energy_record import EnergyRecord
 from mbdkit.trust.finding import Finding
-
-if TYPE_CHECKING:
-    from mbdkit.archive.checkpoint import StoredState
-    from mbdkit.archive.measured_values import Integrals
-    from mbdkit.engine.compiled_mechanism import CompiledMechanism
-    from mbdkit.mechanism.mechanism import Mechanism
-    from mbdkit.quantities.states import States
-    from mbdkit.spec import RunSpec
-    from mbdkit.trust.energy_record import EnergyRecord
 
 MISSING = 0.1  #: Share of the work of Coulomb friction that may be missing without a warning.
 

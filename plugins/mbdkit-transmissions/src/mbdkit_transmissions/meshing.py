@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Finding, Table
-from mbdkit.plugin.seams import rows_criterion
+from mbdkit.plugin import GROUND, Finding, FunctionJoint, RunSpec, States, Table
+from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.plugin.seams import EnergyRecord, rows_criterion
 from mbdkit_transmissions.cams import Slot
 from mbdkit_transmissions.gears import PITCH, Belt, Gear, Rack
 from mbdkit_transmissions.joint_watcher import JointWatcher
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import FunctionJoint, RunSpec, States
-    from mbdkit.plugin.equations import CompiledMechanism
-    from mbdkit.plugin.seams import EnergyRecord
 
 ROUNDING = 1e-9  #: A pin may pass the end of a table by this share of the length of the table.
 

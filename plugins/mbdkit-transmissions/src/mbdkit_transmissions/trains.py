@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbdkit import EquationsOfMotion, StepError
-from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, SpecError, listed, quoted
-from mbdkit.plugin.seams import ElementsByName, element_check, rows_criterion
+from mbdkit.plugin import GROUND, FunctionJoint, Joint, Revolute, RunSpec, SpecError, States, listed, quoted
+from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.plugin.seams import ElementsByName, EnergyRecord, element_check, rows_criterion
 from mbdkit_transmissions.gears import Belt, Gear
 from mbdkit_transmissions.joint_watcher import JointWatcher
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.equations import CompiledMechanism
-    from mbdkit.plugin.seams import EnergyRecord
 
 #: Displacement that tells whether joints can move, and that up to which they have not moved, in sizes of the mechanism
 #: and radians.

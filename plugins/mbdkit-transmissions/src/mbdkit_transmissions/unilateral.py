@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mbdkit.plugin import GROUND, Finding
-from mbdkit.plugin.seams import rows_criterion
+from mbdkit.plugin import GROUND, Finding, RunSpec, States
+from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.plugin.seams import EnergyRecord, rows_criterion
 from mbdkit_transmissions.gears import Rolling
 from mbdkit_transmissions.joint_watcher import JointWatcher
-
-if TYPE_CHECKING:
-    from mbdkit.plugin import RunSpec, States
-    from mbdkit.plugin.equations import CompiledMechanism
-    from mbdkit.plugin.seams import EnergyRecord
 
 #: Forces up to this share of the largest reaction at the bodies of a joint are rounding errors.
 ROUND_OFF = 1e-9

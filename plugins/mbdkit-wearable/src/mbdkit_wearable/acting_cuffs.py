@@ -10,7 +10,7 @@ from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
 from mbdkit import ExpressionLaw
-from mbdkit.plugin import GROUND, Segment, SpecError, quoted
+from mbdkit.plugin import GROUND, ActingForce, Joint, Lowering, Mechanism, Segment, SpecError, quoted
 from mbdkit.plugin.equations import elementary
 from mbdkit.plugin.seams import element_forces, element_lines, expression_lowering, lowering, start_values
 from mbdkit_wearable.cuff import DIRECTIONS, Cuff
@@ -18,8 +18,6 @@ from mbdkit_wearable.cuff import DIRECTIONS, Cuff
 if TYPE_CHECKING:
     import numpy as np
     import sympy
-
-    from mbdkit.plugin import ActingForce, Joint, Lowering, Mechanism
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbdkit.plugin import Finding
-from mbdkit.plugin.seams import rows_criterion, summary_lines
+from mbdkit.plugin import Finding, Run, RunSpec, States
+from mbdkit.plugin.equations import CompiledMechanism
+from mbdkit.plugin.seams import EnergyRecord, rows_criterion, summary_lines
 from mbdkit_wearable.quantities import cuffs_in, displacements
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Run, RunSpec, States
-    from mbdkit.plugin.equations import CompiledMechanism
-    from mbdkit.plugin.seams import EnergyRecord
     from mbdkit_wearable.acting_cuffs import ActingCuff
 
 SHOWN = 4  #: Largest number of cuffs in a summary.

@@ -8,20 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit_contact.modes import STICK
 from mbdkit_paper.drift.combination import COMBINATION, state_of, two
 from mbdkit_paper.wording import Words, reported
 from mbdkit_report import Answer, Claim, Figure, Line, Verdict, exceeds, together
-from mbdkit_studies import STEP, family, value
+from mbdkit_studies import STEP, Study, StudyPoint, family, value
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies import Study, StudyPoint
 
 G = 9.81
 #: Errors of event-driven runs, and penetration [m] and creep [m/s] of rigid bodies, count as zero below this.

@@ -9,19 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit_paper.drift.combination import state_of, two
 from mbdkit_paper.wording import Words, reported
 from mbdkit_report import Answer, Claim, Column, Figure, Line, Table, Verdict, columns_of, exceeds
-from mbdkit_studies import METHOD, STEP, value
+from mbdkit_studies import METHOD, STEP, Study, value
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies import Study
 
 REFERENCE = ("Gauss 3", 2e-6)
 HELD = 1e-7  #: Joints count as closed if their misalignment [m] is below this.

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import math
 from itertools import groupby
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit_paper.paper.published_results import GAUSS2, GAUSS3, PAPER_STEP, methods_of
 from mbdkit_paper.wording import Words, least_most
 from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range, Table, together
-from mbdkit_studies import METHOD, STEP, family
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies import Study
+from mbdkit_studies import METHOD, STEP, Study, family
 
 PREDICTED = {GAUSS2: Range(1e-3, 1.0, "mm"), GAUSS3: Range(1e-7, 1e-4, "mm")}
 PER_JOINT = Range(10.0, 100.0)

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit_paper.wording import Words
 from mbdkit_report import Answer, Cell, Claim, Column, Figure, Line, Range, Table, columns_of, exceeds, together
-from mbdkit_studies import METHOD, MODEL, STEP, Points, family, value
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies import Study, StudyPoint
+from mbdkit_studies import METHOD, MODEL, STEP, Points, Study, StudyPoint, family, value
 
 GILL, GAUSS2, GAUSS3 = "RK-Gill", "Gauss 2", "Gauss 3"
 #: The methods of the paper. Methods that were added to the study appear in its tables and figures, not in claims.

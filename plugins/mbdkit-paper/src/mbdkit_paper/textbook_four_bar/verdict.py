@@ -9,19 +9,15 @@ standard ODE solver at its default tolerances, below 8 mm with the DAE solver ID
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.archive.run import Run
 from mbdkit_paper.textbook_four_bar.textbook_equations import GROUND, LENGTHS, LoopRun, integrate
 from mbdkit_paper.wording import Words, least_most, reported, two_digits
 from mbdkit_report import Answer, Band, Cell, Claim, Column, Figure, Line, Range, Table, Verdict, exceeds, together
-from mbdkit_studies import METHOD, STEP, at_equal_work, family, value, work_for
+from mbdkit_studies import METHOD, STEP, Study, at_equal_work, family, value, work_for
 from mbdkit_studies.results.judge import study_verdict
-
-if TYPE_CHECKING:
-    from mbdkit.archive.run import Run
-    from mbdkit_studies import Study
 
 STANDARD = 0.08
 DAE = 0.008

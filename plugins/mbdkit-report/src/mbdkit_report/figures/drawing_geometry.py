@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbdkit.base.errors import MbdkitError
-from mbdkit.mechanism.beams import parts_of
+from mbdkit.mechanism.beams import Beam, parts_of
 from mbdkit.mechanism.element_kinds import element_kinds
 from mbdkit.mechanism.joint_base import FunctionJoint
+from mbdkit.mechanism.joints import SlidingJoint
+from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_seams import lines_of
 from mbdkit.mechanism.pathways import JointAngles
 from mbdkit_report.figures.beam_curves import BeamCurve
@@ -30,9 +32,6 @@ from mbdkit_report.figures.plane_geometry import Array, convex_hull
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
-    from mbdkit.mechanism.beams import Beam
-    from mbdkit.mechanism.joints import SlidingJoint
-    from mbdkit.mechanism.mechanism import Mechanism
     from mbdkit_contact.contact import Shape
 
 GROUND = -1

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
+from mbdkit import Study
 from mbdkit.plugin import MbdkitError
 from mbdkit.plugin.reports import Answer, Axis, Claim, Figure, Line, Table, Verdict, columns_of
 from mbdkit.plugin.studies import study_verdict
 from mbdkit_wearable.misfit.study import DEVICES, MOTIONS, VARIABLES
-
-if TYPE_CHECKING:
-    from mbdkit import Study
 
 #: Words for the variables.
 WORDS = dict(zip(VARIABLES, ("forward", "upward", "rotation", "tissue"), strict=True))

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbdkit import RunError
 from mbdkit.kernels import Observed
-from mbdkit.plugin import GROUND, Mechanism, SpecError, quoted
+from mbdkit.plugin import GROUND, Body, Mechanism, SpecError, quoted
 from mbdkit.plugin.equations import GivenForces, StateObserver, elementary
 from mbdkit.plugin.runs import AddedForces, Follower
 from mbdkit.plugin.seams import follower
@@ -17,7 +17,6 @@ from mbdkit_wearable.device import Device, add_devices, turned
 from mbdkit_wearable.worn.device_motion import DeviceMotion, LimbMotion
 
 if TYPE_CHECKING:
-    from mbdkit.plugin import Body
     from mbdkit_wearable.acting_cuffs import ActingCuff
 
 #: Standard deviations that are assumed of the offset of a device [m, rad], and of the logarithm of the stiffness of its
