@@ -12,15 +12,21 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
 from mbdkit.base import elementary
+from mbdkit.base.errors import UnsupportedMechanismError
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
+from mbdkit.engine.kernels.applied_forces import PATHWAYS
+from mbdkit.engine.kernels.motions import OPCODES
+from mbdkit.engine.kernels.table_rows import SPRING
+from mbdkit.engine.spanning_tree import is_tree_of_pins, spanning_tree
 from mbdkit.methods.kinds import LocalError, Method, Tolerances, Traits, integrator_method
 from mbdkit.methods.method_options import ControlledOptions
 from mbdkit.registry.items import Claims, integrator_claims
 from mbdkit.registry.target import Target
-from mbdkit_taylor.known_series import require_series
+from mbdkit_taylor.kernels.power_series import EXPANDED
 
 JORBA_ZOU = """@article{jorba2005,
   author = {Jorba, {\\`A}ngel and Zou, Maorong},
@@ -63,6 +69,35 @@ class TaylorSeries(Method):
     def require_mechanism(self, mechanism: CompiledMechanism) -> None:
         """See `Method`."""
         require_series(mechanism)
+
+
+_PATHWAYS = [PATHWAYS[name] for name in ("two_points", "relative_angle")]
+_CODES = {OPCODES[name] for name in EXPANDED}
+
+
+def require_series(mechanism: CompiledMechanism) -> None:
+    """Raise UnsupportedMechanismError if a mechanism has elements without Taylor series; the message lists them all."""
+    top = mechanism.topology
+    others = len(top.springs) and (
+        np.any(top.springs[:, SPRING.law] >= 0) or not np.all(np.isin(top.springs[:, SPRING.pathway], _PATHWAYS))
+    )
+    refused = {
+        "closed loops, joints other than pins, or joint friction": not is_tree_of_pins(top, spanning_tree(top)),
+        "forces other than linear springs and dampers between two points or two angles, torques and point forces": (
+            others or len(top.sections) or len(top.states)
+        ),
+        "loads that depend on the state": len(top.inputs) + len(top.load_values),
+        "contacts": len(top.interactions),
+        "motions or loads given by tables or by functions other than sin, cos, exp, log, sqrt and whole powers": (
+            not _CODES.issuperset(top.motion_ops.tolist())
+        ),
+    }
+    if any(refused.values()):
+        raise UnsupportedMechanismError(
+            "taylor computes series of trees of pins with linear springs, torques and point forces; this mechanism has "
+            f"{'; '.join(text for text, is_present in refused.items() if is_present)}: use dop853 instead",
+            key="integrator",
+        )
 
 
 class TaylorOptions(ControlledOptions):
