@@ -34,18 +34,13 @@ from mbdkit_testing.example_under_test import ADAPTIVE, ExampleUnderTest, comple
 OF_FORCES = {"length": 0, "rate": 1, "force": 2, "power": 3}
 
 
-class ElementUnderTest(ExampleUnderTest):
+class ElementUnderTest(ExampleUnderTest[ElementKind]):
     """A kind of elements under test."""
-
-    @property
-    def kind(self) -> ElementKind:
-        """The kind of elements."""
-        return cast(ElementKind, self.item.plugin)
 
     @property
     def key(self) -> str:
         """Key of the elements in the model."""
-        return self.kind.key_in_model
+        return self.plugin.key_in_model
 
     @property
     def what(self) -> str:
@@ -70,7 +65,7 @@ def spec(kind: ElementUnderTest) -> Result:
     if Mechanism.from_spec(data).to_spec() != data:
         return failed("its elements change in a round trip through a spec")
     again = Mechanism.from_spec({name: value for name, value in data.items() if name != kind.key})
-    model, stated = cast("type[Element]", kind.kind.model()), dict[str, Any]()
+    model, stated = cast("type[Element]", kind.plugin.model()), dict[str, Any]()
     for name, one in data[kind.key].items():
         again.add(kind.key, name, **one)
         stated[name] = with_units(model, one)
@@ -123,7 +118,7 @@ def columns(kind: ElementUnderTest) -> Result:
     observer, (times, q, v, z) = StateObserver(kind.workspace), kind.rows
     observed = observer.arrays(len(times))
     observer.observe(times, q, v, observed, z=z)
-    places = {one.name: one.place for one in kind.workspace.mechanism.acting if one.kind == kind.kind.name}
+    places = {one.name: one.place for one in kind.workspace.mechanism.acting if one.kind == kind.plugin.name}
     for array in (column for group in kind.groups for column in group.columns if isinstance(column, Recorded)):
         found = kind.run.array(array.path)
         for index, (name, one) in enumerate(kind.elements.items()):
@@ -162,7 +157,7 @@ def drawing(kind: ElementUnderTest) -> Result:
     """Lines with which elements are drawn have finite points, each on a body of the mechanism."""
     mechanism, lines = kind.spec.mechanism(), 0
     for name, one in kind.elements.items():
-        for line in lines_of(kind.kind, mechanism, one):
+        for line in lines_of(kind.plugin, mechanism, one):
             lines += 1
             for body, point in line:
                 if body != GROUND and body not in mechanism.bodies:
@@ -176,7 +171,7 @@ def drawing(kind: ElementUnderTest) -> Result:
 def support(kind: ElementUnderTest) -> Result:
     """Computations that are not supported are refused by their sentence; other gradients agree with differences."""
     calls: dict[str, Any] = {"gradients": _gradient, "statics": lambda kind: equilibrium(kind.spec)}
-    for what, sentence in kind.kind.supports.items():
+    for what, sentence in kind.plugin.supports.items():
         if what not in calls:
             return failed(f"no computation asks whether elements support '{what}', only {listed(calls, 'and')} do")
         try:
@@ -185,10 +180,10 @@ def support(kind: ElementUnderTest) -> Result:
         except MbdkitError as error:
             if sentence not in str(error):
                 return failed(f"{what} are refused, but with another sentence: {error}".rstrip("."))
-    found = None if "gradients" in kind.kind.supports else _gradient(kind).check
+    found = None if "gradients" in kind.plugin.supports else _gradient(kind).check
     if found is not None and not np.all(found.is_like_steps):
         return failed(str(found))
-    return passed(refused=len(kind.kind.supports), parameters=0 if found is None else len(found.parameters))
+    return passed(refused=len(kind.plugin.supports), parameters=0 if found is None else len(found.parameters))
 
 
 def _gradient(kind: ElementUnderTest) -> Gradient:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ STEPS, DERIVATIVE, SAME, TINY = (1e-4, 1e-5, 1e-6, 1e-7), 1e-5, 1e-9, 1e-300
 
 
 @check("energy.balance")
-def balance(kind: ExampleUnderTest) -> Result:
+def balance(kind: ExampleUnderTest[Any]) -> Result:
     """The energy balance of the example's run converges to zero with the step, or with the tolerances."""
     found = []
     for factor in (1.0, 0.25):
@@ -37,7 +38,7 @@ def balance(kind: ExampleUnderTest) -> Result:
 
 
 @check("derivatives.tangents")
-def tangents(kind: ExampleUnderTest) -> Result:
+def tangents(kind: ExampleUnderTest[Any]) -> Result:
     """The derivatives of accelerations and rates of states agree with differences, at states of the example's run."""
     equations, (times, q, v, z) = EquationsOfMotion(kind.workspace), kind.rows
     n = equations.n
@@ -62,7 +63,7 @@ def tangents(kind: ExampleUnderTest) -> Result:
 
 
 @check("restart.checkpoint")
-def checkpoint(kind: ExampleUnderTest) -> Result:
+def checkpoint(kind: ExampleUnderTest[Any]) -> Result:
     """A run that is interrupted and continued from its checkpoint is bitwise the same, and so is its verdict."""
     # Fixed steps without events return to Python after a known number of steps, so that the run can be interrupted.
     fixed: dict[str, dict[str, str] | dict[str, float]] = (
@@ -84,7 +85,7 @@ def checkpoint(kind: ExampleUnderTest) -> Result:
 
 
 @check("archive.without-plugin", slow=True)
-def without_plugin(kind: ExampleUnderTest) -> Result:
+def without_plugin(kind: ExampleUnderTest[Any]) -> Result:
     """Where the plugin is not installed, archives are sound, and a repetition is refused with its name."""
     origin = kind.item.origin
     if (entry_point := origin.entry_point.partition(" = ")[0]) == "builtin":

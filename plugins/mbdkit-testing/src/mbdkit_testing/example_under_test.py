@@ -6,7 +6,7 @@ import json
 from abc import abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -28,13 +28,11 @@ from mbdkit_testing.item_checks import ItemUnderTest
 ADAPTIVE = {"name": "dopri5", "adaptive": True, "rtol": 1e-9}
 
 
-class ExampleUnderTest(ItemUnderTest):
-    """An item whose checks use its packaged example."""
+AnyKind = TypeVar("AnyKind", bound=ElementKind | JointKind)
 
-    @property
-    @abstractmethod
-    def kind(self) -> ElementKind | JointKind:
-        """The item."""
+
+class ExampleUnderTest(ItemUnderTest[AnyKind]):
+    """An item whose checks use its packaged example."""
 
     @property
     @abstractmethod
@@ -48,7 +46,7 @@ class ExampleUnderTest(ItemUnderTest):
     @cached_property
     def spec(self) -> RunSpec:
         """The spec of the example."""
-        if not (example := self.kind.example):
+        if not (example := self.plugin.example):
             raise Skip(f"it has no `example`, the name of a packaged run with {self.what}")
         spec = load_spec(example)
         if not self.members(spec):

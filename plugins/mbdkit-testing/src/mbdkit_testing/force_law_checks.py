@@ -52,7 +52,7 @@ ARGUMENTS = ("length", "rate", "time")
 
 
 @dataclass
-class ForceLawUnderTest(ItemUnderTest):
+class ForceLawUnderTest(ItemUnderTest[ForceLawPlugin]):
     """A force law with options.
 
     Parameters
@@ -62,11 +62,6 @@ class ForceLawUnderTest(ItemUnderTest):
     """
 
     random: int = field(default=RANDOM, repr=False)
-
-    @property
-    def plugin(self) -> ForceLawPlugin:
-        """The plugin item."""
-        return cast(ForceLawPlugin, self.item.plugin)
 
     @property
     def claims(self) -> dict[str, bool]:

@@ -30,15 +30,10 @@ Value = TypeVar("Value")
 
 
 @dataclass
-class IntegratorUnderTest(ItemUnderTest):
+class IntegratorUnderTest(ItemUnderTest[IntegratorPlugin]):
     """An integrator with options."""
 
     _cache: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    @property
-    def plugin(self) -> IntegratorPlugin:
-        """The plugin item."""
-        return cast(IntegratorPlugin, self.item.plugin)
 
     @cached_property
     def claims(self) -> Claims:

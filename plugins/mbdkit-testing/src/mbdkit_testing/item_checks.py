@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
@@ -31,8 +31,11 @@ _DOOR = re.compile(r"mbdkit(\.(plugin(\.\w+)?|kernels|testing))?|mbdkit_\w+(\.se
 EXAMPLES = ("double-pendulum", "knee", "slider-crank")
 
 
+AnyItem = TypeVar("AnyItem")
+
+
 @dataclass
-class ItemUnderTest:
+class ItemUnderTest(Generic[AnyItem]):
     """An item of any kind under test.
 
     Parameters
@@ -48,6 +51,11 @@ class ItemUnderTest:
     item: Registered
     options: dict[str, Any]
     installed: Registry
+
+    @property
+    def plugin(self) -> AnyItem:
+        """The item as its plugin declares it."""
+        return cast(AnyItem, self.item.plugin)
 
     @property
     def claims(self) -> Any:
@@ -78,14 +86,14 @@ def relative_difference(exact: np.ndarray, other: np.ndarray) -> float:
 
 
 @check("contract.functions")
-def functions(under_test: ItemUnderTest) -> Result:
+def functions(under_test: ItemUnderTest[Any]) -> Result:
     """Every function that the item names exists, is decorated, and takes and returns what its decorator declares."""
-    under_test.item.plugin.check_targets()
-    return passed(functions=len(under_test.item.plugin.targets()))
+    under_test.plugin.check_targets()
+    return passed(functions=len(under_test.plugin.targets()))
 
 
 @check("contract.imports")
-def imports(under_test: ItemUnderTest) -> Result:
+def imports(under_test: ItemUnderTest[Any]) -> Result:
     """The package of the plugin imports only names that are on doors, because all others may change at any time."""
     package = _package(under_test.item)
     spec = find_spec(package) if package else None

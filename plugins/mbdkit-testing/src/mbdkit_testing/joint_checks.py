@@ -47,11 +47,11 @@ def own_class(kind: JointUnderTest) -> Result:
     """The class is derived from `FunctionJoint`, its `type` is the name of the kind, and units of rows are m or rad."""
     field = kind.model.model_fields.get("type")
     default = None if field is None else field.default
-    if default != kind.kind.name:
+    if default != kind.plugin.name:
         return failed(
-            f"the `type` of its class is {default!r} by default, not the name of the kind, '{kind.kind.name}'"
+            f"the `type` of its class is {default!r} by default, not the name of the kind, '{kind.plugin.name}'"
         )
-    for joint in kind.elements.values() if kind.kind.example or "spec" in vars(kind) else ():
+    for joint in kind.elements.values() if kind.plugin.example or "spec" in vars(kind) else ():
         if cause := _wrong_rows(joint.rows, joint.units):
             return failed(cause)
     return passed()
@@ -322,11 +322,11 @@ def spec(kind: JointUnderTest) -> Result:
     for name in kind.elements:
         one = data["joints"][name]
         options = {key: value for key, value in one.items() if key not in ("type", "bodies")}
-        getattr(again, kind.kind.builder)(name, *one["bodies"], **options)
+        getattr(again, kind.plugin.builder)(name, *one["bodies"], **options)
         stated[name] = one | with_units(kind.model, options)
     added = again.to_spec()["joints"]
     if any(added[name] != data["joints"][name] for name in kind.elements):
-        return failed(f"joints that are added by `Mechanism.{kind.kind.builder}` differ from those of a spec")
+        return failed(f"joints that are added by `Mechanism.{kind.plugin.builder}` differ from those of a spec")
     if kind.changed(data | {"joints": stated}).mechanism().to_spec() != data:
         return failed("its numbers change if they are written with units")
     with tempfile.TemporaryDirectory(prefix="mbdkit-joint-") as folder:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,23 +31,18 @@ STEPS = 2e-3, 2e-4, 2e-5, 2e-6  #: Steps of differences, in the same parts.
 STRIDE, TURNS, SMOOTH, HALVINGS = np.pi / 24, 1.25, 0.25, 6
 
 
-class JointUnderTest(ExampleUnderTest):
+class JointUnderTest(ExampleUnderTest[JointKind]):
     """A kind of joints under test."""
-
-    @property
-    def kind(self) -> JointKind:
-        """The kind of joints."""
-        return cast(JointKind, self.item.plugin)
 
     @property
     def what(self) -> str:
         """What the example must have, in the plural."""
-        return f"joints of the type '{self.kind.name}'"
+        return f"joints of the type '{self.plugin.name}'"
 
     @cached_property
     def model(self) -> type[FunctionJoint]:
         """Class of the joints."""
-        result: Any = self.kind.model()
+        result: Any = self.plugin.model()
         if not (isinstance(result, type) and issubclass(result, FunctionJoint)):
             raise PluginError(f"its `model` is {result!r}, not a class derived from FunctionJoint")
         return result

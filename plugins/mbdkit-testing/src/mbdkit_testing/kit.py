@@ -13,7 +13,6 @@ from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item import Plugin
 from mbdkit.registry.manager import registry
 from mbdkit_testing import (
-    conservation_checks,
     contract_checks,
     counter_checks,
     drift_checks,
@@ -51,7 +50,6 @@ INTEGRATOR_CHECKS: tuple[Check[IntegratorUnderTest], ...] = (
     *final_state_checks.CHECKS,
     *newton_checks.CHECKS,
     *invariant_checks.CHECKS,
-    *conservation_checks.CHECKS,
     *stability_checks.CHECKS,
     *drift_checks.CHECKS,
     *counter_checks.CHECKS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,8 @@ from mbdkit_testing.item_checks import ItemUnderTest, short_runs
 from mbdkit_testing.options_under_test import options_result, validated
 
 
-class MeasureUnderTest(ItemUnderTest):
+class MeasureUnderTest(ItemUnderTest[MeasurePlugin]):
     """A measure with options."""
-
-    @property
-    def plugin(self) -> MeasurePlugin:
-        """The plugin item."""
-        return cast(MeasurePlugin, self.item.plugin)
 
     def take(self, run: Run) -> Any:
         """Return the value of the measure for a run."""

@@ -26,7 +26,7 @@ START = 1e-10  #: Largest residual of an initial state [m, rad, m/s, rad/s].
 DERIVATIVE = 1e-6  #: Largest relative difference between a derivative and finite differences.
 
 
-class ModelUnderTest(ItemUnderTest):
+class ModelUnderTest(ItemUnderTest[Any]):
     """A model with parameters."""
 
     def spec(self, step: float, stages: int = 3) -> RunSpec:
@@ -46,16 +46,15 @@ class ModelUnderTest(ItemUnderTest):
 @check("model.options")
 def options(model: ModelUnderTest) -> Result:
     """The model's parameters round-trip through JSON and have descriptions."""
-    return options_result(model.item.plugin.options, model.options, "parameters")
+    return options_result(model.plugin.options, model.options, "parameters")
 
 
 @check("model.repeatable")
 def repeatable(model: ModelUnderTest) -> Result:
     """Equal parameters give equal mechanisms and are not modified, and the mechanism round-trips through a spec."""
-    plugin: Any = model.item.plugin
-    given = validated(plugin.options, model.options)
+    given = validated(model.plugin.options, model.options)
     before = given.model_dump_json()
-    first, second = plugin.build(given).to_spec(), plugin.build(given).to_spec()
+    first, second = model.plugin.build(given).to_spec(), model.plugin.build(given).to_spec()
     if given.model_dump_json() != before:
         return failed("it modified its parameters")
     if first != second:

@@ -16,13 +16,13 @@ from mbdkit_testing.item_checks import EXAMPLES, ItemUnderTest, short_runs
 
 
 @check("contract.pages")
-def pages(under_test: ItemUnderTest) -> Result:
+def pages(under_test: ItemUnderTest[Any]) -> Result:
     """For short runs of packaged examples, it makes sections and figures that a page can show."""
     from matplotlib.figure import Figure as Canvas
 
     count = 0
     for name, run in short_runs():
-        shown = list(_shown(under_test.item.plugin, run))
+        shown = list(_shown(under_test.plugin, run))
         if wrong := [type(one).__name__ for one in shown if not isinstance(one, Figure | Section)]:
             return failed(f"for a run of {name} it returned an object of type {wrong[0]}, not a Figure or Section")
         figures = tuple(one for one in shown if isinstance(one, Figure))

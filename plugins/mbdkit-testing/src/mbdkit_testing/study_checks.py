@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from mbdkit_studies.compute.carry_out import study
 from mbdkit_studies.folder.folder_lock import Shard
@@ -17,13 +18,13 @@ from mbdkit_testing.check_result import Result, failed, passed
 from mbdkit_testing.item_checks import ItemUnderTest
 
 
-class StudyUnderTest(ItemUnderTest):
+class StudyUnderTest(ItemUnderTest[Any]):
     """A packaged study under test."""
 
     @cached_property
     def spec(self) -> StudySpec:
         """The spec of the packaged study, in its short form if it has one."""
-        return load_study_spec(self.item.id, quick=callable(getattr(self.item.plugin, "spec", None)))
+        return load_study_spec(self.item.id, quick=callable(getattr(self.plugin, "spec", None)))
 
 
 @check("study.spec")
