@@ -35,9 +35,7 @@ class JointSums:
             for index in range(longest)
         ]
         #: Pairs of the first round in the order of the joints; None if some joint has no pair.
-        self._first = None
-        if longest and len(self._rounds[0]) == self._joints:
-            self._first = self._rounds[0]
+        self._first = self._rounds[0] if longest and len(self._rounds[0]) == self._joints else None
         self._is_length = np.zeros(pairs, dtype=bool)
         self._is_length[[row.pair for row in mechanism.rows if row.unit == "m"]] = True
         self._has_angles = not self._is_length.all()

@@ -270,9 +270,7 @@ def resolved(text: str) -> object:
         return int(text, 0)
     if NUMBER.fullmatch(text):
         return float(text)
-    if NOT_FINITE.fullmatch(text):
-        return float(text.replace(".", ""))
-    return text
+    return float(text.replace(".", "")) if NOT_FINITE.fullmatch(text) else text
 
 
 def _syntax(error: yaml.MarkedYAMLError, text: str) -> SpecError:

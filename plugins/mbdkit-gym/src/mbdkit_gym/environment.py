@@ -78,9 +78,7 @@ class Environment(gymnasium.Env[Array, NDArray[np.float32]]):
         self.definition, self.render_mode = definition, render_mode
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": max(1, round(1.0 / definition.period))}
         self.action_space, self.observation_space = definition.action_space, definition.observation_space
-        self._frames = None
-        if render_mode == "rgb_array":
-            self._frames = _Frames(definition)
+        self._frames = _Frames(definition) if render_mode == "rgb_array" else None
         self._episodes = Episodes(definition, 1)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
