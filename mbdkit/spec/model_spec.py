@@ -13,7 +13,7 @@ from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, cast
 
 from pydantic import (
     BaseModel,
@@ -22,18 +22,19 @@ from pydantic import (
     PrivateAttr,
     SerializerFunctionWrapHandler,
     ValidationError,
+    create_model,
     model_serializer,
 )
 
 from mbdkit.base.errors import PluginError, SpecError, blaming
 from mbdkit.base.files_read import FileRead, FilesRead, recording
 from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_text, plain, without_collection
-from mbdkit.base.strict_model import FormatVersion
+from mbdkit.base.strict_model import FormatVersion, description
 from mbdkit.mechanism.law_element import Law, PluginLookup
 from mbdkit.mechanism.mechanism_seams import model_extension
 from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
 from mbdkit.mechanism.validation_errors import walk
-from mbdkit.registry.catalogue import Registered
+from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
 from mbdkit.registry.items import ModelPlugin
 from mbdkit.registry.model_keys import model_keys
@@ -364,3 +365,18 @@ class ModelSpec(StrictSpec):
     def _identifier(self) -> str:
         used = [f"{item.id}=={item.origin.version}" for item in self.items]
         return hashlib.sha256("\n".join([self.canonical_json(), *used]).encode()).hexdigest()[:16]
+
+
+_CHOSEN: tuple[Kind, ...] = ("model", "integrator")  #: Kinds of plugin that a spec selects by name.
+
+S = TypeVar("S", bound=ModelSpec)
+
+
+def choosing_from(installed: Registry, base: type[S]) -> type[S]:
+    """Return a class of specs that selects from the given registry instead of the installed plugins."""
+    fields: dict[str, Any] = {
+        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(base, kind)))
+        for kind in _CHOSEN
+        if kind in base.model_fields
+    }
+    return create_model(base.__name__, __base__=base, __module__=base.__module__, __doc__=base.__doc__, **fields)

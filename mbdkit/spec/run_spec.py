@@ -24,7 +24,6 @@ from mbdkit.base.errors import MissingPartError, PluginError, SpecError, blaming
 from mbdkit.base.files_read import FilesRead
 from mbdkit.base.parts import SECTIONS_OF_PARTS
 from mbdkit.base.plain_data import canonical, canonical_text, quoted
-from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.engine.formulation import FORMULATIONS, Formulation
 from mbdkit.engine.input_schedule import InputSchedule
@@ -32,7 +31,7 @@ from mbdkit.engine.stabilization import Stabilization
 from mbdkit.mechanism.element_kinds import ChosenTreatment, element_kinds, kinds_with_section
 from mbdkit.mechanism.mechanism_seams import run_check
 from mbdkit.mechanism.parameters import parameters_in_use
-from mbdkit.registry.catalogue import Kind, Registered, Registry
+from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ElementKind
 from mbdkit.registry.item_options import is_of_item, item_of
 from mbdkit.registry.items import Claims, IntegratorPlugin
@@ -40,7 +39,7 @@ from mbdkit.spec.choices import Choice, choice_of
 from mbdkit.spec.formulation_choice import BY_ACCELERATIONS, NAMES, FormulationChoice, formulation_of, name_of
 from mbdkit.spec.input_tables import InputTable, schedules_of
 from mbdkit.spec.item_names import CriterionName
-from mbdkit.spec.model_spec import ModelSpec
+from mbdkit.spec.model_spec import ModelSpec, choosing_from
 from mbdkit.spec.sections import (
     LARGEST_COUNT,
     UNSTABILIZED,
@@ -100,9 +99,6 @@ def _first_method(data: Mapping[str, object]) -> Mapping[str, object]:
         return FIRST_SYMMETRIC
     formulation = FORMULATIONS.get(name_of(data.get("formulation", BY_ACCELERATIONS)))
     return FIRST_IMPLICIT if formulation is None or formulation.solves_multipliers else FIRST_EXPLICIT
-
-
-_CHOSEN: tuple[Kind, ...] = ("model", "integrator")  #: Kinds of plugin that a run spec selects by name.
 
 
 class RunSpec(ModelSpec):
@@ -535,13 +531,8 @@ def _derived(cls: type[RunSpec], kinds: tuple[ElementKind, ...]) -> type[RunSpec
     return derived
 
 
-def spec_type(installed: Registry, base: type[RunSpec] = RunSpec) -> type[RunSpec]:
+def spec_type(installed: Registry) -> type[RunSpec]:
     """Return a class of run specs with all sections, which selects from the given registry instead of the installed
     plugins.
     """
-    fields: dict[str, Any] = {
-        kind: (Annotated[BaseModel, Choice(kind, installed)], Field(description=description(base, kind)))
-        for kind in _CHOSEN
-    }
-    whole = with_sections(base, kinds_with_section())
-    return create_model(base.__name__, __base__=whole, __doc__=base.__doc__, **fields)
+    return choosing_from(installed, with_sections(RunSpec, kinds_with_section()))

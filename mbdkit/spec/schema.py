@@ -12,12 +12,14 @@ from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
 from mbdkit.base.units import PERCENT, QUANTITY, described_units
+from mbdkit.mechanism.element_kinds import kinds_with_section
 from mbdkit.mechanism.law_element import Law
 from mbdkit.registry.catalogue import Registry
 from mbdkit.registry.feature_items import SpecKind
 from mbdkit.registry.manager import registry
 from mbdkit.spec.choices import law_element
-from mbdkit.spec.run_spec import RunSpec, spec_type
+from mbdkit.spec.model_spec import ModelSpec, choosing_from
+from mbdkit.spec.run_spec import RunSpec, with_sections
 from mbdkit.spec.spec_kinds import kind_named, spec_kinds, spec_schema
 
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -32,8 +34,7 @@ def run_schema(installed: Registry | None = None, spec: type[RunSpec] = RunSpec)
 
     `installed`: registry of the models, integrators and force laws to include; by default, all that are installed.
     """
-    chosen = installed if installed is not None else registry()
-    schema = model_schema(spec_type(chosen, spec), chosen)
+    schema = model_schema(with_sections(spec, kinds_with_section()), installed)
     schema["required"].remove("integrator")
     return schema | {"anyOf": [{"required": ["integrator"]}, {"required": ["accuracy"]}]}
 
@@ -46,10 +47,13 @@ def schema_of(kind: SpecKind, installed: Registry | None = None) -> dict[str, An
     return run_schema(installed, cast("type[RunSpec]", kind.model()))
 
 
-def model_schema(spec: type[BaseModel], chosen: Registry) -> dict[str, Any]:
-    """Return the schema of a spec with a model."""
+def model_schema(spec: type[ModelSpec], installed: Registry | None) -> dict[str, Any]:
+    """Return the schema of a spec with a model, for the plugins of a registry; by default, for all that are
+    installed.
+    """
+    chosen = installed if installed is not None else registry()
     laws = [law_element(item) for item in chosen.of_kind("force-law")]
-    models: list[type[BaseModel]] = [spec, Law, *laws]
+    models: list[type[BaseModel]] = [choosing_from(chosen, spec), Law, *laws]
     references, whole = models_json_schema([(model, "validation") for model in models])
     definitions = whole["$defs"]
     names = [references[model, "validation"]["$ref"].rpartition("/")[2] for model in models]

@@ -11,12 +11,11 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, parse_path, path_text, value_text
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.registry.catalogue import Registry
-from mbdkit.registry.manager import registry
 from mbdkit.spec.loading import loaded, read_source
 from mbdkit.spec.reading import Document, put
 from mbdkit.spec.schema import model_schema
 from mbdkit.spec.spec_kinds import spec_loader, spec_schema
-from mbdkit_predict.predict_spec import PredictSpec, predict_spec_type
+from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_studies import base_document
 
 #: A file, the name of a packaged example, a mapping, or a validated spec of a prediction.
@@ -119,8 +118,7 @@ def predict_schema(installed: Registry | None = None) -> dict[str, object]:
     """Return the JSON schema (draft 2020-12) of the spec of a prediction, with a `base` or with its model, for the
     models and force laws of a registry; by default, for all that are installed.
     """
-    chosen = installed if installed is not None else registry()
-    schema = model_schema(predict_spec_type(chosen), chosen)
+    schema = model_schema(PredictSpec, installed)
     fields = schema["properties"]
     words = "A run spec, whose model and named parameters are used: a file, the name of an example, or the spec itself."
     fields["base"] = {"anyOf": [{"type": "string"}, {"type": "object"}], "description": words}

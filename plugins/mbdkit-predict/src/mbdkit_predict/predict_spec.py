@@ -10,19 +10,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import copied, path_text, quoted
-from mbdkit.base.strict_model import FormatVersion, description
+from mbdkit.base.strict_model import FormatVersion
 from mbdkit.base.text import did_you_mean, listed
 from mbdkit.base.units import read_unit
 from mbdkit.mechanism.checks import check_name, check_tables
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import parameters_in_use
 from mbdkit.mechanism.values import Columns, Ends, Interpolation, Number, Positive, Table, curve_of, number_or_table
-from mbdkit.registry.catalogue import Registered, Registry
-from mbdkit.spec.choices import Choice
+from mbdkit.registry.catalogue import Registered
 from mbdkit.spec.loading import loaded
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document
@@ -407,10 +406,3 @@ class PredictSpec(ModelSpec):
                     why = f"the bound {bound:g} of this parameter is not possible: {error.message}"
                     raise SpecError(why, key=chosen.place(name)) from None
         return chosen.mechanism
-
-
-def predict_spec_type(installed: Registry) -> type[PredictSpec]:
-    """Return a PredictSpec class that selects from the given registry instead of the installed plugins."""
-    words = description(PredictSpec, "model")
-    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
-    return create_model("PredictSpec", __base__=PredictSpec, __doc__=PredictSpec.__doc__, model=field)

@@ -9,12 +9,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, create_model
+from pydantic import AfterValidator, ConfigDict, Field, PrivateAttr
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path as KeyPath
 from mbdkit.base.plain_data import path_text, quoted
-from mbdkit.base.strict_model import description
 from mbdkit.base.text import listed
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit.mechanism.checks import check_name
@@ -23,9 +22,7 @@ from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit.registry.catalogue import Registered, Registry
 from mbdkit.registry.element_items import ModelKey
-from mbdkit.registry.manager import registry
 from mbdkit.registry.target import Target
-from mbdkit.spec.choices import Choice
 from mbdkit.spec.loading import loaded
 from mbdkit.spec.model_spec import ModelSpec
 from mbdkit.spec.reading import Document, put
@@ -222,13 +219,6 @@ class InverseSpec(ModelSpec):
         return tuple(defined(self.measures, ("measures",)))
 
 
-def inverse_spec_type(installed: Registry) -> type[InverseSpec]:
-    """Return an InverseSpec class that selects from the given registry instead of the installed plugins."""
-    words = description(InverseSpec, "model")
-    field: Any = (Annotated[BaseModel, Choice("model", installed)], Field(description=words))
-    return create_model("InverseSpec", __base__=InverseSpec, __doc__=InverseSpec.__doc__, model=field)
-
-
 #: A file, the name of a packaged example, a mapping, or a validated spec of inverse dynamics.
 InverseSource: TypeAlias = str | Path | Mapping[str, object] | InverseSpec
 
@@ -273,5 +263,4 @@ def inverse_schema(installed: Registry | None = None) -> dict[str, object]:
     installed
         Registry of the models and force laws to include; by default, all that are installed.
     """
-    chosen = installed if installed is not None else registry()
-    return model_schema(inverse_spec_type(chosen), chosen)
+    return model_schema(InverseSpec, installed)
