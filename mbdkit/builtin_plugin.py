@@ -11,41 +11,25 @@ from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
-# fmt: off
+#: Commands: name, group, order, function and summary.
+_COMMANDS = (
+    ("run", "", 10, "runs:run", "Run a spec and write its archive."),
+    ("info", "archive", 10, "archives:archive_info", "Describe run archives."),
+    ("validate", "", 20, "runs:validate", "Check a spec of any kind without running it."),
+    ("check", "archive", 20, "archives:archive_check", "Check the structure and contents of run archives."),
+    ("diff", "archive", 30, "archives:archive_diff", "Compare the data of two run archives."),
+    ("rerun", "", 130, "runs:rerun", "Run the spec of an archive again and compare the results."),
+    ("guide", "", 140, "specs:guide", "List the pages of the guide, print one, or search them."),
+    ("examples", "", 190, "specs:examples_app", "List the packaged examples, or copy one."),
+)
 COMMANDS = (
-    Command(name="run", summary="Run a spec and write its archive.", target=Target("mbdkit.cli.runs:run"), order=10),
-    Command(
-        name="info", summary="Describe run archives.", target=Target("mbdkit.cli.archives:archive_info"),
-        group="archive", order=10,
-    ),
-    Command(
-        name="validate", summary="Check a spec of any kind without running it.",
-        target=Target("mbdkit.cli.runs:validate"), order=20,
-    ),
-    Command(
-        name="check", summary="Check the structure and contents of run archives.",
-        target=Target("mbdkit.cli.archives:archive_check"), group="archive", order=20,
-    ),
-    Command(
-        name="diff", summary="Compare the data of two run archives.", target=Target("mbdkit.cli.archives:archive_diff"),
-        group="archive", order=30,
-    ),
-    Command(
-        name="rerun", summary="Run the spec of an archive again and compare the results.",
-        target=Target("mbdkit.cli.runs:rerun"), order=130,
-    ),
-    Command(
-        name="guide", summary="List the pages of the guide, print one, or search them.",
-        target=Target("mbdkit.cli.specs:guide"), order=140,
-    ),
-    Command(
-        name="examples", summary="List the packaged examples, or copy one.",
-        target=Target("mbdkit.cli.specs:examples_app"), order=190,
+    *(
+        Command(name=name, summary=summary, target=Target(f"mbdkit.cli.{function}"), group=group, order=order)
+        for name, group, order, function, summary in _COMMANDS
     ),
     Command(name="schema", summary="Print the JSON schema of a spec, for editors.", order=170),
     Command(name="archive", summary="Describe, check, compare and export run archives.", order=200),
 )
-# fmt: on
 
 
 @hookimpl

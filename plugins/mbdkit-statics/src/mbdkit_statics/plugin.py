@@ -11,28 +11,21 @@ from mbdkit.registry.item import Item
 from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
+#: Commands: name, order and summary.
+_COMMANDS = (
+    ("equilibrium", 50, "Find a static equilibrium, its stability and its forces."),
+    ("modes", 60, "Find natural frequencies, damping ratios and mode shapes."),
+    ("kinematics", 70, "Compute the motion that drivers prescribe, without forces."),
+)
+
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return commands, and what notebooks show of equilibria and modes."""
     return [
-        Command(
-            name="equilibrium",
-            summary="Find a static equilibrium, its stability and its forces.",
-            order=50,
-            target=Target("mbdkit_statics.commands:equilibrium"),
-        ),
-        Command(
-            name="modes",
-            summary="Find natural frequencies, damping ratios and mode shapes.",
-            order=60,
-            target=Target("mbdkit_statics.commands:modes"),
-        ),
-        Command(
-            name="kinematics",
-            summary="Compute the motion that drivers prescribe, without forces.",
-            order=70,
-            target=Target("mbdkit_statics.commands:kinematics"),
+        *(
+            Command(name=name, summary=summary, order=order, target=Target(f"mbdkit_statics.commands:{name}"))
+            for name, order, summary in _COMMANDS
         ),
         ViewItem(
             name="equilibrium",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -9,61 +10,34 @@ from mbdkit.plugin import CriterionItem, Example, GuidePage, Item, JointKind, Su
 
 _HERE = Path(__file__).parent
 
+#: Types of joints: name, class of the elements, example, and summary.
+_JOINTS = (
+    ("gear", "gears:Gear", "planetary-gear", "two gears whose pitch circles roll on each other"),
+    ("rack", "gears:Rack", "rack-railway", "a gear that rolls on a rack"),
+    ("rolling", "gears:Rolling", "rack-railway", "a wheel that rolls without slip on a line or a circle"),
+    ("belt", "gears:Belt", "rack-railway", "a belt over two pulleys"),
+    ("cam", "cams:Cam", "cam-follower", "a cam and a follower"),
+    ("slot", "cams:Slot", "knee-slot", "a point that slides along a curve"),
+    ("coupling", "coupling:Coupling", "knee-slot", "an equation between the relative coordinates of two bodies"),
+)
+#: Types of joints that may form a train.
+_OF_TRAINS = ("gear", "belt")
+
 
 @hookimpl
 def mbdkit_items() -> Iterable[Item]:
     """Return the types of joints, the examples, and the page of the guide."""
     return [
-        JointKind(
-            name="gear",
-            summary="two gears whose pitch circles roll on each other",
-            order=100,
-            model=Target("mbdkit_transmissions.gears:Gear"),
-            check_elements=Target("mbdkit_transmissions.trains:check_trains"),
-            example="planetary-gear",
-        ),
-        JointKind(
-            name="rack",
-            summary="a gear that rolls on a rack",
-            order=110,
-            model=Target("mbdkit_transmissions.gears:Rack"),
-            example="rack-railway",
-        ),
-        JointKind(
-            name="rolling",
-            summary="a wheel that rolls without slip on a line or a circle",
-            order=120,
-            model=Target("mbdkit_transmissions.gears:Rolling"),
-            example="rack-railway",
-        ),
-        JointKind(
-            name="belt",
-            summary="a belt over two pulleys",
-            order=130,
-            model=Target("mbdkit_transmissions.gears:Belt"),
-            check_elements=Target("mbdkit_transmissions.trains:check_trains"),
-            example="rack-railway",
-        ),
-        JointKind(
-            name="cam",
-            summary="a cam and a follower",
-            order=140,
-            model=Target("mbdkit_transmissions.cams:Cam"),
-            example="cam-follower",
-        ),
-        JointKind(
-            name="slot",
-            summary="a point that slides along a curve",
-            order=150,
-            model=Target("mbdkit_transmissions.cams:Slot"),
-            example="knee-slot",
-        ),
-        JointKind(
-            name="coupling",
-            summary="an equation between the relative coordinates of two bodies",
-            order=160,
-            model=Target("mbdkit_transmissions.coupling:Coupling"),
-            example="knee-slot",
+        *(
+            JointKind(
+                name=name,
+                summary=summary,
+                order=order,
+                model=Target(f"mbdkit_transmissions.{model}"),
+                check_elements=Target("mbdkit_transmissions.trains:check_trains") if name in _OF_TRAINS else None,
+                example=example,
+            )
+            for order, (name, model, example, summary) in zip(itertools.count(100, 10), _JOINTS, strict=False)
         ),
         CriterionItem(
             name="locked-joints",
@@ -72,7 +46,7 @@ def mbdkit_items() -> Iterable[Item]:
             stage="rows",
             find=Target("mbdkit_transmissions.trains:watch_still_joints"),
             elements="joints",
-            types=frozenset({"gear", "rack", "rolling", "belt", "cam", "slot", "coupling"}),
+            types=frozenset(name for name, *_ in _JOINTS),
         ),
         CriterionItem(
             name="pulled-joints",

@@ -25,60 +25,55 @@ from mbdkit.plugin import (
 
 _HERE = Path(__file__).parent
 
+#: Devices for legs: name, class of the options, function that builds it, references, and summary.
+_MODELS = (
+    (
+        "hinge-orthosis",
+        "OrthosisOptions",
+        "hinge",
+        "REFERENCES",
+        "An orthosis of the knee with one hinge, a spring and a motor.",
+    ),
+    (
+        "four-bar-orthosis",
+        "FourBarOrthosisOptions",
+        "four_bar",
+        "FOUR_BAR",
+        "An orthosis of the knee with a crossed four-bar linkage.",
+    ),
+    (
+        "geared-orthosis",
+        "GearedOrthosisOptions",
+        "geared",
+        "REFERENCES",
+        "An orthosis of the knee with two pivots and toothed sectors.",
+    ),
+    (
+        "self-aligning-orthosis",
+        "SelfAligningOrthosisOptions",
+        "self_aligning",
+        "SELF_ALIGNING",
+        "An orthosis of the knee whose hinge moves on two passive slides.",
+    ),
+    (
+        "hip-knee-exoskeleton",
+        "ExoskeletonOptions",
+        "hip_knee",
+        "REFERENCES",
+        "An exoskeleton with springs and motors at hip and knee.",
+    ),
+    ("passive-strut", "StrutOptions", "strut", "REFERENCES", "A spring behind the knee between two shells."),
+)
+
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
     """Return devices for legs."""
-    return [
-        ModelPlugin(
-            "hinge-orthosis",
-            "An orthosis of the knee with one hinge, a spring and a motor.",
-            Target("mbdkit_wearable.orthoses:OrthosisOptions"),
-            Target("mbdkit_wearable.orthoses:hinge"),
-            Target("mbdkit_wearable.orthoses:REFERENCES"),
-            order=80,
-        ),
-        ModelPlugin(
-            "four-bar-orthosis",
-            "An orthosis of the knee with a crossed four-bar linkage.",
-            Target("mbdkit_wearable.orthoses:FourBarOrthosisOptions"),
-            Target("mbdkit_wearable.orthoses:four_bar"),
-            Target("mbdkit_wearable.orthoses:FOUR_BAR"),
-            order=81,
-        ),
-        ModelPlugin(
-            "geared-orthosis",
-            "An orthosis of the knee with two pivots and toothed sectors.",
-            Target("mbdkit_wearable.orthoses:GearedOrthosisOptions"),
-            Target("mbdkit_wearable.orthoses:geared"),
-            Target("mbdkit_wearable.orthoses:REFERENCES"),
-            order=82,
-        ),
-        ModelPlugin(
-            "self-aligning-orthosis",
-            "An orthosis of the knee whose hinge moves on two passive slides.",
-            Target("mbdkit_wearable.orthoses:SelfAligningOrthosisOptions"),
-            Target("mbdkit_wearable.orthoses:self_aligning"),
-            Target("mbdkit_wearable.orthoses:SELF_ALIGNING"),
-            order=83,
-        ),
-        ModelPlugin(
-            "hip-knee-exoskeleton",
-            "An exoskeleton with springs and motors at hip and knee.",
-            Target("mbdkit_wearable.orthoses:ExoskeletonOptions"),
-            Target("mbdkit_wearable.orthoses:hip_knee"),
-            Target("mbdkit_wearable.orthoses:REFERENCES"),
-            order=84,
-        ),
-        ModelPlugin(
-            "passive-strut",
-            "A spring behind the knee between two shells.",
-            Target("mbdkit_wearable.orthoses:StrutOptions"),
-            Target("mbdkit_wearable.orthoses:strut"),
-            Target("mbdkit_wearable.orthoses:REFERENCES"),
-            order=85,
-        ),
-    ]
+    models = []
+    for order, (name, *names, summary) in enumerate(_MODELS, 80):
+        options, build, references = (Target(f"mbdkit_wearable.orthoses:{own}") for own in names)
+        models.append(ModelPlugin(name, summary, options, build, references, order=order))
+    return models
 
 
 @hookimpl
