@@ -31,7 +31,7 @@ from mbdkit.cli.common_options import (
     stem,
 )
 from mbdkit.cli.outcome import exit_with, tell
-from mbdkit.spec.spec_kinds import spec_check
+from mbdkit.spec.spec_kinds import kind_of, packaged_spec, spec_check, spec_kinds, spec_loader
 
 if TYPE_CHECKING:
     from mbdkit.archive.run import Run
@@ -158,7 +158,6 @@ def validate(
     defines the bodies itself; otherwise, the mechanism is written in full.
     """
     from mbdkit.spec.loading import read_source
-    from mbdkit.spec.spec_kinds import kind_of, packaged_spec, spec_kinds
 
     if spec != "-" and not os.path.isfile(spec):
         for kind in spec_kinds():
@@ -192,7 +191,6 @@ def _write_assembled(kind: SpecKind, source: Document, name: str, assignments: l
 
 def _validate(kind: SpecKind, source: Document | str, name: str, assignments: list[str] | None) -> None:
     from mbdkit.registry.manager import registry, use
-    from mbdkit.spec.spec_kinds import spec_check, spec_loader
 
     item = registry().get("spec-kind", kind.name)
     if kind.validate is not None:
@@ -369,7 +367,6 @@ def rerun(
 def _repeated(before: Run, archive: Path, output: Path | None, *, overwrite: bool, quiet: bool) -> Run:
     """Repeat the run in an archive."""
     from mbdkit.runs.run_seams import computed_run, repeated_run
-    from mbdkit.spec.spec_kinds import spec_loader
 
     in_archive = SpecError.place_by(lambda error: error.located(file=archive))
     with in_archive, progress_bar(archive.name, quiet) as progress:

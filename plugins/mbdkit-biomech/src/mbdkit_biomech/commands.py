@@ -8,8 +8,9 @@ from typing import Annotated
 import typer
 
 from mbdkit.archive.run import Run
+from mbdkit.base.errors import SpecError
 from mbdkit.base.terminal import say, show, show_json
-from mbdkit.base.text import counted
+from mbdkit.base.text import counted, shown
 from mbdkit.cli.common_options import Archive, AsJson, Debug, SpecCommand
 from mbdkit.cli.outcome import tell
 from mbdkit.runs.run_seams import repeated_run
@@ -75,8 +76,6 @@ def repeated_inverse(before: Run, archive: Path, output: Path | None, *, overwri
     SpecError
         If a table is not there.
     """
-    from mbdkit.base.errors import SpecError
-    from mbdkit.base.text import shown
     from mbdkit_biomech.inverse_dynamics.results.inverse_run import compute_run
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import load_inverse_spec
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import quoted
@@ -311,8 +311,6 @@ def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarr
     count
         Number of eigenvalues; both eigenvalues of a conjugate pair are counted.
     """
-    from scipy.sparse.linalg import LinearOperator, eigs
-
     p, n = prepared.equations, prepared.equations.n
     prepared.workspace.mechanism.refuse_side_forces("the modes of a large mechanism")
     shift = 0.5 * np.sqrt(_pilot(prepared, at)[0])
@@ -366,8 +364,6 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
     relative tolerance would require more accuracy than is needed. The second search therefore shifts all eigenvalues by
     the first one, so that the tolerance `NEGATIVE` is relative to the first one.
     """
-    from scipy.sparse.linalg import LinearOperator, eigs, eigsh
-
     p = prepared.equations
     square, first = _pilot(prepared, at)
     matrix = p.iteration_matrix(*at, mass=0.01 * square, stiffness=1.0)

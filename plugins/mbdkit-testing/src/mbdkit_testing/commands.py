@@ -14,9 +14,10 @@ from mbdkit.base.progress_bars import count_bar
 from mbdkit.base.terminal import say, show_result, silence
 from mbdkit.base.text import listed
 from mbdkit.cli.common_options import AsJson, Debug, Overwrite, Quiet, output_to
+from mbdkit.registry.manager import checked, load_installed
 from mbdkit.spec.reading import Document
 from mbdkit_testing import describe
-from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind
+from mbdkit_testing.scaffold.new_plugin import KINDS, LIKE, Like, NewKind, new_project
 
 
 def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
@@ -36,7 +37,6 @@ def doctor(as_json: AsJson = False, debug: Debug = False) -> None:
 def _diagnose(as_json: bool, further: Mapping[str, object], lines: Iterable[str] = ()) -> None:
     """Print the plugins and the machine code in use, and `further` values of the JSON or the `lines` of the text."""
     from mbdkit.engine.native.machine_code import code_report, code_text
-    from mbdkit.registry.manager import checked, load_installed
 
     installed = checked(load_installed())
     values = {**describe.diagnosis(installed), "machine_code": code_report(), **further}
@@ -50,8 +50,6 @@ def plugins_list(as_json: AsJson = False, debug: Debug = False) -> None:
 
     What belongs to mbdkit itself is checked by `mbdkit plugins doctor` only.
     """
-    from mbdkit.registry.manager import checked, load_installed
-
     installed = checked(load_installed(), whole=False)
     show_result(describe.listing(installed), describe.listing_text(installed), as_json=as_json)
 
@@ -189,8 +187,6 @@ def plugins_new(
     change. Existing files are not changed. `mbdkit guide plugins` has examples
     of studies, commands and further kinds.
     """
-    from mbdkit_testing.scaffold.new_plugin import new_project
-
     project = new_project(name, kind, like=like)
     files = sorted(str(path) for path in project.rglob("*") if path.is_file())
     text = f"{project}: pip install -e './{project}[test]', and then see {project / 'README.md'}"
