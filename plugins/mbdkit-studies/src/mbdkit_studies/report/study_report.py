@@ -182,11 +182,6 @@ def _remarks_title(study: Study) -> str:
     return f"Remarks on {named} runs" if named else "Remarks on the runs"
 
 
-def _listed(study: Study) -> Sequence[StudyPoint]:
-    """Return the points that the page lists: all, or the first ones of a study with a sample."""
-    return study.points[:_LISTED] if study.spec.has_table else study.points
-
-
 def _read(study: Study) -> Sequence[StudyPoint]:
     """Return the points whose specs and provenance the page shows: all, or a few of a study with a sample."""
     if not study.spec.has_table:
@@ -200,7 +195,7 @@ def runs_table(study: Study) -> Table:
     """Return the table of the runs of a study: their values on the axes, status, verdict, measures and cost. Of a study
     with a sample, only the first runs are listed.
     """
-    points = _listed(study)
+    points = study.points[:_LISTED] if study.spec.has_table else study.points
     units = None
     if study.spec.has_table:
         units = {key: axis_unit(key, points) for key in dict.fromkeys(key for point in points for key in point.axes)}
