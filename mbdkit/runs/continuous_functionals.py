@@ -94,9 +94,9 @@ class ContinuousFunctionals:
         """Return the time just before (`side` -1) or after (1) the discontinuity at `time`; -side * inf if none."""
         stops, margins = self._table.stops, self._table.stop_margins
         after = bisect_left(stops, time)
-        for stop, margin in zip(stops[max(0, after - 1) : after + 1], margins[max(0, after - 1) : after + 1], strict=True):
-            if abs(time - stop) <= SAME_TIME * margin:
-                return stop + side * margin
+        for place in range(max(0, after - 1), min(len(stops), after + 1)):
+            if abs(time - stops[place]) <= SAME_TIME * margins[place]:
+                return stops[place] + side * margins[place]
         return -side * math.inf
 
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:

@@ -223,7 +223,9 @@ class AdjointRun:
         mechanism, top, seeds = self.workspace.mechanism, self.workspace.mechanism.topology, self.seeds
         mechanism.refuse_kinds("gradients")
         kinds = {
-            "first-order states, controllers or loads that depend on the motion": len(top.states) + len(top.inputs) + len(top.load_values),
+            "first-order states, controllers or loads that depend on the motion": (
+                len(top.states) + len(top.inputs) + len(top.load_values)
+            ),
             "rigid contacts": mechanism.reacting is not None, "redundant joints": len(top.spare),
             "beams": len(top.sections),
         }  # fmt: skip
