@@ -77,7 +77,7 @@ def ours(motion: Motion) -> tuple[list[Contender], list[str]]:
         except SpecError:
             missing.append(f"{OURS} {method}")
         else:
-            found.append(Contender(OURS, method, run, ladder, has_forces=forces > 0))
+            found.append(Contender(OURS, method, run, ladder, has_forces=forces == 1))
     return found, missing
 
 
