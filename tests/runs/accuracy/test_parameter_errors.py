@@ -10,7 +10,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.runs.accuracy.run_estimates import COVERAGE
+from mbdkit.runs.accuracy.parameter_errors import COVERAGE
 from tests.identified import COVARIANCE, MASS, STIFFNESS, sliding, write_fit
 
 GRAVITY = 10.0

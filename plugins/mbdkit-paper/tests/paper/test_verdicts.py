@@ -18,8 +18,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.guide.pages import find_page
 from mbdkit.registry.manager import registry
 from mbdkit.spec import load_spec
-from mbdkit_paper.paper import computation_time
-from mbdkit_paper.paper.computation_time import SPEED_UP, measured, times
+from mbdkit_paper.paper import substitution_timing
+from mbdkit_paper.paper.computation_time import SPEED_UP, times
 from mbdkit_paper.paper.paper_predictions import joints, knee, steps_within
 from mbdkit_paper.paper.published_results import magnitudes, ranking
 from mbdkit_paper.paper.source_paper import BIBTEX, TITLE
@@ -257,7 +257,7 @@ def test_growth_of_time_is_undecided_where_the_spread_of_the_times_allows_both(s
 
 def test_substitution_is_measured_once_for_a_folder(small: mbdkit.Study, monkeypatch: pytest.MonkeyPatch) -> None:
     first = judge(small).table("substitution").rows
-    monkeypatch.setattr(computation_time, "measure", lambda spec: pytest.fail("measured again"))
+    monkeypatch.setattr(substitution_timing, "measure", lambda spec: pytest.fail("measured again"))
     assert judge(small).table("substitution").rows == first
 
 
@@ -265,14 +265,14 @@ def test_a_damaged_file_of_times_is_measured_anew(tmp_path: Path) -> None:
     spec = load_spec("pendulum")
     (tmp_path / "measured").mkdir()
     (tmp_path / "measured" / "substitution.json").write_text('{"a": {"bodies": ')
-    (found,) = measured(tmp_path, [spec])
+    (found,) = substitution_timing.measured(tmp_path, [spec])
     assert found > 0.0
-    assert measured(tmp_path, [spec]) == [found]
+    assert substitution_timing.measured(tmp_path, [spec]) == [found]
 
 
 def test_a_folder_that_cannot_be_written_costs_nothing_but_time(tmp_path: Path) -> None:
     (tmp_path / "measured").write_text("in the way")
-    assert measured(tmp_path, [load_spec("pendulum")])[0] > 0.0
+    assert substitution_timing.measured(tmp_path, [load_spec("pendulum")])[0] > 0.0
 
 
 def test_any_study_has_a_general_verdict(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import mbdkit
 from mbdkit.base.errors import PluginError
 from mbdkit.plugin import PlotKind, ReportSection, TableFormat
 from mbdkit_report import export as exports
-from mbdkit_report.pages.run_charts import added_sections
+from mbdkit_report.pages.section_items import added_sections
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
 from tests.registry import failing_items
 from tests.registry.failing_items import target

@@ -144,6 +144,14 @@ def test_files_stand_beside_the_blocks_of_a_table(tmp_path: Path) -> None:
     assert kept.stat().st_mtime_ns == before
 
 
+def test_files_beside_blocks_need_runs_that_can_be_made_again(tmp_path: Path) -> None:
+    with pytest.raises(SpecError, match=r"store: .*`limits.wall_time`"):
+        mbdkit.ensemble(
+            BASE | {"limits": {"wall_time": 1.0}}, {"model.angles.0": [0.0, 1.0]}, store="files", out=tmp_path / "s"
+        )
+    assert not (tmp_path / "s").exists()
+
+
 def test_a_run_that_cannot_be_made_again_is_told_from_the_one_that_was_stored(tmp_path: Path) -> None:
     study = pendulums(4, store="hashes", out=tmp_path / "s")
     other = study.points[1]

@@ -1,29 +1,23 @@
 """Charts in the report of a run, with marks at events. Charts of forces come first, charts of misalignment and energy
 balance last. A joint has the same colour in all charts if there are no more joints than colours.
-Charts and sections of plugins are among them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.quantities.array import Recorded
 from mbdkit.quantities.registered_kinds import kind_of_group
-from mbdkit.registry.catalogue import Registered
-from mbdkit.registry.feature_items import ReportSection
-from mbdkit.registry.manager import registry, use
 from mbdkit_report.figures.curves import bands
 from mbdkit_report.figures.drawing_geometry import choose_traces, draw_run
-from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark, Section
+from mbdkit_report.figures.page_model import TIME, Axis, Figure, Line, Mark
 from mbdkit_report.figures.palette import PALETTE, trace_colors
+from mbdkit_report.pages.section_items import added_charts
 from mbdkit_report.plot.plot_kinds import plot_kinds, plot_module
-from mbdkit_report.seams import film_data, report_charts, report_sections
 
 MARKS = 60  #: No events are marked if a run has more event crossings than this.
 #: Charts that show how well the constraints and the energy hold.
@@ -117,34 +111,3 @@ def _lines(run: Run, path: str, names: Sequence[str], columns: list[int]) -> tup
     order = np.argsort(-peaks, kind="stable")[:LINES]
     shown = sorted(columns[place] for place in order if peaks[place] > 0)
     return tuple(Line(names[column], *curves.curve(column)) for column in shown)
-
-
-def _items() -> Iterator[tuple[Registered, ReportSection]]:
-    yield from ((item, cast(ReportSection, item.plugin)) for item in registry().of_kind("report-section"))
-
-
-def added_sections(run: Run, mechanism: Mechanism | None) -> list[Section]:
-    """Return the sections of plugins and of this package."""
-    return [
-        use(item, lambda section=section: section, of=Section)  # type: ignore[misc]
-        for item, own in _items()
-        for section in use(item, lambda own=own: list(report_sections.of(own.make)(run, mechanism)))  # type: ignore[misc]
-    ]
-
-
-def added_charts(run: Run) -> list[Figure]:
-    """Return the charts that come with the sections."""
-    return [
-        use(item, lambda chart=chart: chart, of=Figure)  # type: ignore[misc]
-        for item, own in _items()
-        if own.charts is not None
-        for chart in use(item, lambda charts=own.charts: list(report_charts.of(charts)(run)))  # type: ignore[misc]
-    ]
-
-
-def with_additions(run: Run, film: dict[str, object]) -> dict[str, object]:
-    """Return the data of the player with what plugins add to them."""
-    for item, own in _items():
-        if own.film is not None:
-            film = use(item, lambda add=own.film, film=film: film_data.of(add)(run, film), of=dict)  # type: ignore[misc]
-    return film

@@ -14,8 +14,9 @@ from mbdkit_report.figures.player_data import film_data
 from mbdkit_report.pages.methods_used import methods
 from mbdkit_report.pages.model_section import model_sections
 from mbdkit_report.pages.report_page import ReportPage
-from mbdkit_report.pages.run_charts import DRIFT, added_sections, with_additions
+from mbdkit_report.pages.run_charts import DRIFT
 from mbdkit_report.pages.run_verdict import run_verdict
+from mbdkit_report.pages.section_items import added_sections, with_additions
 from mbdkit_report.plot.caption import caption
 
 #: Name of the colour of the first headline (`ReportPage.tone`) for each verdict.

@@ -287,6 +287,11 @@ def _carried_out(
             folder.check(spec, overwrite=overwrite)
             for _, checked in store.plan.validated:
                 check_calls(checked)
+                if spec.in_blocks and spec.store == "files" and checked.limits.wall_time is not None:
+                    message = "writes archives of runs that are computed twice, which `limits.wall_time` ends at"
+                    raise SpecError(
+                        f"{message} different times; leave the limit out, or choose another store", key="store"
+                    )
             _LOG.info("study in %s begins: %s", shown(folder.path), counted(store.count, "run"))
             of_sample = store.plan.warnings_of_sample()
 
