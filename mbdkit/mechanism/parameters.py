@@ -220,6 +220,23 @@ def with_expressions(
                 holder[path[-1]] = _value(text, kind, values, where) if isinstance(text, str) else text
 
 
+def in_terms_of(text: str, texts: Mapping[str, str], parameters: Mapping[str, object], values: Values) -> str:
+    """Return an expression of parameters with texts in place of some of them, also where others contain these.
+
+    `texts`: the texts by name. `parameters`, `values`: all parameters as they were given, and their values.
+    """
+
+    def replaced(name: str) -> str:
+        if name in texts:
+            return texts[name]
+        inside = in_terms_of(given := str(parameters[name]), texts, parameters, values)
+        return f"({values[name]!r})" if inside == given else f"({inside})"
+
+    used = parameters_in_use(parameters, [text])
+    names = {name: replaced(name) for name in used} if used & texts.keys() else {}
+    return _NAME_ALONE.sub(lambda match: names.get(match[0], match[0]), text)
+
+
 def insert(data: object, written: Written) -> Any:
     """Replace values in plain data by the expressions at the same key paths, and return the data.
 

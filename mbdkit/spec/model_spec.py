@@ -32,7 +32,15 @@ from mbdkit.base.plain_data import LONGEST_TITLE, Path, canonical, canonical_tex
 from mbdkit.base.strict_model import FormatVersion, description
 from mbdkit.mechanism.law_element import Law, PluginLookup
 from mbdkit.mechanism.mechanism_seams import model_extension
-from mbdkit.mechanism.parameters import Written, WrittenText, insert, parameter_values, with_expressions, without_units
+from mbdkit.mechanism.parameters import (
+    Written,
+    WrittenText,
+    in_terms_of,
+    insert,
+    parameter_values,
+    with_expressions,
+    without_units,
+)
 from mbdkit.mechanism.validation_errors import walk
 from mbdkit.registry.catalogue import Kind, Registered, Registry
 from mbdkit.registry.item_options import item_of
@@ -283,6 +291,10 @@ class ModelSpec(StrictSpec):
         laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
         return sorted(laws, key=lambda item: item.id)
 
+    def in_terms_of(self, text: str, texts: Mapping[str, str]) -> str:
+        """Return an expression of parameters with texts in place of some, by name, also where others contain these."""
+        return in_terms_of(text, texts, self.parameters, self.numbers)
+
     def mechanism(self) -> Mechanism:
         """Return the mechanism that the model builds from its parameters; it is built once and cached.
 
@@ -336,7 +348,8 @@ class ModelSpec(StrictSpec):
             if isinstance(mechanism, Mechanism) and self.span is not None:
                 mechanism.check_span(*self.span)
         except SpecError as error:
-            raise error if error.key.startswith("model") else error.located(prefix="model") from None
+            is_located = error.key.startswith(("model", "controls.", "parameters."))
+            raise error if is_located else error.located(prefix="model") from None
         if not isinstance(mechanism, Mechanism):
             raise PluginError(f"model {self.model_item.id} built {type(mechanism).__name__}, not a Mechanism")
         return mechanism

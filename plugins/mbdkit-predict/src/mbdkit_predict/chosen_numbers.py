@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit.base.plain_data import Path, copied, parse_path, path_text, plain
+from mbdkit.base.plain_data import copied, parse_path, path_text, plain
 from mbdkit.base.text import did_you_mean
 from mbdkit.engine.compile_mechanism import compile_mechanism
 from mbdkit.engine.kernels.engine_bundles import Topology
@@ -38,9 +38,10 @@ NOT_READ = "weight", "length", "row_units"
 class ChosenNumbers:
     """Controls and parameters of a mechanism, by key paths such as ``forces.motor.value`` and ``bodies.rod.mass``.
 
-    Named parameters may be among the parameters: `named` are their present values by name, and `rebuilt` returns the
-    mechanism with other values. Raises SpecError if a key does not exist, its value is no number, or a control cannot
-    change with time.
+    Named parameters may be among both: `named` are their present values by name, and `rebuilt` returns the mechanism
+    with other values. `used` are, by key path in the mechanism, the expressions that contain those that are
+    controls, as functions of states. Raises SpecError if a key does not exist, its value is no number, or a control
+    cannot change with time.
 
     Attributes
     ----------
@@ -64,19 +65,20 @@ class ChosenNumbers:
         controls: Sequence[str],
         parameters: Sequence[str],
         named: Mapping[str, float] = MappingProxyType({}),
-        rebuilt: Callable[[Mapping[str, float]], Mechanism] | None = None,
+        rebuilt: Callable[[Mapping[str, float]], tuple[Mechanism, Mapping[str, str]]] | None = None,
+        used: Mapping[str, str] = MappingProxyType({}),
     ):
         self.controls, self.parameters = tuple(controls), tuple(parameters)
         self.named, self._rebuilt = named, rebuilt
-        self._spec = mechanism.to_spec()
         self._original = mechanism
+        self._spec = self._with_expressions(mechanism, used)
         self.equilibria = chosen_equilibria(mechanism, controls)
         self.unknowns = {
             controls[i]: (one.equilibrium, k) for one in self.equilibria for k, i in enumerate(one.unknowns)
         }
-        self.control_start = [0.0 if key in self.unknowns else self._start(key) for key in controls]
+        self.control_start = [0.0 if key in self.unknowns else self._start(key, used) for key in controls]
         if both := set(controls) & set(parameters):
-            raise SpecError("is a control, so that it is no parameter", key=f"model.{min(both)}")
+            raise SpecError("is a control, so that it is no parameter", key=self.place(min(both)))
         self.parameter_start = [self._number(key) for key in parameters]
         self.control_states = [
             key if key in self.unknowns else self._add_control(self._spec, key, start)
@@ -85,21 +87,36 @@ class ChosenNumbers:
         try:
             self.mechanism = self._mechanism(self._spec) if controls else self._of_run(copy(mechanism))
         except SpecError as error:
-            if error.key.removeprefix("model.") not in controls:
+            if error.key.removeprefix("model.") not in {*controls, *used}:
                 raise
             raise SpecError("is no control, because it cannot change with time", key=error.key) from None
+
+    def _with_expressions(self, mechanism: Mechanism, used: Mapping[str, str]) -> dict[str, Any]:
+        """Return the spec of a mechanism with expressions of named parameters that are controls."""
+        spec = mechanism.to_spec()
+        for key, text in used.items():
+            self._set(spec, key, text)
+        return spec
 
     def _add_control(self, spec: dict[str, Any], key: str, start: float) -> str:
         kind, *path = parse_path(key)
         is_own = kind == "states" and len(path) == 1  # the state itself is the control
         state = str(path[0]) if is_own else key
-        if not is_own:
+        if path and not is_own:
             self._set(spec, key, f"states[{json.dumps(key)}]")
         spec.setdefault("states", {}).setdefault(state, {}).update({"initial": start, "rate": "0"})
         return state
 
-    def _start(self, key: str) -> float:
-        value = self._value(key)
+    def _start(self, key: str, used: Mapping[str, str]) -> float:
+        if len(parse_path(key)) > 1:
+            value = self._value(key)
+        elif any(f"states[{json.dumps(key)}]" in text for text in used.values()):
+            value = self.named[key]
+            if key in self._original.states:
+                raise SpecError("has the name of a state; rename one of them", key=f"controls.{key}")
+        else:
+            why = f"the model uses no parameter '{key}'{did_you_mean(key, self.named)}"
+            raise SpecError(why, key=f"controls.{key}")
         value = getattr(value, "initial", value)  # of a state
         if isinstance(value, list | tuple):
             raise SpecError(f"has components, each a control of its own: {key}[0] and {key}[1]", key=f"model.{key}")
@@ -122,7 +139,7 @@ class ChosenNumbers:
     def _value(self, key: str) -> object:
         """Return the value of the mechanism at a key path; raise SpecError if there is none."""
         value: Any = self._original
-        path: Path = parse_path(key)
+        path = parse_path(key)
         for i, part in enumerate(path):
             try:
                 value = getattr(value, str(part)) if hasattr(value, str(part)) and i != 1 else value[part]
@@ -165,7 +182,7 @@ class ChosenNumbers:
         spec, renamed = copied(self._spec), {name: given.pop(name) for name in self.named if name in given}
         if renamed:
             assert self._rebuilt is not None
-            spec = self._rebuilt(renamed).to_spec()
+            spec = self._with_expressions(*self._rebuilt(renamed))
             for key, state, start in zip(self.controls, self.control_states, self.control_start, strict=True):
                 if state in self._spec["states"]:  # else the unknown of an equilibrium
                     self._add_control(spec, key, start)

@@ -200,7 +200,7 @@ class PredictSpec(ModelSpec):
     """Version of the format of predictions."""
     controls: dict[str, Variable]
     """Functions of time that are optimized, by the key path of the value in the model that they replace, such as
-    `forces.motor.value` and `muscles.soleus.excitation`."""
+    `forces.motor.value` and `muscles.soleus.excitation`, or by the name of a parameter that the model uses."""
     optimized: dict[str, Variable] = Field(default_factory=dict)
     """Numbers that are optimized, by their key path in the model, such as `forces.spring.stiffness`, or named
     parameters, by name. In specs with a `base`, they are called `parameters`."""
@@ -330,7 +330,8 @@ class PredictSpec(ModelSpec):
                 return f"({float(curve_of(self.tables[name])(at))!r})"
             return f"states[{json.dumps(names[kind][name])}].value"
 
-        return re.sub(r"(?<![\w.\"'])(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))", state, text)
+        pattern = r"(?<![\w.\"'])(controls|measured)(?:\[([\"'])(.*?)\2\]|\.(\w+))"
+        return re.sub(pattern, state, self._with_controls(text))
 
     def control(self, name: str) -> Variable:
         """Return the bounds and the start of a control; unknowns of equilibria have bounds and starts of their own."""
@@ -377,14 +378,23 @@ class PredictSpec(ModelSpec):
                     self._tables[name] = given.read(self.folder)
                 check_tables([(key, self._tables[name])], 0.0, sum(lengths))
 
-    def _with_named(self, values: Mapping[str, float]) -> Mechanism:
-        """Return the mechanism of the model with other values of named parameters."""
+    def _with_controls(self, text: str) -> str:
+        """Return an expression with states in place of the named parameters that are controls."""
+        return self.in_terms_of(text, {name: f"states[{json.dumps(name)}].value" for name in self.controls})
+
+    def _with_named(self, values: Mapping[str, float]) -> tuple[Mechanism, dict[str, str]]:
+        """Return the mechanism of the model with other values of named parameters, and expressions of controls."""
         data = copied(json.loads(self.canonical_json()))
         for key in ("optimized", "sensitivities", "compare", "guess", "measured"):
             data.pop(key, None)
         data["parameters"] = data["parameters"] | values
         other = loaded("predict", PredictSpec, Document(data, folder=self.folder), (), {})
-        return self._with_functions(ModelSpec._built(other))
+        return self._with_functions(ModelSpec._built(other)), other._used()
+
+    def _used(self) -> dict[str, str]:
+        """Return the expressions of the model that contain controls, by key path in the mechanism."""
+        texts = {path_text(path[1:]): (text, self._with_controls(text)) for path, text in self.written.items()}
+        return {key: after for key, (before, after) in texts.items() if after != before}
 
     def _with_functions(self, mechanism: Mechanism) -> Mechanism:
         for name in self.measured:
@@ -397,7 +407,9 @@ class PredictSpec(ModelSpec):
         functions = [path_text(("states", f"measured.{name}")) for name in self.measured]
         controls = list(dict.fromkeys([*self.controls, *unknowns, *functions]))
         parameters = [*self.optimized, *(key for key in self.sensitivities if key not in self.optimized)]
-        self._chosen = chosen = ChosenNumbers(mechanism, controls, parameters, self.numbers, self._with_named)
+        self._chosen = chosen = ChosenNumbers(
+            mechanism, controls, parameters, self.numbers, self._with_named, self._used()
+        )
         for i, (name, variable) in enumerate(self.optimized.items()):
             for bound in filter(math.isfinite, variable.limits):
                 try:

@@ -84,6 +84,9 @@ def test_gauss_methods_have_their_order_on_nonlinear_joints() -> None:
     assert errors[0] < 0.02
 
 
+LOADS = {"near": "whole*share", "far": "(1 - share)*whole"}  #: Two loads whose sum is the parameter `whole`.
+
+
 def spring(stiffness: float) -> dict[str, Any]:
     points = [[0.5, 0.0], [0, 0]]
     return {
@@ -344,6 +347,36 @@ def test_a_named_parameter_is_optimized_wherever_it_occurs() -> None:
         mbdkit.predict(spec, parameters={"w": {"bounds": [0.5, 2.0]}})
     with pytest.raises(SpecError, match=r"parameters\.nn: there is no parameter 'nn'.*'n'"):
         mbdkit.predict(spec, parameters={"nn": {"bounds": [0.25, 2.0]}})
+
+
+@pytest.mark.parametrize("name", ["push", "whole"])
+def test_a_named_parameter_is_a_control_wherever_it_occurs(name: str) -> None:
+    # 12 for the whole force, which is that of two loads of a parameter each, or of one parameter of another
+    spec = block()
+    model = spec["base"]["model"]
+    loads = {key: {"type": "force", "body": "block", "value": [value, 0.0]} for key, value in LOADS.items()}
+    model["forces"] = loads
+    spec["base"]["parameters"] = {"push": 2.0, "share": 0.25, "whole": "push/share", "length": 1.0}
+    spec |= {"controls": {name: {"bounds": [-100, 100]}}, "minimize": "integral(whole**2)"}
+    run = mbdkit.predict(spec)
+    scale = {"push": 0.25, "whole": 1.0}[name]
+    assert run.objective == pytest.approx(12.0, rel=1e-8)
+    np.testing.assert_allclose(run.controls[name].value, scale * (6.0 - 12.0 * run.time), atol=1e-6)
+    other = mbdkit.predict(spec, minimize=f"integral(controls.{name}**2)")
+    assert other.objective == pytest.approx(12.0 * scale**2, rel=1e-8)
+    other = mbdkit.predict(spec, sensitivities=["share"], minimize=f"integral(controls.{name}**2)")
+    assert other.sensitivities["share"] == pytest.approx({"push": 24.0 * 0.25, "whole": 0.0}[name], abs=1e-5)
+    model["bodies"]["block"]["mass"] = "length"
+    with pytest.raises(SpecError, match=r"model\.bodies\.block\.mass: is no control, because it cannot change"):
+        mbdkit.predict(spec, controls={"length": {"bounds": [0, 1]}}, minimize="integral(length)")
+    with pytest.raises(SpecError, match=r"controls\.lenght: the model uses no parameter 'lenght'.*'length'"):
+        mbdkit.predict(spec, controls={"lenght": {"bounds": [0, 1]}})
+    model["bodies"]["block"]["mass"], model["states"] = 1.0, {name: {"initial": 0.0, "rate": "1"}}
+    with pytest.raises(SpecError, match=rf"controls\.{name}: has the name of a state"):
+        mbdkit.predict(spec)
+    del model["states"]
+    with pytest.raises(SpecError, match=rf"parameters\.{name}: is a control, so that it is no parameter"):
+        mbdkit.predict(spec, sensitivities=[name], minimize=f"integral(controls.{name}**2)")
 
 
 def test_conditions_contain_named_parameters() -> None:
