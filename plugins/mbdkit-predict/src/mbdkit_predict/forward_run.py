@@ -93,7 +93,8 @@ def _integrated(rates: Rates, stops: Sequence[float], state: np.ndarray, scale: 
     options: dict[str, float | np.ndarray] = {"rtol": PRECISION, "atol": absolute}
     for span in pairwise(stops):
         try:
-            result = solve_ivp(_counted(rates), span, state, EXPLICIT, **options)
+            # one step, of which the error is estimated, is often enough
+            result = solve_ivp(_counted(rates), span, state, EXPLICIT, first_step=span[1] - span[0], **options)
         except StepError:
             result = solve_ivp(rates, span, state, IMPLICIT, **options)
         state = np.asarray(result.y[:, -1])
