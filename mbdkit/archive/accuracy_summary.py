@@ -17,6 +17,7 @@ from mbdkit.archive.peak_errors import (
     BETWEEN,
     errors_of_largest,
     excess_between_rows,
+    is_resolved,
     jumps,
     measures_of_largest,
     missed_by_rows,
@@ -135,7 +136,12 @@ class RunErrors:
         """Return the result of `missed_by_rows` for the run; None if nothing happens between its rows."""
         if not self.run.spec_kind.is_integrated:
             return None
-        return missed_by_rows(self.run.integrals, quantity, names, size, skips_steps=skips_steps(self.run.spec))
+        run, skips = self.run, skips_steps(self.run.spec)
+        is_checked = run.accuracy is not None
+        missed = missed_by_rows(run.integrals, quantity, names, size, skips_steps=skips or not is_checked)
+        if missed is None or is_checked or skips:
+            return missed
+        return np.where(np.isnan(missed) & is_resolved(np.asarray(run.time), size), 0.0, missed)
 
     def sentence(self, *, with_force: bool = True) -> str:
         """Return a sentence on the errors: of the largest reaction force, and of the positions.

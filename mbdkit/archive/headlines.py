@@ -15,7 +15,7 @@ import numpy as np
 
 from mbdkit.archive import layout
 from mbdkit.archive.hdf5 import set_text
-from mbdkit.archive.peak_errors import expression_of_largest
+from mbdkit.archive.peak_errors import NEGLIGIBLE, expression_of_largest
 from mbdkit.archive.run import Run
 from mbdkit.base.errors import PluginError
 from mbdkit.base.logs import logger_of
@@ -30,8 +30,8 @@ MOST = 5  #: Number of headlines of a run.
 
 DIGITS_ALONE = 6  #: Number of significant digits of a number whose error was not estimated.
 
-#: The largest recorded value is printed too if it is smaller by this share: with a known error, and without one.
-MISSED, NEGLIGIBLE = 0.01, 1e-5
+#: The largest recorded value is printed too if it is smaller by this share; without a known error, by `NEGLIGIBLE`.
+MISSED = 0.01
 
 #: Values up to this share of the largest value of their kind count as zero. Torques of drivers [N m] also count as zero
 #: up to this share of the largest force in a joint [N].
@@ -297,13 +297,12 @@ def largest_of(
         ends = run.spec_kind.is_integrated and row == len(size) - 1 and is_at_end(size[:, column])
         is_unique = name not in shared
         values = largest.recorded[column], largest.value[column]
-        headlines.append(
-            Headline(
-                f"{words} {name}", float(values[int(is_unique)]), unit,
-                Bar(*largest.bars[column].tolist()) if is_unique else Bar(), expression_of_largest(quantity, name),
-                float(values[0]), bool(largest.is_of_rows[column]), quantity, name, float(run.time[row]),
-                run.accuracy is not None, ends, is_unique,
-            )
+        made = Headline(
+            f"{words} {name}", float(values[int(is_unique)]), unit,
+            Bar(*largest.bars[column].tolist()) if is_unique else Bar(), expression_of_largest(quantity, name),
+            float(values[0]), bool(largest.is_of_rows[column]), quantity, name, float(run.time[row]),
+            run.accuracy is not None, is_unique=is_unique,
         )  # fmt: skip
+        headlines.append(made._replace(is_at_end=ends and not made.misses))
     floor = ROUND_OFF * max((headline.value for headline in headlines), default=0.0)
     return sorted((headline for headline in headlines if headline.value > floor), key=lambda one: -one.value)

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 #: in 99 % with 6, and in all cases with 10.
 PARABOLA, SPLINE = 2.0, 1.5
 
+NEGLIGIBLE = 1e-5  #: Share of the largest value up to which a part of it that rows miss is not told.
+
 #: Error of the part of a peak that the ends of steps miss, as a share of this part.
 #:
 #: It adds to the largest error of the method in the rows, because forces between the ends of coarse steps may have
@@ -145,6 +147,16 @@ def excess_between_rows(time: np.ndarray, size: np.ndarray, jumps: Sequence[floa
         above = np.maximum(above, _above_rows(time[rows], size[rows], recorded, [start, jump]))
         begin, start = first, jump
     return np.asarray(above - recorded)
+
+
+def is_resolved(time: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Return of which curves (E,) the rows, all ends of steps, show the largest values: parabolas through three rows
+    exceed them by no more than a share of `NEGLIGIBLE`. Arguments as in `excess_between_rows`.
+    """
+    if len(time) < 3:
+        return np.zeros(size.shape[1], bool)
+    largest = np.max(size, axis=0)
+    return np.asarray(_above_parabolas(time, size) - largest <= NEGLIGIBLE * largest)
 
 
 def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:

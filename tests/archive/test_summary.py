@@ -189,3 +189,22 @@ def test_the_summary_shows_gravity_as_the_spec_gives_it() -> None:
     }
     with mbdkit.run(spec) as run:
         assert "gravity       (9.81*sin(slope), -9.0), as in the spec" in run.summary()
+
+
+@pytest.mark.parametrize(
+    ("integrator", "step"), [({"name": "dop853", "adaptive": True}, None), ({"name": "gauss", "stages": 5}, 0.1)]
+)
+def test_a_peak_between_the_ends_of_long_steps_is_not_said_to_be_that_of_the_rows(integrator, step):
+    # 5/2 m g at the lowest point, between two ends of steps
+    rod = {"mass": 1.0, "inertia": 0.25 / 12, "position": [0.25, 0.0]}
+    pin = {"type": "revolute", "bodies": ["ground", "rod"], "at": [0.0, 0.0]}
+    spec = {"mbdkit": 1, "model": {"name": "mechanism", "bodies": {"rod": rod}, "joints": {"pin": pin}}}
+    spec |= {"integrator": integrator, "time": {"end": 1.0} | ({"step": step} if step else {})}
+    (largest,) = headlines(mbdkit.run(spec))
+    assert largest.value < 24.5
+    assert largest.text().endswith(" N in the recorded rows")
+    (largest,) = headlines(mbdkit.run(spec, check=True))
+    assert largest.value == pytest.approx(2.5 * 9.81, rel=1e-3)
+    assert not largest.is_at_end
+    (largest,) = headlines(mbdkit.run("pendulum", time={"end": 1.0, "step": 0.0005}))
+    assert largest.text() == "24.525 N"
