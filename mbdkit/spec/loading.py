@@ -200,11 +200,11 @@ def _examples_of(known: Registry, suffix: str = ".yaml") -> dict[str, Path]:
 def read_source(source: Any) -> Document:
     """Read `source` into a document without validation; see `load_spec` for the kinds of source.
 
-    Estimates of an identification that its `parameters` name are taken.
+    Files that inputs and elements name are read, as are estimates of an identification that its `parameters` name.
     """
     document = _document(source)
-    with SpecError.place_by(document.place), recording(document.files):
-        read_estimates(document.data, document.folder)
+    with SpecError.place_by(document.place):
+        _read_files(document)
     return document
 
 

@@ -130,6 +130,32 @@ def test_measures_may_be_chosen(tmp_path):
     assert "energy_scale" not in values
 
 
+def test_a_base_reads_the_file_of_its_input(tmp_path: Path) -> None:
+    # a force of 1 N for 1 s moves a mass m by 1/(2 m)
+    (tmp_path / "force.csv").write_text("time,F\n0,0.001\n1,0.001\n")
+    (tmp_path / "base.yaml").write_text("""
+mbdkit: 1
+parameters: {m: 1.0}
+model:
+  name: mechanism
+  gravity: [0, 0]
+  bodies: {b: {mass: m, inertia: 0.1*m, position: [0, 0]}}
+  joints: {s: {type: prismatic, bodies: [ground, b], at: [0, 0], axis: [1, 0]}}
+  inputs: {F: {unit: N, hold: linear}}
+  forces: {l: {type: force, body: b, value: [inputs.F, 0]}}
+inputs: {F: {file: force.csv, unit: kN}}
+integrator: {name: rk4}
+time: {end: 1.0, step: 0.1}
+""")
+    (tmp_path / "study.yaml").write_text(
+        "mbdkit_study: 1\nbase: base.yaml\naxes: [{parameters.m: [1, 2]}]\nmeasures: {x: final(b.x)}\n"
+    )
+    study = mbdkit.study(tmp_path / "study.yaml", out=tmp_path / "out")
+    assert [point.values["x"] for point in study.points] == pytest.approx([0.5, 0.25])
+    study = mbdkit.ensemble(tmp_path / "base.yaml", {"parameters.m": [1.0, 4.0]}, measures={"x": "final(b.x)"})
+    assert [point.values["x"] for point in study.points] == pytest.approx([0.5, 0.125])
+
+
 def test_another_run_under_the_name_of_a_run_is_refused(copied, tmp_path):
     study = mbdkit.load_study(copied)
     first, second = study.points[0], study.points[1]
