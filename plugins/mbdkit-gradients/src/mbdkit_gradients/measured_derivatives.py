@@ -342,7 +342,9 @@ class MeasureEvaluation(DoubtedMeasure):
         here = self._of_operand(index, self.states.at(number, time), switches=switches)
         self._largest_term = max(self._largest_term, float(np.max(np.abs(here.slope), initial=0.0)))
         for place, switch in enumerate(switches):
-            if place != peak.switch and switch.slope.any() and np.abs(switch.value) <= AT_ZERO * np.abs(here.value):
+            # of the elements of a beam, others than that with the extremum may be at zero
+            is_at_zero = bool(np.all(np.abs(switch.value) <= AT_ZERO * np.abs(here.value)))
+            if place != peak.switch and switch.slope.any() and is_at_zero:
                 self._note_sides(
                     "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum"
                 )

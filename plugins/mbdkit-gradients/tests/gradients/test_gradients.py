@@ -100,6 +100,26 @@ def test_ends_of_a_beam_move_all_its_nodes() -> None:
     np.testing.assert_allclose(found.jacobian, [[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]], atol=1e-9)
 
 
+def test_the_largest_of_several_elements_has_the_gradient_of_that_element() -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    stiff = {"axial": 1e3, "shear": 1e3, "bending": 1.0}
+    nodes = m.beam("strip", a=(0, 0), b=(1, 0), elements=4, stiffness=stiff, mass_per_length=1.0, damping=0.02)
+    m.weld("clamp", m.ground, nodes[0], at=(0, 0))
+    m.force("push", nodes[-1], value=(0, -1))
+    sections: dict[str, Any] = {"integrator": {"name": "radau-iia", "stages": 3}, "time": {"end": 2.0, "step": 0.02}}
+    spec = {"mbdkit": 1, "model": m.to_spec(), **sections}
+    texts = [f"max({text})" for text in ("abs(beams.strip.moment)", "abs(beams.strip.moment[0])", "beams.strip.moment")]
+    found = mbdkit.gradient(spec, texts, "model.beams.strip.stiffness.bending", check=False)
+    np.testing.assert_allclose(found.jacobian[0], found.jacobian[1], rtol=1e-9)  # the one at the clamp
+    wanted = [mbdkit.run(spec | {"model": _bent(spec["model"], x)}, measures={"x": texts[0]}) for x in (0.999, 1.001)]
+    assert found.jacobian[0, 0] == pytest.approx((wanted[1].measures["x"] - wanted[0].measures["x"]) / 0.002, rel=1e-4)
+
+
+def _bent(model: dict[str, Any], stiffness: float) -> dict[str, Any]:
+    beam = model["beams"]["strip"]
+    return model | {"beams": {"strip": beam | {"stiffness": beam["stiffness"] | {"bending": stiffness}}}}
+
+
 def test_more_parameters_than_one_pass_takes_give_the_same_gradient() -> None:
     every = [
         f"model.bodies.{body}.{key}"
