@@ -24,7 +24,7 @@ from mbdkit import load_spec
 from mbdkit.plugin import GROUND, Body, Mechanism, Number, Point, SpecError, StrictModel, did_you_mean, listed, quoted
 from mbdkit.plugin.equations import LeastChange, compile_mechanism, elementary, workspace_at_start
 from mbdkit.plugin.seams import element_files, mechanism_attribute, model_extension
-from mbdkit.plugin.specs import Choice, parse_key, put, read_source
+from mbdkit.plugin.specs import Choice, StrictSpec, parse_key, put, read_source
 from mbdkit_wearable.cuff import Tissue
 
 #: Largest distance of a cuff from the centre of mass of its limb, relative to that of the farthest joint of the limb.
@@ -64,8 +64,8 @@ class Device(StrictModel):
     attach: dict[str, DeviceAttachment]
     """Cuffs by the name of the link of the device."""
     offset: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
-    """Misfit [x, y, angle]: displacement of the device from where it fits exactly [m], and rotation about the origin of
-    its global frame [rad], both in this frame in the neutral posture."""
+    """Misfit x, y and angle [m, m, rad]: displacement of the device from where it fits exactly, and rotation about the
+    origin of its global frame, both in this frame in the neutral posture."""
     worn: bool = True
     """Whether measured loads, such as those of force plates, include the weight and inertia of the device."""
     joins_limbs: bool = False
@@ -111,13 +111,20 @@ def add_devices(devices: Mapping[str, Device], mechanism: Mechanism) -> None:
         _Worn(name, device, own, mechanism, key).add()
 
 
+class _Devices(StrictSpec):
+    """What `wear` gets, so that errors are those of a spec, and numbers may have units."""
+
+    devices: dict[str, Device]
+
+
 @mechanism_attribute
 def wear_method(mechanism: Mechanism) -> Callable[..., None]:
     """Return the method that adds a device to a mechanism: its name, its own mechanism, and keys of `devices`."""
 
     def wear(name: str, device: Mechanism, **keys: Any) -> None:
-        given = Device.model_validate({"mechanism": {"name": "mechanism", **device.to_spec()}, **keys})
-        _Worn(name, given, device, mechanism, f"devices.{quoted(name)}").add()
+        given = {"mechanism": {"name": "mechanism", **device.to_spec()}, **keys}
+        valid = _Devices(devices={name: given}).devices[name]
+        _Worn(name, valid, device, mechanism, f"devices.{quoted(name)}").add()
         mechanism.validate()
 
     return wear

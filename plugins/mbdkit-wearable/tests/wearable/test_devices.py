@@ -201,8 +201,26 @@ def test_a_mechanism_in_python_wears_the_same_device() -> None:
     own = mbdkit.Mechanism.from_spec(centred())
     del given["model"]["devices"]
     person = load_spec(given).mechanism()
-    person.wear("d", own, attach=device({})["attach"], offset=(0.01, 0.0, 0.05))
+    person.wear("d", own, attach=device({})["attach"], offset=("10 mm", 0.0, 0.05))
     assert person.to_spec() == other.to_spec()
+
+
+@pytest.mark.parametrize(
+    ("offset", "key", "sentence"),
+    [
+        ((0.0, 0.0, "35 mm"), "offset[2]", "'35 mm' has the unit mm, but this is a number in rad"),
+        (("2 deg", 0.0, 0.0), "offset[0]", "'2 deg' has the unit deg, but this is a number in m"),
+        ((1.0, 2.0), "offset[2]", "is missing"),
+    ],
+)
+def test_a_wrong_offset_is_refused_in_python_as_in_a_spec(offset: tuple[Any, ...], key: str, sentence: str) -> None:
+    person = load_spec(spec({})).mechanism()
+    with pytest.raises(mbdkit.SpecError) as caught:
+        person.wear("d", mbdkit.Mechanism.from_spec(centred()), attach=device({})["attach"], offset=offset)
+    assert (caught.value.key, caught.value.message) == (f"devices.d.{key}", sentence)
+    with pytest.raises(mbdkit.SpecError) as caught:
+        load_spec(spec({"d": device(centred(), offset=[*offset])}))
+    assert (caught.value.key, caught.value.message) == (f"model.devices.d.{key}", sentence)
 
 
 @pytest.mark.parametrize(
