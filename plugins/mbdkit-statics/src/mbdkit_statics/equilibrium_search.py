@@ -42,6 +42,10 @@ PATIENCE = 8  #: A search counts as stagnant after this many consecutive steps t
 #: error.
 MUCH = 1e3
 
+#: Length of last steps, as measured by `LONGEST`, that are left out where the imbalance is below `BALANCED`; how often
+#: they are halved; and the share of its first length to which they must converge.
+STILL, HALVINGS, CONVERGED = 1e-10, 6, 0.1
+
 #: Weight of a translation by the size of the mechanism, relative to the weight of a rotation by 1 rad, in the norm
 #: that corrections of open joints minimise.
 PLACES = 1e-6
@@ -140,6 +144,8 @@ class _RestSearch:
         stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
         #: Imbalance that rounding errors of the positions can cause, by the largest stiffness of a coordinate.
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
+        #: Stiffness by the mass [1/s^2] that makes motions without any stiffness determined.
+        self.least = 1e-3 * float(np.finfo(float).eps) * stiffest
 
     def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the accelerations from rest (n,), the multipliers (m,), and the imbalance.
@@ -174,6 +180,7 @@ class _RestSearch:
             damping *= 0.1
             idle = 0 if self.imbalance < 0.5 * before else idle + 1
         if self.is_balanced:
+            self.polish()
             z = self.p.states.solve(self.p.t0, self.q) if isinstance(self.p, StaticEquations) else np.zeros(0)
             return Rest(self.q, self.lam, self.x, self.tried, z)
         return None
@@ -228,6 +235,53 @@ class _RestSearch:
         except (StepError, RuntimeError):  # the matrix is singular, or the joints cannot be closed after the step
             pass
         return False
+
+    def polish(self) -> None:
+        """Take Newton steps until they are no longer shorter than the ones before.
+
+        Rounding errors of stiff elements may exceed the forces on soft ones. The imbalance is then small before soft
+        elements have yielded, but steps are not. Without convergence, the position stays as it is.
+        """
+        before = self.q, self.x, self.lam, self.imbalance
+        left = 1.0
+        try:
+            while self.tried < MOST_STEPS and (ratio := self.shorten()) < 1.0:
+                left *= ratio
+        except (StepError, RuntimeError):  # the matrix is singular, or the joints cannot be closed after the step
+            pass
+        if left > CONVERGED:
+            self.q, self.x, self.lam, self.imbalance = before
+
+    def shorten(self) -> float:
+        """Take a Newton step, or a part of it after which the next one with the same tangents is shorter (P. Deuflhard,
+        Newton Methods for Nonlinear Problems, Springer 2004, section 3.3). Return the ratio of their lengths; 1 if no
+        step is taken.
+        """
+        p, at = self.p, (self.p.t0, self.q, self.none, self.none, self.lam)
+        stiffness, jacobian = p.tangents(*at).stiffness, p.constraint_jacobian(p.t0, self.q)
+        upper = stiffness + diags_array(self.least * p.mass)
+        factors = splu(block_array([[upper, jacobian.T], [jacobian, None]], format="csc"))
+
+        def step_from(q: np.ndarray, lam: np.ndarray) -> np.ndarray:
+            right = np.concatenate([-p.residual(p.t0, q, self.none, self.none, lam), self.no_rows])
+            return np.asarray(factors.solve(right)[: p.n])
+
+        s = step_from(self.q, self.lam)
+        length = self.size(s)
+        if not length > (FEW_ROUNDINGS * EPS if self.imbalance > BALANCED * self.force else STILL):  # also for nan
+            return 1.0
+        self.tried += 1
+        share = min(1.0, LONGEST / length)
+        for _ in range(HALVINGS):
+            q = self.closed(self.q + share * s)
+            there = self.balance(q)
+            following = self.size(step_from(q, there[1]))
+            if following <= (1.0 - 0.5 * share) * length:
+                self.q = q
+                self.x, self.lam, self.imbalance = there
+                return following / length
+            share *= 0.5
+        return 1.0
 
     @property
     def is_balanced(self) -> bool:

@@ -174,6 +174,37 @@ def test_internal_forces_of_a_beam_at_rest_reach_its_ends(nodes: int) -> None:
     assert float(row[5]) == pytest.approx(-sag, rel=0.01 if nodes == 2 else 2e-3)  # shear adds 0.12 %
 
 
+def test_a_beam_without_weight_carries_a_load_that_rounding_errors_of_its_axial_force_exceed() -> None:
+    # expected: Euler and Bernoulli's cantilever, of which shear and elements change 1e-4, and statics at its clamp
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    steel: dict[str, Any] = {"E": 2.1e11, "nu": 0.3, "A": 2e-5, "I": 0.02e-9 / 12.0, "density": 7850.0}
+    nodes = m.beam("blade", a=(0, 0), b=(1, 0), elements=24, nodes=3, **steel)
+    m.weld("clamp", m.ground, nodes[0], at=(0, 0))
+    m.force("push", nodes[-1], value=(0.0, -1e-4))
+    found = mbdkit.equilibrium(m)
+    assert found["blade.last"][1] == pytest.approx(-1e-4 / (3.0 * steel["E"] * steel["I"]), rel=1e-4)
+    np.testing.assert_allclose(found.reaction_force, [[0.0, 1e-4]], atol=1e-7)
+    assert found.reaction_torque[0] == pytest.approx(1e-4, rel=1e-5)
+
+
+@pytest.mark.parametrize("stiff", ["blade", "grain"])
+@pytest.mark.parametrize(("mass", "stiffness", "load"), [(10.0, 10.0, 0.1), (100.0, 1.0, 0.1), (0.01, 0.01, 1e-4)])
+def test_a_soft_spring_yields_beside_what_is_stiff(stiff: str, mass: float, stiffness: float, load: float) -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    slide = m.body("slide", mass=mass, position=(0.5, 0.0))
+    m.driver("rail", m.ground, slide, coordinate="y", motion=0.0)
+    m.spring_damper("soft", m.ground, slide, points=((0, 0), (0, 0)), stiffness=stiffness, free_length=0.5)
+    m.force("push", slide, value=(load, 0.0))
+    if stiff == "blade":
+        blade = m.beam("blade", a=(0, 1), b=(1, 1), elements=10, E=2.1e11, nu=0.3, A=2e-5, I=1.7e-12, density=7850.0)
+        m.weld("clamp", m.ground, blade[0], at=(0, 1))
+    else:
+        grain = m.body("grain", mass=1e-3, position=(0.5, 1.0))
+        m.driver("rail of the grain", m.ground, grain, coordinate="y", motion=1.0)
+        m.spring_damper("hard", m.ground, grain, points=((0, 1), (0, 0)), stiffness=1e8, free_length=0.5)
+    assert mbdkit.equilibrium(m)["slide"][0] == pytest.approx(0.5 + load / stiffness, abs=1e-12)
+
+
 def test_coarse_corrected_elements_bend_far() -> None:
     # expected: 0.74457 L under the force 6 EI/L^2 across the tip, in Mattiasson's table of the elastica (1981)
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
