@@ -330,8 +330,13 @@ class CompiledMechanism:
     @cached_property
     def is_driven(self) -> bool:
         """Whether constraints depend on the time."""
+        return bool(len(self.drives) or self._depends_on_time)
+
+    @cached_property
+    def _depends_on_time(self) -> bool:
+        """Whether joints that are functions of the pose depend on the time."""
         claims = self.topology.laws[self.topology.functions[:, FUNCTION.law], LAW_ROW.claims]
-        return bool(len(self.drives) or np.any(claims == OF_TIME))
+        return bool(np.any(claims == OF_TIME))
 
     @cached_property
     def in_functions(self) -> np.ndarray:
@@ -344,8 +349,11 @@ class CompiledMechanism:
 
     @cached_property
     def is_locked(self) -> bool:
-        """Whether nothing can move, so that all velocities and energies of motion are rounding errors."""
-        return self.coordinates == int(np.sum(self.topology.rows)) and not self.is_driven
+        """Whether nothing can move, so that all velocities and energies of motion are rounding errors: drivers hold
+        what they drive if their motions are numbers.
+        """
+        is_held = not self._depends_on_time and all(isinstance(self.motions[k], int | float) for k in self.drives)
+        return self.coordinates == int(np.sum(self.topology.rows)) and is_held
 
     @cached_property
     def drives(self) -> np.ndarray:

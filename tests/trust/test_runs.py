@@ -235,3 +235,22 @@ def test_limits_reach_the_stepper_in_metres_and_radians() -> None:
     assert setup.size == 1.5
     assert found.misalignment == pytest.approx(0.15)
     assert (found.angle_misalignment, found.energy_jump) == (0.1, 0.2)
+
+
+@pytest.mark.parametrize("torque", [50.0, "50*sin(t)"])
+@pytest.mark.parametrize(("angle", "method"), [(0.0, "rk4"), (0.3, "radau-iia")])
+def test_rounding_errors_of_a_held_arm_are_no_errors_of_its_energy_and_forces(
+    torque: float | str, angle: float, method: str
+) -> None:
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    place = 0.15 * math.cos(angle), 0.15 * math.sin(angle)
+    arm = m.body("arm", mass=1.5, inertia=0.02, position=place, angle=angle)
+    m.revolute("elbow", m.ground, arm, points=((0, 0), (-0.15, 0)))
+    m.driver("hold", m.ground, arm, coordinate="angle", motion=angle)
+    m.torque("load", arm, value=torque)
+    sections: dict[str, Any] = {"integrator": {"name": method}, "time": {"end": 0.5, "step": 0.002}}
+    assert mbdkit.run(m, **sections).verdict == "unknown"
+    run = mbdkit.run(m, check=True, **sections)
+    assert (run.verdict, run.verdict_reasons) == ("good", [])
+    largest = 50.0 if isinstance(torque, float) else 50.0 * math.sin(0.5)
+    assert abs(run.joints["hold"].reaction_torque).max() == pytest.approx(largest, rel=1e-12)

@@ -31,6 +31,9 @@ from mbdkit.runs.run_record import RunRecord
 from mbdkit.runs.run_seams import Progress
 from mbdkit.trust.criteria import EstimatedErrors
 
+#: Forces up to this share of the largest torque divided by the characteristic length are rounding errors.
+ROUNDING_OF_TORQUES = 1e-10
+
 
 def estimate_accuracy(
     record: RunRecord,
@@ -88,7 +91,9 @@ def estimated_errors(
     beyond = missed_by_rows(integrals, "joints.force", joints, size, skips_steps=skips_steps)
     beyond = missed_of_verdict(beyond, joints, measures)
     figures = accuracy.figures(joints, rows.force, beyond)
-    worst = figures.worst_joint
+    torque = float(np.max(np.abs(rows.torque), initial=0.0)) / mechanism.length
+    # where joints carry torques only, their forces are rounding errors
+    worst = None if np.max(size, initial=0.0) <= ROUNDING_OF_TORQUES * torque else figures.worst_joint
     between = ""
     if worst is not None and worst.missed > worst.error:
         advice = "record more rows" if skips_steps else f"use {spec.finer}"
