@@ -140,9 +140,10 @@ equal, and `1970 (-380, +900) N` otherwise.
 | largest load of inverse dynamics | with 95 %: noise of the data, and, with `uncertainty`, the person, muscles, plates and devices | what the line `error bars` names, such as muscles that the model lacks |
 | change by a [worn device](../../plugins/mbdkit-wearable/src/mbdkit_wearable/guide/misfit.md) | with 95 %: the person, muscles, misfit and tissue | noise of the data, which changes the force with and without the device alike: the line `devices` |
 
-The largest value is that of the whole motion, not of the recorded rows. Where the value between rows is not known, as
-in runs without check that do not record every step, the number is that `in the recorded rows`. Errors at single
-times, such as `run.accuracy.reaction_error`, are no bars of largest values.
+The largest value is that of the whole motion, not of the recorded rows. Where the value between rows is not known, the
+number is that `in the recorded rows`: in runs without check that have no measure of it, unless all ends of steps are
+recorded and parabolas through them exceed it by less than 1e-5 of it. Errors at single times, such as
+`run.accuracy.reaction_error`, are no bars of largest values.
 
 ## What is not promised
 
