@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any, Literal
 
 from mbdkit.registry.feature_items import CriterionItem, Example, Feature, GuidePage, SpecKind
 from mbdkit.registry.target import Target
@@ -26,6 +27,66 @@ _PAGES = {
 }
 
 
+def _criterion(
+    name: str, order: int, stage: Literal["spec", "start", "rows", "end"], find: str, summary: str, **more: Any
+) -> CriterionItem:
+    """Return a criterion that a function of `mbdkit.runs` applies."""
+    return CriterionItem(
+        name=name, summary=summary, order=order, stage=stage, find=Target(f"mbdkit.runs.{find}"), **more
+    )
+
+
+_OF_MECHANISMS = frozenset({"mechanism", "run"})
+
+# fmt: off
+#: Criteria: name, order, stage, function and summary.
+_CRITERIA = (
+    _criterion("baumgarte", 0, "spec", "run_criteria:unstable_baumgarte",
+        "Terms of Baumgarte that the step makes unstable."),
+    _criterion("model-notes", 10, "spec", "run_criteria:model_notes",
+        "What the model says about its mechanism.", of=_OF_MECHANISMS, level=None),
+    _criterion("unresolved-beams", 20, "spec", "run_criteria:unresolved_beams",
+        "Oscillations of beams that the step does not resolve.", level=None),
+    _criterion("unused-parameters", 30, "spec", "run_criteria:unused_parameters",
+        "Parameters that no expression uses.", of=_OF_MECHANISMS, level=None),
+    _criterion("short-runs", 40, "spec", "run_criteria:short_runs",
+        "Tables that change long after the end of the run.", level=None),
+    _criterion("zero-reactions", 50, "spec", "run_criteria:zero_reactions_of_run",
+        "Measures of reactions that are always zero.", level=None),
+    _criterion("left-out", 60, "spec", "run_criteria:left_out",
+        "Effects of a file that the mechanism lacks.", of=_OF_MECHANISMS),
+    _criterion("degrees", 70, "spec", "run_criteria:degrees",
+        "Angles that are probably in degrees.", of=_OF_MECHANISMS),
+    _criterion("improbable-values", 80, "spec", "run_criteria:improbable_values",
+        "Improbable inertias and coefficients of friction, often in another unit.", of=_OF_MECHANISMS,
+        criteria=("improbable-inertias", "improbable-frictions")),
+    _criterion("improbable-sizes", 90, "spec", "run_criteria:improbable_sizes",
+        "Improbable beams, lengths, preloads and masses.", of=_OF_MECHANISMS,
+        criteria=tuple(f"improbable-{what}" for what in ("beams", "lengths", "preloads", "bodies", "people"))),
+    _criterion("long-step", 100, "spec", "run_criteria:long_step",
+        "A step that is longer than the run."),
+    _criterion("corners", 110, "spec", "corners:overshoots_and_corners",
+        "Tables that overshoot, and too many discontinuities.", criteria=("corners", "overshoots")),
+    _criterion("method-evidence", 115, "spec", "run_criteria:method_evidence",
+        "Methods of others that failed their checks, or have changed since."),
+    _criterion("moved-start", 120, "start", "run_criteria:moved_start",
+        "Positions and angles that assembly changes by far."),
+    _criterion("changed-velocities", 130, "start", "run_criteria:changed_velocities",
+        "Velocities that assembly changes."),
+    _criterion("table-ends", 140, "rows", "row_criteria:watch_moving_centers",
+        "Ends of the tables of moving centers."),
+    _criterion("slow-friction", 150, "rows", "row_criteria:watch_joint_friction",
+        "Dry friction that slips so slowly that it is viscous."),
+    _criterion("coincident-ends", 160, "rows", "row_criteria:watch_coincident_ends",
+        "Forces whose ends meet."),
+    _criterion("coarse-beams", 170, "rows", "coarse_beams:watch_coarse_beams",
+        "Beams whose elements are too coarse."),
+    _criterion("passive-laws", 180, "end", "run_criteria:passive_laws",
+        "Laws that are declared passive, but supply energy."),
+)
+# fmt: on
+
+
 def builtin_features() -> list[Feature]:
     """Return the items of mbdkit itself, apart from models, methods, laws and commands."""
     run = SpecKind(
@@ -41,96 +102,9 @@ def builtin_features() -> list[Feature]:
         model=Target("mbdkit.spec.run_spec:RunSpec"),
         differentiate=Target("mbdkit.base.higher_layers:gradient_of_run"),
     )
-    # fmt: off
-    criteria = [
-        CriterionItem(
-            name="baumgarte", summary="Terms of Baumgarte that the step makes unstable.", order=0, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:unstable_baumgarte"),
-        ),
-        CriterionItem(
-            name="model-notes", summary="What the model says about its mechanism.", order=10, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:model_notes"), of=frozenset({"mechanism", "run"}), level=None,
-        ),
-        CriterionItem(
-            name="unresolved-beams", summary="Oscillations of beams that the step does not resolve.", order=20,
-            stage="spec", find=Target("mbdkit.runs.run_criteria:unresolved_beams"), level=None,
-        ),
-        CriterionItem(
-            name="unused-parameters", summary="Parameters that no expression uses.", order=30, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:unused_parameters"), of=frozenset({"mechanism", "run"}), level=None,
-        ),
-        CriterionItem(
-            name="short-runs", summary="Tables that change long after the end of the run.", order=40, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:short_runs"), level=None,
-        ),
-        CriterionItem(
-            name="zero-reactions", summary="Measures of reactions that are always zero.", order=50, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:zero_reactions_of_run"), level=None,
-        ),
-        CriterionItem(
-            name="left-out", summary="Effects of a file that the mechanism lacks.", order=60, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:left_out"), of=frozenset({"mechanism", "run"}),
-        ),
-        CriterionItem(
-            name="degrees", summary="Angles that are probably in degrees.", order=70, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:degrees"), of=frozenset({"mechanism", "run"}),
-        ),
-        CriterionItem(
-            name="improbable-values",
-            summary="Improbable inertias and coefficients of friction, often in another unit.", order=80, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:improbable_values"), of=frozenset({"mechanism", "run"}),
-            criteria=("improbable-inertias", "improbable-frictions"),
-        ),
-        CriterionItem(
-            name="improbable-sizes", summary="Improbable beams, lengths, preloads and masses.", order=90,
-            stage="spec", find=Target("mbdkit.runs.run_criteria:improbable_sizes"), of=frozenset({"mechanism", "run"}),
-            criteria=tuple(f"improbable-{what}" for what in ("beams", "lengths", "preloads", "bodies", "people")),
-        ),
-        CriterionItem(
-            name="long-step", summary="A step that is longer than the run.", order=100, stage="spec",
-            find=Target("mbdkit.runs.run_criteria:long_step"),
-        ),
-        CriterionItem(
-            name="corners", summary="Tables that overshoot, and too many discontinuities.", order=110, stage="spec",
-            find=Target("mbdkit.runs.corners:overshoots_and_corners"), criteria=("corners", "overshoots"),
-        ),
-        CriterionItem(
-            name="method-evidence", summary="Methods of others that failed their checks, or have changed since.",
-            order=115, stage="spec", find=Target("mbdkit.runs.run_criteria:method_evidence"),
-        ),
-        CriterionItem(
-            name="moved-start", summary="Positions and angles that assembly changes by far.", order=120, stage="start",
-            find=Target("mbdkit.runs.run_criteria:moved_start"),
-        ),
-        CriterionItem(
-            name="changed-velocities", summary="Velocities that assembly changes.", order=130, stage="start",
-            find=Target("mbdkit.runs.run_criteria:changed_velocities"),
-        ),
-        CriterionItem(
-            name="table-ends", summary="Ends of the tables of moving centers.", order=140, stage="rows",
-            find=Target("mbdkit.runs.row_criteria:watch_moving_centers"),
-        ),
-        CriterionItem(
-            name="slow-friction", summary="Dry friction that slips so slowly that it is viscous.", order=150,
-            stage="rows", find=Target("mbdkit.runs.row_criteria:watch_joint_friction"),
-        ),
-        CriterionItem(
-            name="coincident-ends", summary="Forces whose ends meet.", order=160, stage="rows",
-            find=Target("mbdkit.runs.row_criteria:watch_coincident_ends"),
-        ),
-        CriterionItem(
-            name="coarse-beams", summary="Beams whose elements are too coarse.", order=170, stage="rows",
-            find=Target("mbdkit.runs.coarse_beams:watch_coarse_beams"),
-        ),
-        CriterionItem(
-            name="passive-laws", summary="Laws that are declared passive, but supply energy.", order=180, stage="end",
-            find=Target("mbdkit.runs.run_criteria:passive_laws"),
-        ),
-    ]
-    # fmt: on
     return [
         run,
-        *criteria,
+        *_CRITERIA,
         *Example.folder(_HERE / "models" / "examples", _EXAMPLES),
         *GuidePage.folder(_HERE / "guide", _PAGES),
     ]

@@ -151,9 +151,7 @@ def _element(section: str, value: object) -> Any:
 
 def _add(mechanism: Mechanism, section: str, name: str, element: Any) -> None:
     if section == "beams":
-        mechanism.beams[name] = element
-        mechanism.bodies |= element.bodies(name)
-        mechanism.forces |= element.loads(name)
+        mechanism._add_beam(name, element)
     else:
         getattr(mechanism, section)[name] = element
 

@@ -12,22 +12,18 @@ from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
-#: Attributes of runs: name, summary, and function.
-_OF_RUNS = (
-    ("objective", "Smallest value of what is minimized.", "mbdkit_predict.run_results:objective"),
-    ("objective_error", "Estimated error of the objective.", "mbdkit_predict.run_results:objective_error"),
-    ("mesh", "Intervals and objective of each mesh.", "mbdkit_predict.run_results:mesh"),
-    ("parameters", "Optimized numbers.", "mbdkit_predict.run_results:parameters"),
-    ("controls", "Histories of the controls.", "mbdkit_predict.run_results:controls"),
-    ("sensitivities", "Derivatives of the optimum from the multipliers.", "mbdkit_predict.run_results:sensitivities"),
-    ("starts", "Objectives on the first mesh from several first guesses.", "mbdkit_predict.run_results:starts"),
-    (
-        "forward_run",
-        "Differences of a run with the controls from the motion.",
-        "mbdkit_predict.run_results:forward_run",
-    ),
-    ("gain", "Difference of the optimum from that of another motion.", "mbdkit_predict.run_results:gain"),
-)
+#: Attributes of runs, which are functions of `run_results` with the same names: name and summary.
+_OF_RUNS = {
+    "objective": "Smallest value of what is minimized.",
+    "objective_error": "Estimated error of the objective.",
+    "mesh": "Intervals and objective of each mesh.",
+    "parameters": "Optimized numbers.",
+    "controls": "Histories of the controls.",
+    "sensitivities": "Derivatives of the optimum from the multipliers.",
+    "starts": "Objectives on the first mesh from several first guesses.",
+    "forward_run": "Differences of a run with the controls from the motion.",
+    "gain": "Difference of the optimum from that of another motion.",
+}
 
 
 @hookimpl
@@ -57,7 +53,10 @@ def mbdkit_items() -> Iterable[Item]:
             order=45,
             target=Target("mbdkit_predict.commands:predict"),
         ),
-        *(Accessor(name=name, summary=summary, of="Run", target=Target(target)) for name, summary, target in _OF_RUNS),
+        *(
+            Accessor(name=name, summary=summary, of="Run", target=Target(f"mbdkit_predict.run_results:{name}"))
+            for name, summary in _OF_RUNS.items()
+        ),
         Accessor(
             name="to_casadi",
             summary="Equations of motion and quantities as functions of CasADi.",

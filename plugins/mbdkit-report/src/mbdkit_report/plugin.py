@@ -12,6 +12,21 @@ from mbdkit.registry.items import Command
 from mbdkit.registry.target import Target
 
 _HERE = Path(__file__).parent
+
+#: Commands: name, group, order, function and summary.
+_COMMANDS = (
+    ("export", "archive", 40, "export_command:archive_export", "Export a run, or the table of the runs of a study."),
+    (
+        "crate",
+        "archive",
+        55,
+        "export_command:archive_crate",
+        "Write run archives as a crate for catalogues (RO-Crate).",
+    ),
+    ("plot", "", 100, "commands:plot", "Plot a run, or one quantity of several runs."),
+    ("animate", "", 110, "commands:animate", "Animate a run."),
+    ("report", "", 120, "commands:report", "Write a report on a run, study or design as an HTML page."),
+)
 _PLOTS = {
     "trajectory": "paths of free ends and moving joints, first and last pose",
     "drift": "misalignment of the joints on a logarithmic axis",
@@ -43,19 +58,9 @@ def mbdkit_items() -> Iterable[Item]:
         for number, (name, summary) in enumerate(_TABLES.items())
     ]
     return [
-        Command(
-            name="export",
-            summary="Export a run, or the table of the runs of a study.",
-            target=Target("mbdkit_report.export_command:archive_export"),
-            group="archive",
-            order=40,
-        ),
-        Command(
-            name="crate",
-            summary="Write run archives as a crate for catalogues (RO-Crate).",
-            target=Target("mbdkit_report.export_command:archive_crate"),
-            group="archive",
-            order=55,
+        *(
+            Command(name=name, summary=summary, target=Target(f"mbdkit_report.{target}"), group=group, order=order)
+            for name, group, order, target, summary in _COMMANDS
         ),
         FileFormat(
             name="crate",
@@ -63,19 +68,6 @@ def mbdkit_items() -> Iterable[Item]:
             order=500,
             file="ro-crate-metadata.json",
             problems=Target("mbdkit_report.crate:crate_problems"),
-        ),
-        Command(
-            name="plot",
-            summary="Plot a run, or one quantity of several runs.",
-            target=Target("mbdkit_report.commands:plot"),
-            order=100,
-        ),
-        Command(name="animate", summary="Animate a run.", target=Target("mbdkit_report.commands:animate"), order=110),
-        Command(
-            name="report",
-            summary="Write a report on a run, study or design as an HTML page.",
-            target=Target("mbdkit_report.commands:report"),
-            order=120,
         ),
         *tables,
         TableFormat(
