@@ -291,7 +291,7 @@ class ModelSpec(StrictSpec):
         laws = {item_of(force) for force in self.mechanism().forces.values() if isinstance(force, Law)}
         return sorted(laws, key=lambda item: item.id)
 
-    def in_terms_of(self, text: str, texts: Mapping[str, str]) -> str:
+    def _in_terms_of(self, text: str, texts: Mapping[str, str]) -> str:
         """Return an expression of parameters with texts in place of some, by name, also where others contain these."""
         return in_terms_of(text, texts, self.parameters, self.numbers)
 

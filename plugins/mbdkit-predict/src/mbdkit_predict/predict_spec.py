@@ -380,7 +380,7 @@ class PredictSpec(ModelSpec):
 
     def _with_controls(self, text: str) -> str:
         """Return an expression with states in place of the named parameters that are controls."""
-        return self.in_terms_of(text, {name: f"states[{json.dumps(name)}].value" for name in self.controls})
+        return self._in_terms_of(text, {name: f"states[{json.dumps(name)}].value" for name in self.controls})
 
     def _with_named(self, values: Mapping[str, float]) -> tuple[Mechanism, dict[str, str]]:
         """Return the mechanism of the model with other values of named parameters, and expressions of controls."""
