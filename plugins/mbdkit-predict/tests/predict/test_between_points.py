@@ -135,6 +135,16 @@ def test_friction_that_almost_jumps_at_rest_counts(size: float, steepness: float
     assert_within(run.objective - (12.0 + size**2 - 4.0 * layer / steepness), run.objective_error)
 
 
+def test_friction_without_a_value_at_rest_has_the_optimum_of_gauss_points() -> None:
+    # 12 by the acceleration and 0.25 by the friction; the guess from which others begin is at rest
+    friction = "-.5*block.vx/abs(block.vx)"
+    run = mbdkit.predict(loaded(friction, collocation={"method": "gauss"}))
+    assert run.verdict == "good", run.verdict_reasons
+    assert_within(run.objective - 12.25, run.objective_error)
+    run = mbdkit.predict(loaded(friction))  # the last Radau point is at rest
+    assert run.verdict == "doubtful" or abs(run.objective - 12.25) <= run.objective_error
+
+
 FREE = {"bounds": [0.1, 0.9]}
 PUSHED_BACK = "-5*(1 + tanh(1e6*(block.x - .5)))"
 BY_HAND: dict[str, Any] = {
