@@ -203,10 +203,11 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
     doubts = list[str]()
+    automatic = "" if result.spec.switching else " give `switching: auto`,"
     for jump in [jump for jump in result.jumps if jump.name][:1]:
         doubts.append(
             f"{jump.name} jumps, or almost jumps, at t = {jump.time:.4g} s, and the optimizer does not know how this "
-            "time changes with the motion: make it smooth, give `switching: auto`, or begin one of the `phases` there."
+            f"time changes with the motion: make it smooth,{automatic} or begin one of the `phases` there."
         )
     if result.doubt:
         doubts.append(result.doubt)
