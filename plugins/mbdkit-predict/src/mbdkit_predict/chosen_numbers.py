@@ -136,9 +136,18 @@ class ChosenNumbers:
             raise SpecError("a parameter should be the key of a number of the mechanism", key=f"model.{key}")
         return float(value)
 
-    def _value(self, key: str) -> object:
-        """Return the value of the mechanism at a key path; raise SpecError if there is none."""
-        value: Any = self._original
+    def _check_apart(self, name: str, value: float) -> None:
+        """Raise SpecError if the number at the key path of a parameter changes with a named one, which it replaces."""
+        assert self._rebuilt is not None
+        changed, _ = self._rebuilt({name: value})
+        for key in self.parameters:
+            if key not in self.named and self._value(key, changed) != self._value(key):
+                why = f"depends on the parameter '{name}', which is asked for too: ask for one of them"
+                raise SpecError(why, key=self.place(key))
+
+    def _value(self, key: str, mechanism: Mechanism | None = None) -> object:
+        """Return the value of the mechanism, or of a changed one, at a key path; raise SpecError if there is none."""
+        value: Any = mechanism or self._original
         path = parse_path(key)
         for i, part in enumerate(path):
             try:
@@ -202,6 +211,8 @@ class ChosenNumbers:
         base, initial = self._compiled(0.0 * steps)
         changes: dict[str, list[np.ndarray]] = {name: [] for name in base}
         for k, step in enumerate(np.diag(steps)):
+            if self.parameters[k] in self.named:
+                self._check_apart(self.parameters[k], self.parameter_start[k] + steps[k])
             (whole_step, start_of_states), (half_step, _) = self._compiled(step), self._compiled(0.5 * step)
             if not np.array_equal(initial, start_of_states):
                 why = "is not a parameter that can be exported: the initial value of a state depends on it"

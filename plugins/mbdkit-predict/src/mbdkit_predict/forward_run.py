@@ -42,8 +42,12 @@ class Difference:
     of_intervals: float = np.nan
 
 
-def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh: Mesh) -> Difference:
-    """Integrate the controls of a solution from the start on, and also each interval on its own."""
+def forward_difference(
+    equations: EquationsOfMotion, method: Transcription, mesh: Mesh, *, is_beside: bool
+) -> Difference:
+    """Integrate the controls of a solution from the start on, and also each interval on its own; with `is_beside`, from
+    and to states just beside the ends of intervals, where expressions may have no value.
+    """
     names, chosen, points = method.system.compiled_states, method.spec.chosen.control_states, method.c
     n, size = equations.n, 2 * equations.n + len(names)
     rows = np.array([names.index(name) for name in chosen if name in names])  # unknowns of fibres are no states
@@ -53,7 +57,7 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
     predicted = np.zeros((len(nodes), size))
     predicted[:, np.delete(np.arange(size), 2 * n + rows)] = nodes
     starts = predicted[:-1].copy()
-    if method.sides.size:
+    if is_beside:
         later = np.vstack([method.values_at(mesh, name, np.array([BESIDE]))[..., 0] for name in "qvz"])
         starts[:, np.delete(np.arange(size), 2 * n + rows)] = method.states_of_bodies(mesh, later, times[:-1]).T
     scale = _scale(predicted, n)
@@ -73,8 +77,7 @@ def forward_difference(equations: EquationsOfMotion, method: Transcription, mesh
                 of_states[rows] = 0.0
                 return np.concatenate([y[n : 2 * n], a, of_states])
 
-            # expressions may have no value at a jump
-            beside = BESIDE * (end - begin) if method.sides.size else 0.0
+            beside = BESIDE * (end - begin) * is_beside
             first, last = begin + beside, end - beside
             stops = [first, *(t for t in method.breaks if first < t < last), last]
             alone.append(_integrated(rates, stops, starts[i], scale))

@@ -14,7 +14,7 @@ import numpy as np
 from mbdkit.archive.part_file import check_target
 from mbdkit.archive.run import Run
 from mbdkit.archive.run_writer import Ending
-from mbdkit.base.errors import RunError, SpecError
+from mbdkit.base.errors import RunError, SpecError, StepError
 from mbdkit.base.interrupts import interrupts_noted
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.engine.consistent_start import workspace_at_start
@@ -83,15 +83,20 @@ def transcribed(spec: PredictSpec) -> Transcription:
         return Transcription(spec, system, objective, guessed)
 
 
-def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _rows(result: Optimum, *, is_beside: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return times (T,), positions and velocities (T, n), and first-order states with controls (T, Z).
 
     The rows are the start, the collocation points, and the end if it is no such point. Rows at jumps are just before.
+    With `is_beside`, the states at the start and the end, where expressions may have no value, are those just beside.
     """
     mesh, method = result.mesh, result.transcription
     values, nodes, s = dict(mesh.values), method.nodes(mesh), len(method.c)
     times = mesh.times.copy()
-    if method.sides.size and not method.has_nodes:
+    if is_beside:
+        outer = np.array([0, len(mesh.grid.phase) - 1])
+        inside = np.array([BESIDE, 1.0 - BESIDE])
+        nodes[:, [0, -1]] = np.vstack([method.values_at(mesh, name, inside, outer) for name in "qvz"])
+    if (method.sides.size or is_beside) and not method.has_nodes:
         jumping = np.array(mesh.grid.ends_of_phases())
         columns, lengths = (jumping + 1) * s - 1, values["duration"] @ mesh.grid.lengths[:, jumping]
         times[columns] -= BESIDE * lengths
@@ -115,6 +120,12 @@ def _rows(result: Optimum) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
     return time, q.T, v.T, np.reshape(states, (len(states), len(time))).T
 
 
+def _powers(equations: EquationsOfMotion, rows: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Return the powers (T, 2) of what does work and what loses it, in rows of times and states."""
+    each = zip(*rows, strict=True)
+    return np.array([equations.powers(t, q, v, equations.derivatives(t, q, v, z)[1]) for t, q, v, z in each])
+
+
 def _run_of(
     result: Optimum,
     rival: Optimum | None,
@@ -129,27 +140,35 @@ def _run_of(
     spec.adopt(spec.chosen.with_parameters(result.mesh.values["p"].tolist()))
     workspace, _ = workspace_at_start(spec.mechanism())
     mechanism, equations = workspace.mechanism, EquationsOfMotion(workspace)
-    time, q, v, z = _rows(result)
-    if not all(np.all(np.isfinite(x)) for x in (time, q, v, z)):
+    time, q, v, z = rows = _rows(result)
+    if not all(np.all(np.isfinite(x)) for x in rows):
         raise RunError(f"no motion was found: {result.reason}")
+    is_beside = method.sides.size > 0
+    try:
+        powers = _powers(equations, rows)
+    except StepError:
+        is_beside = True
+        time, q, v, z = rows = _rows(result, is_beside=True)
+        try:
+            powers = _powers(equations, rows)
+        except StepError as error:
+            raise RunError(f"no motion was found: {'; '.join(filter(None, (str(error), result.reason)))}") from None
     observer, still = StateObserver(workspace), np.zeros((len(time), 3))
     observed = observer.arrays(len(time))
     whole = np.column_stack([q, still]), np.column_stack([v, still])
     singular = observer.observe(time, *whole, observed, z=np.ascontiguousarray(z))
     if singular is not None:
         raise RunError(f"the motion passes a singular position at t = {time[singular.row]:.6g} s")
-    powers = [
-        equations.powers(at, x, rate, equations.derivatives(at, x, rate, state)[1])
-        for at, x, rate, state in zip(time, q, v, z, strict=True)
-    ]
-    work, lost = method.integrated(np.array(powers)[1 : 1 + result.mesh.values["u"].shape[1]].T, result.mesh)
+    work, lost = method.integrated(powers[1 : 1 + result.mesh.values["u"].shape[1]].T, result.mesh)
     start = float(observed.kinetic[0] + observed.potential[0])
     states = States(
         mechanism, time, *whole, lambda: observed, work=work, dissipated=lost, start_energy=start,
         elapsed=np.zeros(len(time)), z=z,
     )  # fmt: skip
     is_checked = result.is_optimum and not is_stopped
-    forward = forward_difference(equations, method, result.mesh) if is_checked else Difference()
+    forward = Difference()
+    if is_checked:
+        forward = forward_difference(equations, method, result.mesh, is_beside=is_beside)
     status = result.reason.partition(":")[0] if result.reason.startswith("interrupted") else "failed"
     ending = Ending(
         status if result.reason else "complete",
@@ -184,10 +203,11 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
     # the objective of a minimum changes with the square of a change of the motion
     limit = math.sqrt(result.spec.tolerance)
     doubts = list[str]()
+    automatic = "" if result.spec.switching else " give `switching: auto`,"
     for jump in [jump for jump in result.jumps if jump.name][:1]:
         doubts.append(
             f"{jump.name} jumps, or almost jumps, at t = {jump.time:.4g} s, and the optimizer does not know how this "
-            "time changes with the motion: make it smooth, give `switching: auto`, or begin one of the `phases` there."
+            f"time changes with the motion: make it smooth,{automatic} or begin one of the `phases` there."
         )
     if result.doubt:
         doubts.append(result.doubt)

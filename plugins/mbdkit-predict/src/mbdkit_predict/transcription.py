@@ -310,7 +310,10 @@ class Transcription:
         done = self._simple.iterations if self._simple is not None and random is None else 0
         values["peak"] = np.zeros(self.objective.peaks.numel())
         mesh = Mesh(grid, self._with_nodes(values), done)
-        along = self._along(mesh, values["u"])[-1]
+        balance, along = self._along(mesh, values["u"])[-2:]
+        if known_motion is None and not np.all(np.isfinite(balance)):  # such as friction v/abs(v) of a body at rest
+            values["v"] = np.gradient(q, times, axis=1)[:, 1:]
+            along = self._along(mesh, values["u"])[-1]
         for k, path in enumerate(self._path):
             if path.peak is not None:
                 values["peak"][path.peak] = along[k].max()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 
 import mbdkit
 from mbdkit_predict.grid import IntervalGrid
@@ -113,6 +114,35 @@ def test_jumps_that_no_change_of_the_motion_moves_are_no_doubts() -> None:
         run = mbdkit.predict(loaded(value))
         assert run.verdict == "good", run.verdict_reasons
         assert optimum is None or abs(run.objective - optimum) <= run.objective_error
+
+
+@pytest.mark.parametrize(
+    ("size", "steepness", "collocation"),
+    [
+        (0.5, 1e4, {}),
+        (0.5, 1e5, {"points": 5, "intervals": 10}),
+        pytest.param(5.0, 1e4, {}, marks=pytest.mark.slow),
+        pytest.param(5.0, 1e5, {"method": "gauss"}, marks=pytest.mark.slow),
+    ],
+)
+def test_friction_that_almost_jumps_at_rest_counts(size: float, steepness: float, collocation: dict[str, Any]) -> None:
+    # from rest to rest, the effort is the integral of the squares of acceleration and friction, because that of their
+    # product is a change of a potential; a^2 minus the square of the friction is the constant Hamiltonian, so that the
+    # layers at both ends, of velocities of about 1/steepness, change 12 + size^2 by twice the integral of 2 (a - 6) dv
+    layer, _ = quad(lambda x: 6.0 - np.sqrt(36.0 - (size / np.cosh(x)) ** 2), 0.0, 40.0)
+    run = mbdkit.predict(loaded(f"-{size}*tanh({steepness}*block.vx)", collocation=collocation))
+    assert run.verdict == "good", run.verdict_reasons
+    assert_within(run.objective - (12.0 + size**2 - 4.0 * layer / steepness), run.objective_error)
+
+
+def test_friction_without_a_value_at_rest_has_the_optimum_of_gauss_points() -> None:
+    # 12 by the acceleration and 0.25 by the friction; the guess from which others begin is at rest
+    friction = "-.5*block.vx/abs(block.vx)"
+    run = mbdkit.predict(loaded(friction, collocation={"method": "gauss"}))
+    assert run.verdict == "good", run.verdict_reasons
+    assert_within(run.objective - 12.25, run.objective_error)
+    run = mbdkit.predict(loaded(friction))  # the last Radau point is at rest
+    assert run.verdict == "doubtful" or abs(run.objective - 12.25) <= run.objective_error
 
 
 FREE = {"bounds": [0.1, 0.9]}

@@ -648,3 +648,14 @@ def test_an_optimum_that_no_second_guess_finds_after_wandering_is_doubtful() -> 
     run = mbdkit.predict(chain(5, angle=0.6) | {"collocation": {"intervals": 8}, "tolerance": 1e-4})
     assert run.verdict == "doubtful"
     assert run.verdict_reasons[0].endswith("Local minimum: 1 of 2 starts end here.")  # the other one is an artefact
+
+
+def test_a_number_and_the_parameter_that_gives_it_are_not_asked_for_together() -> None:
+    spec = block(sensitivities=["m", "bodies.block.mass"])
+    spec["base"]["model"]["bodies"]["block"]["mass"] = "m"
+    spec["base"]["parameters"] = {"m": 2.0}
+    with pytest.raises(mbdkit.SpecError, match="depends on the parameter 'm'") as error:
+        mbdkit.predict(spec)
+    assert error.value.key == "model.bodies.block.mass"
+    for name in spec["sensitivities"]:  # least effort of 12 m^2
+        assert mbdkit.predict(spec | {"sensitivities": [name]}).sensitivities[name] == pytest.approx(48.0)
