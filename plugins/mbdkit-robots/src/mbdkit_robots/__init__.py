@@ -6,25 +6,29 @@ from mbdkit.plugin import ForceLawPlugin, ModelPlugin, Target, hookimpl
 
 mbdkit_api = {"models": 1, "laws": 1}
 
-#: Models: name, class of the options, function that builds it, and summary.
-MODELS = (
-    ("urdf", "UrdfOptions", "of_urdf", "The planar motion of a robot in a URDF file."),
-    ("mjcf", "MjcfOptions", "of_mjcf", "The planar motion of a model in an MJCF file of MuJoCo."),
-    ("pylinkage", "LinkageOptions", "of_linkage", "A linkage of pins that pylinkage wrote as JSON."),
-)
-
 
 @hookimpl
 def mbdkit_models() -> list[ModelPlugin]:
     """Register the models, whose code is imported when a spec names them."""
     return [
         ModelPlugin(
-            name,
-            summary,
-            options=Target(f"mbdkit_robots.models:{options}"),
-            build=Target(f"mbdkit_robots.models:{build}"),
-        )
-        for name, options, build, summary in MODELS
+            "urdf",
+            "The planar motion of a robot in a URDF file.",
+            options=Target("mbdkit_robots.models:UrdfOptions"),
+            build=Target("mbdkit_robots.models:of_urdf"),
+        ),
+        ModelPlugin(
+            "mjcf",
+            "The planar motion of a model in an MJCF file of MuJoCo.",
+            options=Target("mbdkit_robots.models:MjcfOptions"),
+            build=Target("mbdkit_robots.models:of_mjcf"),
+        ),
+        ModelPlugin(
+            "pylinkage",
+            "A linkage of pins that pylinkage wrote as JSON.",
+            options=Target("mbdkit_robots.models:LinkageOptions"),
+            build=Target("mbdkit_robots.models:of_linkage"),
+        ),
     ]
 
 

@@ -6,25 +6,27 @@ from mbdkit.plugin import IntegratorPlugin, Target, hookimpl
 
 mbdkit_api = {"methods": 1}
 
-#: Solvers: name, class of the options, and summary.
-SOLVERS = (
-    ("cvode", "CvodeOptions", "CVODE of SUNDIALS: BDF or Adams, adaptive steps and order."),
-    ("ida", "SundialsOptions", "IDA of SUNDIALS: BDF on the residual, adaptive steps and order."),
-)
-
 
 @hookimpl
 def mbdkit_integrators() -> list[IntegratorPlugin]:
     """Register the solvers, whose code is imported when a spec names them."""
     return [
         IntegratorPlugin(
-            name=f"sundials-{name}",
-            summary=summary,
-            options=Target(f"mbdkit_sundials.solvers:{options}"),
-            create=Target(f"mbdkit_sundials.solvers:create_{name}"),
+            name="sundials-cvode",
+            summary="CVODE of SUNDIALS: BDF or Adams, adaptive steps and order.",
+            options=Target("mbdkit_sundials.solvers:CvodeOptions"),
+            create=Target("mbdkit_sundials.solvers:create_cvode"),
             claims=Target("mbdkit_sundials.solvers:claims"),
             references=Target("mbdkit_sundials.solvers:REFERENCES"),
             dense_output=True,
-        )
-        for name, options, summary in SOLVERS
+        ),
+        IntegratorPlugin(
+            name="sundials-ida",
+            summary="IDA of SUNDIALS: BDF on the residual, adaptive steps and order.",
+            options=Target("mbdkit_sundials.solvers:SundialsOptions"),
+            create=Target("mbdkit_sundials.solvers:create_ida"),
+            claims=Target("mbdkit_sundials.solvers:claims"),
+            references=Target("mbdkit_sundials.solvers:REFERENCES"),
+            dense_output=True,
+        ),
     ]
