@@ -199,6 +199,8 @@ def _largest_energy(run: Run) -> float:
     """Return the largest absolute value of the energies whose rounding errors the energy balance contains [J]."""
     names = ("potential", "work", "dissipated")
     largest = max(float(np.max(np.abs(run.dataset(f"energy/{name}")[:]), initial=0.0)) for name in names)
+    if run.records("joints/reaction_torque"):  # which hold what does not move, and then turn by rounding errors
+        largest = max(largest, float(np.max(np.abs(run.dataset("joints/reaction_torque")[:]), initial=0.0)))
     if (model := mechanism_of(run)) is None:
         return largest
     mass, inertia = np.array([(body.mass, body.inertia or 0.0) for body in model.bodies.values()]).T
