@@ -156,7 +156,8 @@ def is_resolved(time: np.ndarray, size: np.ndarray) -> np.ndarray:
     if len(time) < 3:
         return np.zeros(size.shape[1], bool)
     largest = np.max(size, axis=0)
-    return np.asarray(_above_parabolas(time, size) - largest <= NEGLIGIBLE * largest)
+    with np.errstate(all="ignore"):  # of a motion that flew apart
+        return np.asarray(_above_parabolas(time, size) - largest <= NEGLIGIBLE * largest)
 
 
 def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: Sequence[float | None]) -> np.ndarray:
@@ -179,7 +180,7 @@ def _above_rows(time: np.ndarray, size: np.ndarray, recorded: np.ndarray, ends: 
 
 def _above_parabolas(time: np.ndarray, size: np.ndarray) -> np.ndarray:
     left, right = np.diff(time)[:-1, None], np.diff(time)[1:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):
         before, after = np.diff(size, axis=0)[:-1] / left, np.diff(size, axis=0)[1:] / right
         curvature = (after - before) / (left + right)
         slope = (before * right + after * left) / (left + right)  # slope in the middle row
