@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.sparse import block_array, diags_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from mbdkit.base.errors import StepError
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
@@ -131,6 +132,11 @@ def _descent(prepared: PreparedMechanism, found: Rest) -> np.ndarray | None:
     return way if value < -SADDLE * stiffness_scale(prepared, at) else None
 
 
+def _factors(upper: Any, jacobian: Any) -> SuperLU:
+    """Return the factors of a symmetric matrix (n, n) bordered by the rows (m, n) of the constraints."""
+    return splu(block_array([[upper, jacobian.T], [jacobian, None]], format="csc"))
+
+
 class _RestSearch:
     def __init__(self, prepared: PreparedMechanism):
         self.p: EquationsOfMotion = prepared.equations
@@ -229,8 +235,7 @@ class _RestSearch:
             for more in choices if np.any(pressed) else (0.0,):
                 self.tried += 1
                 upper = stiffness + diags_array(damping * p.mass + more * pressed)
-                matrix = block_array([[upper, jacobian.T], [jacobian, None]], format="csc")
-                if self.take(splu(matrix).solve(right)[: p.n]):
+                if self.take(_factors(upper, jacobian).solve(right)[: p.n]):
                     return True
         except (StepError, RuntimeError):  # the matrix is singular, or the joints cannot be closed after the step
             pass
@@ -260,7 +265,7 @@ class _RestSearch:
         p, at = self.p, (self.p.t0, self.q, self.none, self.none, self.lam)
         stiffness, jacobian = p.tangents(*at).stiffness, p.constraint_jacobian(p.t0, self.q)
         upper = stiffness + diags_array(self.least * p.mass)
-        factors = splu(block_array([[upper, jacobian.T], [jacobian, None]], format="csc"))
+        factors = _factors(upper, jacobian)
 
         def step_from(q: np.ndarray, lam: np.ndarray) -> np.ndarray:
             right = np.concatenate([-p.residual(p.t0, q, self.none, self.none, lam), self.no_rows])
@@ -320,8 +325,8 @@ class _RestSearch:
 
         def step(at: np.ndarray) -> np.ndarray:
             jacobian = p.constraint_jacobian(p.t0, at)
-            matrix = block_array([[diags_array(weight), jacobian.T], [jacobian, None]], format="csc")
-            return np.asarray(splu(matrix).solve(np.concatenate([self.none, -p.constraints(p.t0, at)]))[: p.n])
+            right = np.concatenate([self.none, -p.constraints(p.t0, at)])
+            return np.asarray(_factors(diags_array(weight), jacobian).solve(right)[: p.n])
 
         before = np.inf
         for _ in range(MOST_ITERATIONS):
