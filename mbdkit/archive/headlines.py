@@ -34,7 +34,8 @@ DIGITS_ALONE = 6  #: Number of significant digits of a number whose error was no
 MISSED = 0.01
 
 #: Values up to this share of the largest value of their kind count as zero. Torques of drivers [N m] also count as zero
-#: up to this share of the largest force in a joint [N].
+#: up to this share of the largest force in a joint [N], and forces up to this share of torques by the characteristic
+#: length.
 ROUND_OFF = 1e-10
 
 #: Largest number of joints or other elements that one line lists; the rest are only counted.

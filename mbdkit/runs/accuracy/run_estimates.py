@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from mbdkit.archive.accuracy import Accuracy
+from mbdkit.archive.headlines import ROUND_OFF
 from mbdkit.archive.measured_values import Integrals
 from mbdkit.archive.peak_errors import errors_of_largest, expression_of_largest, missed_by_rows, missed_of_verdict
 from mbdkit.base.called_functions import returning
@@ -30,9 +31,6 @@ from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.run_record import RunRecord
 from mbdkit.runs.run_seams import Progress
 from mbdkit.trust.criteria import EstimatedErrors
-
-#: Forces up to this share of the largest torque divided by the characteristic length are rounding errors.
-ROUNDING_OF_TORQUES = 1e-10
 
 
 def estimate_accuracy(
@@ -93,7 +91,7 @@ def estimated_errors(
     figures = accuracy.figures(joints, rows.force, beyond)
     torque = float(np.max(np.abs(rows.torque), initial=0.0)) / mechanism.length
     # where joints carry torques only, their forces are rounding errors
-    worst = None if np.max(size, initial=0.0) <= ROUNDING_OF_TORQUES * torque else figures.worst_joint
+    worst = None if np.max(size, initial=0.0) <= ROUND_OFF * torque else figures.worst_joint
     between = ""
     if worst is not None and worst.missed > worst.error:
         advice = "record more rows" if skips_steps else f"use {spec.finer}"

@@ -97,6 +97,14 @@ def test_a_jump_of_the_integrand_is_doubtful() -> None:
     assert by_place.verdict_reasons[0].startswith("An integrand of `minimize` jumps")
 
 
+def test_a_doubt_about_a_jump_does_not_advise_what_was_given() -> None:
+    cost = f"integral(controls['{PUSH}']**2*(2.5 + 1.5*(block.x - .5)/abs(block.x - .5))) + 10*final(t)"
+    free: dict[str, Any] = {"duration": {"bounds": [0.3, 5.0]}, "minimize": cost}
+    advice = "give `switching: auto`"
+    assert advice in mbdkit.predict(block(**free)).verdict_reasons[0]
+    assert not any(advice in reason for reason in mbdkit.predict(block(**free, switching="auto")).verdict_reasons)
+
+
 @pytest.mark.slow
 def test_a_jump_at_a_time_of_a_free_duration_is_doubtful() -> None:
     free: dict[str, Any] = {"duration": {"bounds": [0.5, 2.0]}, "minimize": f"{EFFORT} + 10*final(t)"}

@@ -259,6 +259,19 @@ def test_too_many_events_to_tell_apart_are_listed_in_part_and_not_marked():
         assert verdict.table("events").note == "The first 50 of 63 crossings."
 
 
+def test_rounding_errors_of_a_held_arm_are_no_errors_of_its_energy():
+    m = mbdkit.Mechanism(gravity=(0.0, 0.0))
+    arm = m.body("arm", mass=1.5, inertia=0.02, position=(0.15, 0.0))
+    m.revolute("elbow", m.ground, arm, at=(0, 0))
+    m.driver("hold", m.ground, arm, coordinate="angle", motion=0.0)
+    m.torque("load", arm, value=50.0)
+    with mbdkit.run(m, integrator={"name": "radau-iia"}, time={"end": 0.5, "step": 0.002}) as run:
+        assert 0.0 < run.energy.kinetic.max() < 1e-25  # so that shares of it say nothing
+        claim = run_verdict(run).claim("energy")
+        assert claim.answer is Answer.YES
+        assert claim.sentence.endswith(" J.")
+
+
 def test_a_run_that_an_event_ended_completed():
     with mbdkit.run("pendulum", events={"low": {"when": "rod1.angle + pi/2", "action": "stop"}}) as run:
         claim = run_verdict(run).claim("completion")
