@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mbdkit.base.errors import MbdkitError
+from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.measures.measure_expression import MeasureExpression
-from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps
+from mbdkit.runs.accuracy.compared_measures import other_methods, with_other_steps, with_sections
 from mbdkit.runs.preparation import RunSetup, make_method
 from mbdkit.runs.simulation import measured_in
 from mbdkit.spec.run_spec import RunSpec
@@ -28,6 +29,10 @@ ASSUMED_STEPS = 2_000
 #:
 #: They are not as strict as those of the runs for differences, which would show a short pulse that these steps miss.
 STEPS, TOLERANCE = 200, 1e-11
+#: Largest number of parameters for which the run by another method is differentiated forward if its adjoint fails.
+#:
+#: Time and memory of forward derivatives grow with the number of parameters.
+MOST_FORWARD = 4 * DIRECTIONS
 
 
 @dataclass
@@ -43,7 +48,7 @@ class Reference:
     needs
         Data that the measures need.
     by_adjoint
-        Whether the gradient is known only if the adjoint gives it, because there are many parameters.
+        Whether the adjoint gives the gradient if it can.
     """
 
     spec: RunSpec
@@ -70,23 +75,31 @@ class Reference:
         """Return the derivatives (M, K) of the measures by the method that `values` has chosen; nan if they are not
         available.
         """
-        seeds = self.prepared.seeds
-        unknown = np.full((len(self.expressions), seeds.count), np.nan)
+        unknown = np.full((len(self.expressions), self.prepared.seeds.count), np.nan)
         if self._chosen is None:
             return unknown
         other = self._others(self.spec, None)[self._chosen]
         step = (self.spec.time.final - self.spec.time.start) / STEPS
         other = with_other_steps(other, step, tightest=TOLERANCE)
-        try:
-            if self.by_adjoint:
-                if why_forward(other, make_method(other), seeds):
-                    return unknown
-                found = AdjointRun(other, seeds, self.needs).measures(self.expressions)
-                return np.array([one.slope for one in found.values()]).reshape(unknown.shape)
-            derived = derived_measures(differentiated_run(other, seeds, self.needs), self.expressions, seeds)
-        except (MbdkitError, NotByAdjointError, ArithmeticError):
-            return unknown
-        return np.array([one.slope for one in derived.values()]).reshape(unknown.shape)
+        is_short = not self.by_adjoint or self.prepared.seeds.count <= MOST_FORWARD
+        for slopes in [self._by_adjoint] * self.by_adjoint + [self._forward] * is_short:
+            try:
+                return np.array(slopes(other)).reshape(unknown.shape)
+            except (MbdkitError, NotByAdjointError, ArithmeticError):
+                continue
+        return unknown
+
+    def _by_adjoint(self, other: RunSpec) -> list[np.ndarray]:
+        other = with_sections(other, stabilization="none")  # with this tolerance, drift is small
+        if why := why_forward(other, make_method(other), self.prepared.seeds):
+            raise NotByAdjointError(why)
+        run = AdjointRun(other, self.prepared.seeds, self.needs)
+        return [one.slope for one in run.measures(self.expressions).values()]
+
+    def _forward(self, other: RunSpec) -> list[np.ndarray]:
+        seeds = self.prepared.seeds
+        derived = derived_measures(differentiated_run(other, seeds, self.needs), self.expressions, seeds)
+        return [one.slope for one in derived.values()]
 
     def _others(self, spec: RunSpec, interval: float | None) -> list[RunSpec]:
         return other_methods(RunSetup.of(spec), ASSUMED_STEPS, interval)
