@@ -129,6 +129,11 @@ class Preparation(ABC):
         """Sides on which the spec is valid near a value of a parameter, by its key path and this value, if known."""
         return {}
 
+    @cached_property
+    def _signed(self) -> dict[Parameter, bool]:
+        """Whether small parameters may have the other sign, if known."""
+        return {}
+
     @abstractmethod
     def at(self, parameter: Parameter, value: float) -> Arrays:
         """Return the arrays for another value of a parameter.
@@ -292,8 +297,22 @@ class Preparation(ABC):
             )
 
     def _scale(self, parameter: Parameter) -> float:
-        """Return the size of a parameter, relative to which its changes are measured."""
-        return max(abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length))
+        """Return the size of a parameter, relative to which its changes are measured.
+
+        A small number that cannot have the other sign, such as an inertia, is its own size: larger changes would pass
+        zero.
+        """
+        size, assumed = abs(parameter.value), SMALLEST_SIZE * min(1.0, self.mechanism.length)
+        if 0.0 < size < WIDEST * assumed:
+            if parameter not in self._signed:
+                try:
+                    self.at(parameter, -parameter.value)
+                    self._signed[parameter] = True
+                except SpecError:
+                    self._signed[parameter] = False
+            if not self._signed[parameter]:
+                return size
+        return max(size, assumed)
 
     def _unit(self, parameter: Parameter) -> float:
         return float(2.0 ** np.floor(elementary.log2(WIDEST / 4.0 * self._scale(parameter))))

@@ -105,3 +105,27 @@ def test_errors_through_a_jump_of_a_force_are_true() -> None:
     # expected: the closed form
     found = mbdkit.gradient(ball(0.9, 0.02, {"name": "rk4"}), OF_BALL, ["y", "k", "c"])
     np.testing.assert_allclose(found.error, np.abs(found.jacobian - expected(0.9)), rtol=2e-2)
+
+
+@pytest.mark.parametrize("inertia", [1e-3, 1e-4, 1e-9])
+def test_small_positive_parameters_have_checked_derivatives(inertia: float) -> None:
+    # expected: the closed form, 0.3 cos(t sqrt(k / I))
+    spec = {
+        "mbdkit": 1,
+        "parameters": {"I": inertia, "k": 7.0 * inertia},
+        "model": {
+            "name": "mechanism",
+            "gravity": [0, 0],
+            "bodies": {"b": {"mass": 1e-3, "inertia": "I", "angle": 0.3}},
+            "joints": {"p": {"type": "revolute", "bodies": ["ground", "b"], "at": [0, 0]}},
+            "forces": {"s": {"type": "torsion-spring", "bodies": ["ground", "b"], "stiffness": "k"}},
+        },
+        "integrator": {"name": "gauss", "stages": 2},
+        "time": {"end": 2.0, "step": 0.05},
+    }
+    found = mbdkit.gradient(spec, "final(b.angle)", ["I", "k"])
+    angle = 2.0 * np.sqrt(7.0)
+    right = 0.15 * np.sin(angle) * angle / np.array([[inertia, -7.0 * inertia]])
+    assert found.check is not None
+    assert found.check.is_passed, str(found)
+    np.testing.assert_allclose(found.error, np.abs(found.jacobian - right), rtol=1e-3)
