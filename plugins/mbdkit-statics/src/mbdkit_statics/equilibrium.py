@@ -4,16 +4,18 @@ stable equilibrium.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Unpack
 
 import numpy as np
+from scipy.linalg import qr
 
 from mbdkit.base import elementary
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.logs import warn_on_stderr
 from mbdkit.base.plain_data import plain
+from mbdkit.base.text import listed
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.kernels.observe import constraints_at
 from mbdkit.engine.kernels.table_rows import PAIR
@@ -34,6 +36,9 @@ UNDAMPED = (
     "nothing damps the small motions of this equilibrium although its loads can supply energy, as follower loads do: a "
     "little damping may make it unstable"
 )
+
+#: Number of bodies that the text of a motion names; bodies that move less than this share of the others are left out.
+SHOWN, LEFT_OUT = 3, 1e-6
 
 CORNER = (
     "a force has a corner in this position, as a rope that is just taut or a stop that just touches: the stiffness "
@@ -78,6 +83,10 @@ class Equilibrium(HtmlView):
         forces can supply energy: the motions that were examined do not grow). Small motions decide, to first order: the
         minimum of the potential energy if forces have a potential and damping takes energy away, otherwise the
         eigenvalues of the linearised motion, with its velocities and first-order states.
+    neutral_motions
+        Motions without restoring force, as text such as ``ball turns about (0, 0.2)``; their bodies turn about the
+        named points, or move along the named directions, at first. Combinations of them have no restoring force
+        either. Empty with more than 500 bodies.
     growth
         Eigenvalue of the small motion that grows fastest [1/s], if it is unstable: a real number for divergence, a
         complex one for flutter. 0 if no motion grows exponentially.
@@ -119,6 +128,7 @@ class Equilibrium(HtmlView):
     displacement: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     mechanism: Mechanism | None = field(default=None, repr=False, compare=False)
     warnings: tuple[str, ...] = ()
+    neutral_motions: tuple[str, ...] = ()
 
     @property
     def flutters(self) -> bool:
@@ -218,7 +228,33 @@ def equilibrium_of(prepared: PreparedMechanism) -> Equilibrium:
         displacement=(result.q - p.q0).reshape(-1, 3),
         mechanism=mechanism,
         warnings=(*outside, *warnings, *notes),
+        neutral_motions=motions_in_words(stability.neutral, p.bodies, result.q, compiled.length),
     )
+
+
+def motions_in_words(motions: np.ndarray, bodies: Sequence[str], q: np.ndarray, length: float) -> tuple[str, ...]:
+    """Return a text for each of k motions that combine to the same motions as the given ones (n, k) and in which as few
+    bodies as possible take part.
+
+    Angles are compared with translations by `length` [m].
+    """
+    if not motions.size:
+        return ()
+    motions = motions * np.tile([1.0, 1.0, length], len(bodies))[:, None]
+    pivots = np.sort(qr(motions.T, mode="r", pivoting=True)[1][: motions.shape[1]])
+    texts = []
+    for motion in np.linalg.solve(motions[pivots].T, motions.T):
+        parts = []
+        sizes = np.linalg.norm(motion.reshape(-1, 3), axis=1)
+        for k in np.flatnonzero(sizes > LEFT_OUT * np.max(sizes)):
+            x, y, turn = motion[3 * k : 3 * k + 3]
+            if abs(turn) > LEFT_OUT * sizes[k]:
+                verb, where = "turns about", q[3 * k : 3 * k + 2] + np.array([-y, x]) * length / turn
+            else:
+                verb, where = "moves along", np.array([x, y]) / np.hypot(x, y)
+            parts.append(f"{bodies[k]} {verb} ({', '.join(f'{c:.4g}' for c in np.round(where, 9) + 0.0)})")
+        texts.append(listed(parts, "and", most=SHOWN))
+    return tuple(texts)
 
 
 def _internal_forces(prepared: PreparedMechanism, found: Rest) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:

@@ -87,6 +87,7 @@ def equilibrium_facts(rest: Equilibrium) -> list[tuple[str, str]]:
     stiffness = f"{rest.stiffness:.6g} 1/s^2 (lowest eigenvalue of the stiffness for unit mass)"
     return [
         ("equilibrium", stability_text(rest)),
+        *(("free motion", motion) for motion in rest.neutral_motions),
         ("time", f"{rest.time:g} s, for drivers and loads"),
         *([("gravity", gravity_text(rest.mechanism.gravity))] if rest.mechanism is not None else []),
         ("found in", f"{counted(rest.iterations, 'step')}; {left}"),
@@ -119,6 +120,7 @@ def equilibrium_data(rest: Equilibrium) -> dict[str, object]:
     return {
         "time": rest.time,
         "stability": rest.stability,
+        "neutral_motions": list(rest.neutral_motions),
         "growth": [rest.growth.real, rest.growth.imag],
         "flutters": rest.flutters,
         "stiffness": rest.stiffness,

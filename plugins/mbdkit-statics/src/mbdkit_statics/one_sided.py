@@ -21,7 +21,12 @@ BESIDE = 1e-6
 #: is smaller by this factor, it is more than half as large.
 CLOSER = 8.0
 
-CHANGE = 1e-7  #: Changes of the stiffness up to this share of its largest entry are no corners.
+#: Changes of the stiffness up to this share of its largest entry are no corners; nor are changes up to rounding errors.
+CHANGE = 1e-7
+
+#: A corner of the equilibrium is also one at this share of the distance `BESIDE`; others lie beside it, such as the
+#: position in which a body that presses a stiff floor by 1e-7 m leaves it.
+HERE = 1e-3
 
 #: Number of random directions, each of which is examined on both sides; 12 corners that are independent of each other
 #: divide the neighbourhood into more sides than that, so that not all may be found.
@@ -81,16 +86,18 @@ def sides_of(statics: PreparedMechanism, at: State) -> Sides | None:
 
     first = np.asarray(draw.standard_normal(basis.shape[1]))
     largest = np.max(np.abs(beside(first, 1.0)))
-    far, near = ([beside(first, side * share) for side in (1.0, -1.0)] for share in (1.0, 1.0 / CLOSER))
+    negligible = np.maximum(CHANGE * largest, np.abs(basis).T @ here.blur @ np.abs(basis))
 
     def jumps(far_change: np.ndarray, near_change: np.ndarray) -> bool:
         """Return whether a change of the stiffness is not proportional to the distance."""
         size = np.abs(near_change)
-        return bool(np.any((size > 0.5 * np.abs(far_change)) & (size > CHANGE * largest)))
+        return bool(np.any((size > 0.5 * np.abs(far_change)) & (size > negligible)))
 
-    differ = jumps(far[0] - far[1], near[0] - near[1])
-    if not differ and not jumps(far[0] - here.stiffness, near[0] - here.stiffness):
-        return None
+    for share in (1.0, HERE):
+        far, near = ([beside(first, side * part) for side in (1.0, -1.0)] for part in (share, share / CLOSER))
+        differ = jumps(far[0] - far[1], near[0] - near[1])
+        if not differ and not jumps(far[0] - here.stiffness, near[0] - here.stiffness):
+            return None
     least, along, is_symmetric = [], np.inf, True
     for direction in _directions(first, draw):
         for side in (1.0, -1.0):

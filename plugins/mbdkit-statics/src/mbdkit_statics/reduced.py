@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh, eigvalsh_tridiagonal, ldl
+from scipy.linalg import eigh
 from scipy.sparse import block_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import LinearOperator, eigs, eigsh, splu
 
@@ -21,6 +21,9 @@ from mbdkit.base.plain_data import quoted
 from mbdkit.mechanism.bodies import GROUND
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.states_at_rest import CoupledStates, StatesAtRest, StaticEquations
+
+#: A stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms.
+NEUTRAL = 1e-11
 
 DENSE = 1500  #: Largest number of coordinates for which the equations are reduced with a dense basis.
 
@@ -70,12 +73,36 @@ class Reduced:
         larger than its rounding errors.
     turning : (n, f) array
         Time derivative of the basis; zero at rest.
+    blur : (n, n) array
+        Bounds of the rounding errors of the stiffness between two coordinates.
     """
 
     basis: np.ndarray
     stiffness: np.ndarray
     damping: np.ndarray
     turning: np.ndarray
+    blur: np.ndarray
+
+    def blur_along(self, motions: np.ndarray) -> np.ndarray:
+        """Return bounds (k,) of the rounding errors of the stiffness along motions (n, k), for unit mass [1/s^2]."""
+        ways = np.abs(motions)
+        return np.asarray(np.sum(ways * (self.blur @ ways), axis=0))
+
+
+@dataclass(frozen=True)
+class Softness:
+    """Motions at rest that no force restores, and those that forces drive on, up to `DENSE` coordinates.
+
+    Attributes
+    ----------
+    neutral : (n, k) array
+        Motions whose stiffness is zero up to rounding errors.
+    negative
+        Number of independent motions of negative stiffness.
+    """
+
+    neutral: np.ndarray
+    negative: int
 
 
 def in_statics(prepared: PreparedMechanism) -> PreparedMechanism:
@@ -143,7 +170,20 @@ def reduce(prepared: PreparedMechanism, at: State, z: np.ndarray | None = None) 
         stiffness = 0.5 * (stiffness + stiffness.T)
     everywhere, turned = np.zeros((2, p.n, basis.shape[1]))
     everywhere[free], turned[free] = basis, moved
-    return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned)
+    return Reduced(everywhere, stiffness, basis.T @ c @ basis, turned, _blur(tangents.stiffness.toarray(), p.mass))
+
+
+def _blur(stiffness: np.ndarray, mass: np.ndarray) -> np.ndarray:
+    """Return bounds (n, n) of the rounding errors of the stiffness of the coordinates.
+
+    A coordinate whose own stiffness is zero has the rounding errors of the terms that cancel in it. They are unknown,
+    but at most as large as the translational stiffness of this body; in the angle, by the square of its radius of
+    gyration.
+    """
+    own = np.abs(np.diag(stiffness)).reshape(-1, 3)
+    firm = np.repeat(np.max(own[:, :2], axis=1), 3).reshape(-1, 3)
+    firm[:, 2] = np.maximum(own[:, 2], firm[:, 2] * (mass[2::3] / mass[::3]))
+    return NEUTRAL * np.abs(stiffness) + NOISE * np.diag(firm.ravel())
 
 
 def _refuse_side_forces_that_work(
@@ -208,12 +248,14 @@ def symmetric_modes(stiffness: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     An eigenvalue is zero if only round-off is left of it.
 
     The lowest eigenvalues of slender beams are lost in the rounding errors of the largest one. They are recomputed by
-    Rayleigh's quotient, whose error is the round-off of its terms plus the square of the error of the eigenvector.
+    the Rayleigh-Ritz method in the space of their eigenvectors, whose errors are the round-off of its terms plus the
+    squares of the errors of the eigenvectors.
     """
     squares, vectors = eigh(stiffness)
     largest = np.max(np.abs(squares), initial=0.0)
     lost = np.abs(squares) <= NOISE * len(squares) * largest
-    squares = np.where(lost, np.sum(vectors * (stiffness @ vectors), axis=0), squares)
+    squares[lost], turn = eigh(vectors[:, lost].T @ stiffness @ vectors[:, lost])
+    vectors[:, lost] = vectors[:, lost] @ turn
     terms = np.sum(np.abs(vectors) * (np.abs(stiffness) @ np.abs(vectors)), axis=0)
     return np.where(lost & (np.abs(squares) <= NOISE * (terms + NOISE * largest)), 0.0, squares), vectors
 
@@ -288,17 +330,17 @@ def stiffness_scale(prepared: PreparedMechanism, at: State) -> float:
     return float(np.max(np.abs(p.tangents(*at).stiffness.diagonal()) / p.mass))
 
 
-def softest_scale(prepared: PreparedMechanism, at: State) -> float:
-    """Return the sum of the magnitudes of the terms of the lowest stiffness at rest, for unit mass [1/s^2].
+def softness(prepared: PreparedMechanism, at: State) -> Softness:
+    """Return the motions without restoring force at rest, and the number of motions of negative stiffness.
 
-    Rounding errors of the lowest stiffness are proportional to this sum. For mechanisms that are too large to be
-    reduced, the result is the largest stiffness of a single coordinate; see `stiffness_scale`.
+    The stiffness must be symmetric. Its rounding errors follow from the bodies that take part in a motion, so that a
+    stiff spring elsewhere does not hide a soft one.
     """
-    p = prepared.equations
-    if p.n > DENSE:
-        return stiffness_scale(prepared, at)
-    way = np.abs(softest_motion(prepared, at)[1])
-    return float(way @ (abs(p.tangents(*at).stiffness) @ way))
+    small = reduce(prepared, at)
+    values, vectors = symmetric_modes(0.5 * (small.stiffness + small.stiffness.T))
+    motions = small.basis @ vectors
+    blur = small.blur_along(motions)
+    return Softness(motions[:, np.abs(values) <= blur], int(np.sum(values < -blur)))
 
 
 def lowest(prepared: PreparedMechanism, at: State, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -390,20 +432,6 @@ def _least_by_inverse_iteration(prepared: PreparedMechanism, at: State) -> float
 
 #: Number of inverse iterations used to find the motion for which a matrix is almost singular.
 INVERSE_ITERATIONS = 3
-
-
-def negative_stiffnesses(prepared: PreparedMechanism, at: State) -> int:
-    """Return the number of independent directions of negative stiffness, if the stiffness is symmetric.
-
-    For mechanisms of more than 500 bodies, the number is 1 if there are any.
-    """
-    if prepared.equations.n > DENSE:
-        return int(least_stiffness(prepared, at) < 0)
-    matrix = static_matrix(prepared, at)[0].toarray()
-    _, blocks, _ = ldl(0.5 * (matrix + matrix.T))
-    # By Sylvester's law of inertia, the matrix has as many negative eigenvalues as the blocks of this factorization.
-    signs = eigvalsh_tridiagonal(np.diag(blocks).copy(), np.diag(blocks, 1).copy())
-    return int(np.sum(signs < 0)) - prepared.equations.m
 
 
 def static_matrix(prepared: PreparedMechanism, at: State) -> tuple[csc_array, np.ndarray]:

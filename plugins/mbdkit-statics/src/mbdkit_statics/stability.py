@@ -8,7 +8,7 @@ then decides nothing, and the eigenvalues of the linearised motion are computed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import eig, matrix_balance
@@ -17,20 +17,18 @@ from mbdkit_statics.one_sided import sides_of
 from mbdkit_statics.prepared_mechanism import PreparedMechanism
 from mbdkit_statics.reduced import (
     DENSE,
+    NEUTRAL,
     NOISE,
     State,
     is_conservative,
     least_stiffness,
     lowest,
-    negative_stiffnesses,
     reduce,
     reduce_with_states,
-    softest_scale,
+    softness,
+    stiffness_scale,
 )
 from mbdkit_statics.states_at_rest import first_order_form
-
-#: A stiffness counts as zero if it is below this fraction of the sum of the magnitudes of its terms.
-NEUTRAL = 1e-11
 
 #: Assumed backward error of the eigenvalues of a matrix, relative to its norm after balancing.
 ROUNDING = 32 * float(np.finfo(float).eps)
@@ -69,6 +67,8 @@ class Stability:
         Whether it is stable only as far as no motion is damped, although the loads can supply energy.
     is_corner
         Whether a force has a corner there, so that the stiffness depends on the direction.
+    neutral : (n, k) array
+        Motions that no force restores; none is given for more than `DENSE` coordinates.
     """
 
     verdict: str
@@ -76,6 +76,7 @@ class Stability:
     growth: complex = 0.0
     is_undamped: bool = False
     is_corner: bool = False
+    neutral: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -119,32 +120,37 @@ def stability_of(dynamic: PreparedMechanism, statics: PreparedMechanism, at: Sta
         )
     stiffness = least_stiffness(statics, at)
     if not len(z) and is_conservative(dynamic, at):
-        if abs(stiffness) <= NEUTRAL * softest_scale(statics, at):
-            return Stability("neutral", stiffness)
+        if statics.equations.n <= DENSE:
+            if (soft := softness(statics, at)).neutral.size and not soft.negative:
+                return Stability("neutral", 0.0, neutral=soft.neutral)
+        elif abs(stiffness) <= NEUTRAL * stiffness_scale(statics, at):
+            return Stability("neutral", 0.0)
         if stiffness > 0:
             return Stability("stable", stiffness)
         motions = small_motions(dynamic, at, z) if dynamic.equations.n <= DENSE else None
         growth = complex(np.sqrt(-stiffness)) if motions is None or not len(motions.growing) else motions.growing[0]
         return Stability("unstable", stiffness, growth)
-    zeros, drifts = (0, False) if statics.equations.n > DENSE else _free_motions(statics, at)
+    zeros, free = _free_motions(statics, at) if statics.equations.n <= DENSE else (0, np.zeros((0, 0)))
     motions = small_motions(dynamic, at, z, zeros)
-    if len(motions.growing) or drifts:
+    if len(motions.growing) or zeros > free.shape[1]:
         return Stability("unstable", stiffness, complex(motions.growing[0]) if len(motions.growing) else 0.0)
     if not motions.is_complete:
         return Stability("unknown", stiffness)
-    return Stability("neutral" if zeros else "stable", stiffness, is_undamped=not motions.decays)
+    return Stability("neutral" if zeros else "stable", stiffness, is_undamped=not motions.decays, neutral=free)
 
 
 def unstable_motions(prepared: PreparedMechanism, at: State) -> np.ndarray:
     """Return an eigenvalue [1/s] for each independent motion along which an equilibrium is unstable, (U,).
 
-    If the energy decides, the motions are only counted, and their eigenvalues are nan. The lowest motions are examined
-    if the mechanism is too large to be reduced to its degrees of freedom.
+    If the energy decides, the motions are only counted, and their eigenvalues are nan. If the mechanism is too large to
+    be reduced to its degrees of freedom, only one is counted, or the lowest motions are examined.
     """
     if prepared.freedoms == 0:
         return np.zeros(0)
     if is_conservative(prepared, at):
-        return np.full(negative_stiffnesses(prepared, at), np.nan)
+        is_small = prepared.equations.n <= DENSE
+        count = softness(prepared, at).negative if is_small else int(least_stiffness(prepared, at) < 0)
+        return np.full(count, np.nan)
     return small_motions(prepared, at, np.zeros(0)).growing
 
 
@@ -210,19 +216,18 @@ def eigenvalues_with_errors(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]
         return values, ROUNDING * np.linalg.norm(balanced, 2) / overlap
 
 
-def _free_motions(statics: PreparedMechanism, at: State) -> tuple[int, bool]:
-    """Return the number of motions without restoring force, and whether displacements drive the mechanism along them.
+def _free_motions(statics: PreparedMechanism, at: State) -> tuple[int, np.ndarray]:
+    """Return the number of eigenvalues zero of the stiffness, and the motions (n, k) without restoring force.
 
-    A displacement does if it causes a force along a motion without restoring force, as when a hovering body tilts: the
-    eigenvalue zero of the stiffness then has fewer eigenvectors than its multiplicity.
+    There are fewer motions than zeros if a displacement causes a force along a motion without restoring force, as when
+    a hovering body tilts: forces then drive the mechanism along this motion.
     """
     small = reduce(statics, at)
     values, left, right = eig(small.stiffness, left=True, right=True)
-    full = abs(statics.equations.tangents(*at).stiffness)
     overlap = np.abs(np.sum(left.conj() * right, axis=0))
-    terms = np.sum(np.abs(small.basis @ left) * (full @ np.abs(small.basis @ right)), axis=0)
-    zeros = int(np.sum(np.abs(values) * overlap <= NEUTRAL * terms))
+    terms = np.sum(np.abs(small.basis @ left) * (small.blur @ np.abs(small.basis @ right)), axis=0)
+    zeros = int(np.sum(np.abs(values) * overlap <= terms))
     if not zeros:
-        return 0, False
-    sizes = np.linalg.svd(small.stiffness, compute_uv=False)
-    return zeros, zeros > int(np.sum(sizes <= NOISE * len(sizes) * sizes[0]))
+        return 0, np.zeros((0, 0))
+    _, sizes, ways = np.linalg.svd(small.stiffness)
+    return zeros, small.basis @ ways[sizes <= NOISE * len(sizes) * sizes[0]].T

@@ -238,6 +238,61 @@ def test_zero_eigenvalues_are_neutral_unless_displacements_drive_the_mechanism_a
         assert mbdkit.equilibrium(m).stability == stability
 
 
+def on_floor(shape: dict[str, object], height: float, stiffness: float) -> mbdkit.Mechanism:
+    """A body without friction on a compliant floor."""
+    m = mbdkit.Mechanism()
+    m.body("b", mass=1.7, inertia=0.01, position=(3.0, height))
+    shapes = ({"line": {"normal": [0, 1]}}, shape)
+    m.contact("c", m.ground, "b", shapes=shapes, compliance={"law": "linear", "stiffness": stiffness})
+    return m
+
+
+def balanced_arm(share: float = 0.0, angle: float = 0.7) -> mbdkit.Mechanism:
+    """An arm that a spring of free length 0 balances at every angle if k h a = m g c; its k is larger by a share."""
+    mass, centre, height, arm = 2.1, 0.37, 0.83, 0.55
+    stiffness = mass * 9.81 * centre / (height * arm) * (1.0 + share)
+    m = mbdkit.Mechanism()
+    place = (centre * math.cos(angle), centre * math.sin(angle))
+    rod = m.body("r", mass=mass, inertia=0.2, position=place, angle=angle)
+    m.revolute("p", m.ground, rod, points=((0, 0), (-centre, 0)))
+    m.spring_damper("s", m.ground, rod, points=((0, height), (arm - centre, 0)), stiffness=stiffness, free_length=0.0)
+    return m
+
+
+@pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
+def test_a_body_on_a_floor_is_neutral_along_it(stiffness: float) -> None:
+    # expected: by symmetry a ball can be moved along a level floor and turned, a box moved along it, without a force
+    ball = mbdkit.equilibrium(on_floor({"circle": {"radius": 0.2}}, 0.2, stiffness))
+    assert (ball.stability, ball.stiffness) == ("neutral", 0.0)
+    height = round(0.2 - 1.7 * 9.81 / stiffness, 9)
+    assert ball.neutral_motions == ("b moves along (1, 0)", f"b turns about (3, {height:.4g})")
+    box = mbdkit.equilibrium(
+        on_floor({"polygon": [[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]}, 0.1, stiffness)
+    )
+    assert (box.stability, box.neutral_motions) == ("neutral", ("b moves along (1, 0)",))
+    assert "free motion  b moves along (1, 0)" in equilibrium_text(box)
+    assert equilibrium_data(box)["neutral_motions"] == ["b moves along (1, 0)"]
+
+
+@pytest.mark.parametrize("angle", [-1.3, -0.4, 0.7, 1.1])
+def test_an_arm_that_a_spring_balances_at_every_angle_is_neutral_without_a_corner(angle: float) -> None:
+    found = mbdkit.equilibrium(balanced_arm(angle=angle))
+    assert (found.stability, found.neutral_motions) == ("neutral", ("r turns about (0, 0)",))
+    assert not found.warnings
+
+
+@pytest.mark.parametrize("share", [1e-2, 1e-4, 1e-6, -1e-6, -1e-4, -1e-2])
+def test_a_small_stiffness_beside_a_large_one_is_not_neutral(share: float) -> None:
+    # expected: upright, the potential has the curvature k h a - m g c; a stiff spring elsewhere does not hide it
+    m = balanced_arm(share, math.pi / 2)
+    m.body("w", mass=1.0, inertia=0.01, position=(7.0, 0.0))
+    m.prismatic("guide", m.ground, "w", points=((7, 0), (0, 0)), axis=(0, 1))
+    m.spring_damper("firm", m.ground, "w", points=((7, -1), (0, 0)), stiffness=1e9, free_length=1.0 + 9.81e-9)
+    found = mbdkit.equilibrium(m)
+    assert found.stability == ("stable" if share > 0 else "unstable")
+    assert found.stiffness == pytest.approx(2.1 * 9.81 * 0.37 * share / (0.2 + 2.1 * 0.37**2), rel=1e-6)
+
+
 @pytest.mark.parametrize("load", [2.0, 3.0, 4.0, 6.0, 8.0, 16.0])
 def test_a_column_buckles_also_where_a_point_of_the_search_is_the_bifurcation(load: float) -> None:
     # expected: a rod of 1 m on a spring of 1 N m/rad buckles under 1 N; halves of steps hit the load 1 N exactly
