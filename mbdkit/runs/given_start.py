@@ -56,6 +56,7 @@ class GivenStart:
         self.n = self.search.n
         free = np.zeros(self.n)
         free[self.search.free] = 1.0
+        free[[3 * place + 2 for place, body in enumerate(mechanism.bodies.values()) if body.inertia is None]] = 0.0
         self.light = free / np.sqrt(self.search.mass)
 
     def state(self, values: Mapping[str, float | str], near: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -63,11 +64,13 @@ class GivenStart:
 
         If the values and the joints determine the positions, these are found from the positions `near` (n,), if given.
         """
-        held, moving = self._given(values)
-        q, v = self.start.q0[: self.n].copy(), self.start.v0[: self.n].copy()
-        if held:
-            q = self._positions(q, held, near)
-        return q, self._velocities(q, v, moving)
+        q = self.positions(values, near)
+        return q, self._velocities(q, self.start.v0[: self.n].copy(), self._given(values)[1])
+
+    def positions(self, values: Mapping[str, float | str], near: np.ndarray | None = None) -> np.ndarray:
+        """Return the positions (n,) of `state`."""
+        held, q = self._given(values)[0], self.start.q0[: self.n].copy()
+        return self._positions(q, held, near) if held else q
 
     def equations(
         self, values: Mapping[str, float | str], q: np.ndarray, v: np.ndarray
@@ -77,12 +80,17 @@ class GivenStart:
         At the `state`, the residuals of joints and given `values` are zero, and each matrix has the derivatives of the
         residuals with respect to q (n,) or v (n,).
         """
-        held, moving = ([*given.values()] for given in self._given(values))
-        rows, phi, _ = self._rows(q, [one for one, _ in held])
-        lack = self._values([one for one, _ in held], q) - np.array([value for _, value in held])
+        moving = [*self._given(values)[1].values()]
         rate_rows, _, phi_t = self._rows(q, [one for one, _ in moving])
         aim = np.concatenate([-phi_t, [value for _, value in moving]])
-        return (np.concatenate([phi, lack]), rows), (product(rate_rows, v) - aim, rate_rows)
+        return self.position_equations(values, q), (product(rate_rows, v) - aim, rate_rows)
+
+    def position_equations(self, values: Mapping[str, float | str], q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals (R,) and matrix (R, n) of the equations of positions; see `equations`."""
+        held = [*self._given(values)[0].values()]
+        rows, phi, _ = self._rows(q, [one for one, _ in held])
+        lack = self._values([one for one, _ in held], q) - np.array([value for _, value in held])
+        return np.concatenate([phi, lack]), rows
 
     def depend_on_coordinates_alone(self, values: Mapping[str, float | str]) -> bool:
         """Return whether the quantities that have `values` are coordinates of bodies or differences of angles."""

@@ -82,6 +82,7 @@ def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) ->
     ("lines", "message"),
     [
         (ROWS, "t.csv:1: this table has no headings: its first line has numbers"),
+        (["%time,hip,knee,8 Feb 2018", *ROWS], "t.csv:2: this row has 3 cells, but line 1 has 4: remove the heading"),
         (["time;hip", "0,0;1.234,5", "1,0;2"], "'0,0' is not a number; decimal commas are read only in tables"),
         (["time,hip,knee", *ROWS, "mean,0.5,1"], "t.csv:5: column 'time': 'mean' is not a number; write nan for"),
         (["time left hip", "0.0 1", "0.5 2"], "there are 3 headings and 2 columns of numbers; separate the cells"),
@@ -94,7 +95,18 @@ def test_all_spellings_of_a_missing_value_are_gaps(tmp_path: Path, text: str) ->
         ([",,", ",,,"], "t.csv: this table is empty"),
         (["PK\x03\x04"], "this is a workbook or an archive, not a text; save the table as .csv"),
     ],
-    ids=["no-headings", "thousands", "footer", "blanks", "no-time", "other-time", "opensim", "delimiters", "workbook"],
+    ids=[
+        "no-headings",
+        "longer-header",
+        "thousands",
+        "footer",
+        "blanks",
+        "no-time",
+        "other-time",
+        "opensim",
+        "delimiters",
+        "workbook",
+    ],
 )
 def test_other_tables_are_refused_in_one_sentence(tmp_path: Path, lines: list[str], message: str) -> None:
     with pytest.raises(SpecError) as refused:

@@ -165,8 +165,9 @@ class StartEquations:
     @property
     def determine_the_start(self) -> bool:
         """Whether the equations have a single solution, which does not depend on where the search for it begins."""
-        is_free = len(self.given.search.free) == self.given.n
-        return is_free and all(np.linalg.matrix_rank(x * self.given.light, RANK) == len(self.q) for x in self._matrices)
+        light, is_free = self.given.light, len(self.given.search.free) == self.given.n
+        moving = np.count_nonzero(light)
+        return is_free and all(np.linalg.matrix_rank(x * light, RANK) == moving for x in self._matrices)
 
     def residuals(self, given: GivenStart, initial: Mapping[str, float]) -> dict[str, np.ndarray]:
         """Return the residuals for another mechanism and other values at the same state, plus a constant of the size of

@@ -120,12 +120,12 @@ class Positions:
 
     def _sample(self, given: GivenStart, moved: Sequence[_Moved], row: int, coordinates: np.ndarray) -> _Sample:
         """Return the quantities of one sample, with derivatives by the parameters that are `moved`."""
-        q, v = given.state(dict(zip(self.independent, coordinates.tolist(), strict=True)), self._near[row])
+        q = given.positions(dict(zip(self.independent, coordinates.tolist(), strict=True)), self._near[row])
         self._near[row] = q
-        (values, matrix), _ = given.equations(self._names, q, v)
+        values, matrix = given.position_equations(self._names, q)
         by_parameter = np.zeros((len(values), len(moved)))
         for column, one in enumerate(moved):
-            more, less = (side.equations(self._names, q, v)[0][0] for side in (one.more, one.less))
+            more, less = (side.position_equations(self._names, q)[0] for side in (one.more, one.less))
             by_parameter[:, column] = (more - less) / (2.0 * one.change)
         joints, names = len(values) - len(self._names), [*self._names]
         held = [*range(joints), *(joints + names.index(name) for name in self.independent)]

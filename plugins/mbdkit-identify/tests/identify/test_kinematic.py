@@ -82,3 +82,37 @@ def test_what_positions_do_not_use_is_refused(tmp_path: Path, change: dict[str, 
     with pytest.raises(mbdkit.SpecError, match=sentence) as error:
         mbdkit.identify(given)
     assert error.value.key == key
+
+
+def test_a_point_mass_has_no_angle_among_the_unknowns(tmp_path: Path) -> None:
+    r, length, offset, count = 0.075, 0.26, 0.155, 30
+    angle, dice = np.linspace(3.6, 9.6, count), np.random.default_rng(0)
+    height = r * np.sin(angle) + np.sqrt(length**2 - (r * np.cos(angle) + offset) ** 2)
+    table = np.c_[np.arange(count), angle + dice.normal(0, 1e-4, count), height + dice.normal(0, 1e-5, count)]
+    np.savetxt(tmp_path / "crank.csv", table, delimiter=",", header="time,wheel,collar", comments="")
+    start = "r*sin(3.6) + sqrt(l**2 - (r*cos(3.6) + d)**2)"
+    bodies = {
+        "wheel": {"mass": 1, "inertia": 1, "angle": 3.6},
+        "collar": {"mass": 1, "position": ["-d", start]},
+    }
+    joints = {
+        "axle": {"type": "revolute", "bodies": ["ground", "wheel"], "at": [0, 0]},
+        "rod": {"type": "distance", "bodies": ["wheel", "collar"], "points": [["r", 0], [0, 0]], "length": "l"},
+        "guide": {
+            "type": "point-on-line", "bodies": ["ground", "collar"], "points": [["-d", 0], [0, 0]], "axis": [0, 1],
+        },
+    }  # fmt: skip
+    observed = {
+        "wheel.angle": {"column": "wheel", "deviation": 1e-4},
+        "collar.y": {"column": "collar", "deviation": 1e-5},
+    }
+    base = {"mbdkit": 1, "parameters": {"r": 0.07, "l": 0.25, "d": 0.15}}
+    fit = mbdkit.identify({
+        "mbdkit_identify": 1, "kinematic": True, "intervals": {"method": "linear"},
+        "base": base | {"model": {"name": "mechanism", "bodies": bodies, "joints": joints}},
+        "experiments": {"slow": {"file": str(tmp_path / "crank.csv"), "observed": observed}},
+        "parameters": {"r": {}, "l": {}, "d": {}},
+    })  # fmt: skip
+    assert fit.unknowns == 3 + count  # an angle of the wheel for each sample
+    for name, value in {"r": r, "l": length, "d": offset}.items():
+        assert abs(fit[name].value - value) < 4 * fit[name].deviation < 1e-3

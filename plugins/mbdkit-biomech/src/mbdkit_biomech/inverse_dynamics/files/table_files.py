@@ -139,12 +139,19 @@ def _commented_headings(
 ) -> tuple[int, list[str]]:
     """Return the headings in the last comment above the first row of data, with as many cells as this has."""
     number, cells = data
+    message = "this table has no headings: its first line has numbers"
     for index in range(number - 2, -1, -1):
         line = lines[index].lstrip("#% ")
         headings = line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter), [])
-        if lines[index].startswith(COMMENTS) and len(headings) == len(cells) and not _is_data(headings, delimiter):
-            return index + 1, headings
-    raise SpecError("this table has no headings: its first line has numbers", file=file, line=number)
+        if lines[index].startswith(COMMENTS) and not _is_data(headings, delimiter):
+            if len(headings) == len(cells):
+                return index + 1, headings
+            if len(headings) == len(cells) + 1:
+                message = (
+                    f"this row has {len(cells)} cells, but line {index + 1} has {len(headings)}: remove the heading"
+                )
+                message += " that has no column"
+    raise SpecError(message, file=file, line=number)
 
 
 def _data_in(lines: list[str], delimiters: str) -> tuple[str, int] | None:
