@@ -27,6 +27,8 @@ MOST_ROUNDS, FEW_EVALUATIONS = 50, 2
 LEAST_EFFECT = 0.01
 SETTLED = 1e-3  #: Relative change of the innovations at which the noise counts as settled.
 CLOSE = 0.05  #: Change of a correlation, in standard errors, at which it counts as settled.
+#: Reduction of the sum of squares that a search leaves only if runs fail where it leads.
+LEFT = 1e-3
 
 
 NORMAL_MEDIAN = 0.6744897501960817  #: Median of the magnitude of a standard normal number.
@@ -66,6 +68,14 @@ class Fit:
         """(n,) whether each unknown is between its bounds."""
         return np.asarray(~(self.at_low | self.at_high))
 
+    def further(self, free: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the Gauss-Newton step (n,) of the unknowns that are `free` (n,), without bounds, and by how much it
+        reduces the sum of squares to first order.
+        """
+        gradient = self.jacobian.T @ (losses(self.loss, self.white)[1] * self.white)
+        step = -covariance_of(self.jacobian, free) @ gradient
+        return step, float(-gradient @ step)
+
 
 def best_fit(
     problem: Problem, starts: int, seed: int, loss: str, notify: Callable[[str], None] = lambda _: None
@@ -89,7 +99,19 @@ def best_fit(
         notify(f"start {number + 1} of {starts}: sum of squares {cost:.6g}")
     if not found:
         raise RunError(f"the run fails at the start of the parameters: {reasons[0]}")
-    _, x = min(found, key=lambda one: one[0])
+    fit = _with_noise(problem, min(found, key=lambda one: one[0])[1], loss, notify)
+    for _ in fit.x:
+        low, high = problem.bounds
+        step, gain = fit.further(fit.free)
+        inside = problem.bound_at_edge(fit.x, np.clip(fit.x + step, low, high), LEFT) if gain > LEFT else None
+        if inside is None:
+            break
+        fit = _with_noise(problem, inside, loss, notify)
+    return fit
+
+
+def _with_noise(problem: Problem, x: np.ndarray, loss: str, notify: Callable[[str], None]) -> Fit:
+    """Return the best fit near unknowns x (n,), alternating with the estimation of the noise."""
     is_settled, is_moved, most = False, True, FEW_EVALUATIONS
     for number in range(MOST_ROUNDS):
         before = list(problem.noises)
@@ -113,11 +135,22 @@ def fit_at(problem: Problem, x: np.ndarray, loss: str = "linear", *, is_settled:
     jacobian = problem.jacobian(x)  # before the residuals, which it evaluates too
     white = problem.residuals(x)
     low, high = problem.bounds
-    close = 1e-6 * np.where(np.isfinite(high - low), high - low, 0.0)
+    close = 1e-6 * np.where(np.isfinite(high - low), high - low, problem.sizes)
     gradient = jacobian.T @ (losses(loss, white)[1] * white)
     at_low, at_high = (x <= low + close) & (gradient >= 0), (x >= high - close) & (gradient <= 0)
     x = np.where(at_low, low, np.where(at_high, high, x))
     return Fit(x, white, jacobian, float(white @ white), at_low, at_high, loss, is_settled)
+
+
+def covariance_of(jacobian: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Return the covariance (n, n) of unknowns from derivatives (R, n) of whitened residuals; 0 for those at bounds."""
+    values = np.zeros((len(free), len(free)))
+    j = jacobian[:, free]
+    scale = np.linalg.norm(j, axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    inverse = np.linalg.pinv(j / scale, rcond=1e-12)
+    values[np.ix_(free, free)] = (inverse @ inverse.T) / np.outer(scale, scale)
+    return values
 
 
 def losses(loss: str, white: np.ndarray) -> tuple[float, np.ndarray]:

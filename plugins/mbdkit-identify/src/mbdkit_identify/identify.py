@@ -14,11 +14,11 @@ from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, prepare
-from mbdkit_identify.estimation import best_fit, factors, failed, fit_at, fit_some
+from mbdkit_identify.estimation import best_fit, covariance_of, factors, failed, fit_at, fit_some
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
 from mbdkit_identify.identify_spec import IdentifySpec
-from mbdkit_identify.intervals import Goal, covariance_of, interval_of, quantile
+from mbdkit_identify.intervals import Goal, interval_of, quantile
 from mbdkit_identify.loading import data_of, load_identify_spec, spec_of_base
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.misfit import doubts_of, useless
@@ -32,6 +32,7 @@ from mbdkit_identify.segments import Unknown, segments_of, sensor_numbers
 EXACT, DIFFERENCES = 1e-9, 1e-6  #: Relative errors of exact derivatives and of central differences.
 #: Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated.
 PERTURBATIONS = 8
+DOUBTED = 7.88  #: Largest reduction of the sum of squares beyond an edge, which noise exceeds with probability 0.005.
 MATTERS = 0.1  #: A bias is told if it exceeds this share of the standard deviation.
 
 
@@ -104,6 +105,7 @@ class _Identification:
         self.notify("identifiability")
         self.known = self._identifiability()
         self.level = quantile(spec.intervals.level, max(len(self.fit.white) - np.sum(self.fit.free), 1))
+        self._find_edges()
         self.bias = self._integration_bias()
         self._note_input_bias()
         estimates, profiles = self._estimates()
@@ -147,6 +149,22 @@ class _Identification:
         units = {one.name: one.unit for one in problem.unknowns}
         error = DIFFERENCES if problem.differences else EXACT
         return combinations([*units], x, sensitivity, spec=base, error=error, sizes=problem.sizes, units=units)
+
+    def _find_edges(self) -> None:
+        """Bound the parameters where runs fail within their intervals, and note these edges."""
+        problem, fit = self.problem, self.fit
+        for place in np.flatnonzero(self.known.identifiable[: len(self.names)] & fit.free[: len(self.names)]).tolist():
+            along = self.level * self.covariance[place] / max(float(np.sqrt(self.covariance[place, place])), 1e-300)
+            for side in (-1.0, 1.0):
+                problem.bound_at_edge(fit.x, np.clip(fit.x + side * along, *problem.bounds))
+        for place, text in problem.edges.items():
+            self.notes.append(f"{text}; this counts as a bound, and intervals end there")
+            _, gain = fit.further(fit.free | (np.arange(len(fit.x)) == place))
+            if not fit.free[place] and gain > DOUBTED:
+                message = f"{text}, but the data ask for it (statistic {gain:.4g}, limit {DOUBTED:.3g}): another number"
+                self.doubts.append(
+                    Doubt(problem.unknowns[place].name, f"{message} of the model is wrong", (gain, DOUBTED))
+                )
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 

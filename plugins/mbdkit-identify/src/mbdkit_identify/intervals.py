@@ -19,7 +19,7 @@ from scipy.stats import norm
 from scipy.stats import t as student
 
 from mbdkit.plugin import listed
-from mbdkit_identify.estimation import Fit, factors, losses
+from mbdkit_identify.estimation import Fit, covariance_of, factors, losses
 from mbdkit_identify.identification import Profile
 from mbdkit_identify.noise import CHANGE
 from mbdkit_identify.problem import FAILED, Problem
@@ -92,9 +92,10 @@ def interval_of(
     near = fit.at_low | fit.at_high | (fit.x - reach < low) | (fit.x + reach > high)
     near &= np.abs(covariance @ slope) >= RELATED * sizes * deviation
     half = quantile(level, freedom_of(problem, fit, slope)) * deviation
-    if is_linear and not np.any(near) and fit.loss in CONVEX:
+    along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
+    is_plain = is_linear and not np.any(near) and fit.loss in CONVEX
+    if is_plain and not any(problem.fails(fit.x + side * along) for side in (-1.0, 1.0)):
         lower, upper, profile = value - half, value + half, None
-        along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
         limit = max((half / max(deviation, 1e-300)) ** 2 * factors(fit)[1], 1e-300)
         lowest = losses(fit.loss, fit.white)[0]
         ends = [losses(fit.loss, problem.residuals(fit.x + side * along))[0] for side in (-1.0, 1.0)]
@@ -127,17 +128,6 @@ def bounded_share(distance: float, level: float) -> float:
         return float(norm.cdf(root) - norm.cdf(first)) - level
 
     return float(brentq(lack, half, full)) / full if lack(half) < 0.0 else half / full
-
-
-def covariance_of(jacobian: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Return the covariance (n, n) of unknowns from derivatives (R, n) of whitened residuals; 0 for those at bounds."""
-    values = np.zeros((len(free), len(free)))
-    j = jacobian[:, free]
-    scale = np.linalg.norm(j, axis=0)
-    scale = np.where(scale > 0, scale, 1.0)
-    inverse = np.linalg.pinv(j / scale, rcond=1e-12)
-    values[np.ix_(free, free)] = (inverse @ inverse.T) / np.outer(scale, scale)
-    return values
 
 
 def freedom_of(problem: Problem, fit: Fit, slope: np.ndarray) -> float:

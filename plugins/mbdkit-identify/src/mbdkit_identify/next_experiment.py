@@ -9,10 +9,10 @@ import numpy as np
 
 from mbdkit.plugin import SpecError, path_text
 from mbdkit.plugin.studies import PreparedSensitivities
-from mbdkit_identify.estimation import Fit
+from mbdkit_identify.estimation import Fit, covariance_of
 from mbdkit_identify.identification import NextExperiment
 from mbdkit_identify.identify_spec import IdentifySpec
-from mbdkit_identify.intervals import Goal, covariance_of
+from mbdkit_identify.intervals import Goal
 from mbdkit_identify.loading import overridden
 from mbdkit_identify.measured_data import ExperimentData, SignalData
 from mbdkit_identify.problem import Problem

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from mbdkit_identify.estimation import Fit
-from mbdkit_identify.intervals import Chord, covariance_of
+from mbdkit_identify.estimation import Fit, covariance_of
+from mbdkit_identify.intervals import Chord
 from mbdkit_identify.problem import Problem
 
 SAMPLES, ROUNDS = 192, 12  #: Number of samples of a round, and largest number of rounds.

@@ -17,6 +17,7 @@ from mbdkit_identify.segments import KinematicSegment, Segment, Unknown
 FAILED = 1e3  #: Whitened residuals of runs that fail, so large that no search ends there.
 #: Changes of unknowns, as shares of their magnitudes, that are too small to compute derivatives again.
 SAME = 1e-9
+MOST_HALVINGS = 60  #: Number of halvings by which the edge beyond which runs fail is located.
 KEPT = 3  #: Number of points at which derivatives are kept.
 
 
@@ -55,6 +56,8 @@ class Problem:
         First values (n,) and magnitudes (n,) of the unknowns.
     bounds
         Lower and upper bounds (n,) of the unknowns.
+    edges
+        Sentences on the bounds beyond which runs fail, by place of the unknown.
     runs, derived
         Numbers of runs, and of runs with derivatives.
     """
@@ -65,6 +68,7 @@ class Problem:
             np.array([getattr(unknown, name) for unknown in self.unknowns]) for name in ("start", "size", "low", "high")
         )
         self.bounds = low, high
+        self.edges: dict[int, str] = {}
         self._priors = {place: one.prior for place, one in enumerate(self.unknowns) if one.prior is not None}
         self.runs = self.derived = 0
         self._values: dict[bytes, np.ndarray] = {}
@@ -155,6 +159,34 @@ class Problem:
             self._values = {key: np.concatenate(parts)}
         return self._values[key]
 
+    def fails(self, x: np.ndarray) -> bool:
+        """Return whether a run fails for unknowns (n,)."""
+        return not np.all(np.isfinite(self.predicted(x)))
+
+    def bound_at_edge(self, x: np.ndarray, beyond: np.ndarray, more: float = np.inf) -> np.ndarray | None:
+        """Bound the unknown that makes runs fail on the way from unknowns x (n,) to those `beyond` (n,), and return the
+        last ones (n,) before.
+
+        Return None if runs do not fail there, no single unknown is the reason, or the sum of squares grows by `more` on
+        the way to the edge.
+        """
+        if self.fails(x) or not self.fails(beyond):
+            return None
+        inside, outside = x, beyond
+        for _ in range(MOST_HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (inside, middle) if self.fails(middle) else (middle, outside)
+        growth = np.sum(self.residuals(inside) ** 2) - np.sum(self.residuals(x) ** 2)
+        for place in np.flatnonzero(inside != outside).tolist() if growth <= more else ():
+            if self.fails(np.where(np.arange(len(x)) == place, outside, inside)):
+                unknown, value, is_low = self.unknowns[place], float(inside[place]), beyond[place] < x[place]
+                told = value if abs(value) > SAME * self.sizes[place] else 0.0
+                self.unknowns[place] = replace(unknown, **{"low" if is_low else "high": value})
+                self.bounds[0 if is_low else 1][place] = value
+                self.edges[place] = f"runs fail if {unknown.name} is {'less' if is_low else 'more'} than {told:.6g}"
+                return inside
+        return None
+
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Return the derivatives (R, n) of `predicted`; raise an `MbdkitError` if a run fails."""
         known = next((one for one in self._slopes if np.all(np.abs(x - one[0]) <= SAME * self.sizes)), None)
@@ -169,7 +201,8 @@ class Problem:
                 values.append(shown[some])
             known = x.copy(), np.concatenate(parts)
             self._values = {x.tobytes(): np.concatenate(values)}
-        self._slopes = [*(one for one in self._slopes if one is not known), known][-KEPT:]
+        if np.all(np.isfinite(known[1])):  # those of a run that fails are not reused for its neighbours
+            self._slopes = [*(one for one in self._slopes if one is not known), known][-KEPT:]
         return known[1]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:

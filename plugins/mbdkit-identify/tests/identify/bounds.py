@@ -17,8 +17,8 @@ from functools import partial
 
 import numpy as np
 
-from mbdkit_identify.estimation import best_fit, factors
-from mbdkit_identify.intervals import Goal, covariance_of, interval_of
+from mbdkit_identify.estimation import best_fit, covariance_of, factors
+from mbdkit_identify.intervals import Goal, interval_of
 from mbdkit_identify.posterior import posterior
 from mbdkit_identify.problem import Problem
 

@@ -26,9 +26,9 @@ from scipy.stats import norm
 
 import mbdkit
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
-from mbdkit_identify.estimation import best_fit
+from mbdkit_identify.estimation import best_fit, covariance_of
 from mbdkit_identify.identify import _Identification
-from mbdkit_identify.intervals import covariance_of, freedom_of, profile_of, quantile
+from mbdkit_identify.intervals import freedom_of, profile_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.noise import Noise
 from mbdkit_identify.problem import Problem

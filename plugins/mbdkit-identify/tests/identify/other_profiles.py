@@ -10,8 +10,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mbdkit_identify.estimation import Fit
-from mbdkit_identify.intervals import covariance_of
+from mbdkit_identify.estimation import Fit, covariance_of
 from mbdkit_identify.problem import Problem
 
 Limits = np.ndarray

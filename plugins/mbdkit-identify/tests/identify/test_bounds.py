@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
-from mbdkit_identify.estimation import best_fit
-from mbdkit_identify.intervals import Goal, bounded_share, covariance_of, profile_of
+from mbdkit_identify.estimation import best_fit, covariance_of
+from mbdkit_identify.intervals import Goal, bounded_share, profile_of
 from mbdkit_identify.posterior import posterior
 
 from .bounds import LOSSES, repeats, shares
@@ -48,6 +50,25 @@ def test_an_expression_may_be_undefined_beyond_a_bound() -> None:
         limits = [profile_of(problem, fit, goal, covariance, 0.95, is_linear=one)[:2] for one in (True, False)]
     assert goal.value(fit.x) < limits[0][1] < 1.0
     np.testing.assert_allclose(*limits, rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_edge_beyond_which_runs_fail_counts_as_a_bound(seed: int) -> None:
+    columns = np.random.default_rng(seed).standard_normal((3, 60))
+    data = (columns[0] - 0.05 * columns[1] + np.random.default_rng(seed + 10).normal(0.0, 0.1, 60)).tolist()
+
+    def model(x: np.ndarray, a: complex, b: complex, c: complex) -> np.ndarray:
+        return a * columns[0] + (b if np.real(b) >= 0.0 else np.nan * b) * (columns[1] + columns[0]) + c * columns[2]
+
+    free = Regression([*range(60)], data, model, (0.5, 0.5, 0.5), *NO_ANSWERS)
+    problems = free.problem, replace(free, lowest=0.0, start=(0.5, 0.5, 0.5)).problem
+    problems[1].bounds[0][[0, 2]] = -np.inf  # the plain way: the same fit with the bound stated
+    at_edge, at_bound = (best_fit(one, 1, 0, "linear") for one in problems)
+    assert at_bound.at_low.tolist() == [False, True, False]
+    assert at_edge.at_low.tolist() == at_bound.at_low.tolist()
+    np.testing.assert_allclose(at_edge.x, at_bound.x, rtol=1e-6, atol=1e-9)
+    assert problems[0].edges == {1: "runs fail if b2 is less than 0"}
+    assert not problems[1].edges
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.3, 1.0, 1.7, 2.5])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mbdkit
-from mbdkit_identify.estimation import Fit, best_fit
-from mbdkit_identify.intervals import Goal, _ProfileSearch, covariance_of, profile_of, quantile
+from mbdkit_identify.estimation import Fit, best_fit, covariance_of
+from mbdkit_identify.intervals import Goal, _ProfileSearch, profile_of, quantile
 from mbdkit_identify.loading import load_identify_spec
 from mbdkit_identify.measured_data import read_experiment
 from mbdkit_identify.problem import Problem
