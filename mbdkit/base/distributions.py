@@ -5,14 +5,21 @@ from __future__ import annotations
 import importlib.metadata
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import cache, lru_cache
-from importlib.metadata import Distribution, EntryPoint, EntryPoints
+from importlib.metadata import Distribution, EntryPoint, EntryPoints, PackageNotFoundError
+from importlib.util import find_spec
+from pathlib import Path
+from pkgutil import iter_modules
 
 from mbdkit.base.frozen import dataclass
 
 MBDKIT = "mbdkit"  #: The distribution of the core and of its own plugins.
 
 _OWN = "mbdkit.builtin_plugin"  #: Value of the entry point that only mbdkit itself has.
+_SUFFIXES = (".py", ".so", ".pyd")  #: Those of modules.
+#: Begins of the names of modules that lie beside a package in a source folder, or that installers write.
+_NO_CODE = ("test", "conftest", "setup", "__editable__")
 
 
 @dataclass(frozen=True)
@@ -82,6 +89,42 @@ def version_of(name: str) -> str:
     """Return the version of an installed distribution; the name of a folder mostly has it, and is quickly read."""
     distribution = Distribution.from_name(name)
     return _stem(distribution)[1] or distribution.version
+
+
+def code_of_distribution(name: str) -> set[Path]:
+    """Return the packages and modules of a distribution, at the top level or in a namespace; empty if not installed.
+
+    In an editable installation, they are those in ``top_level.txt``, or those in the source folder that its ``.pth``
+    file names.
+    """
+    with suppress(PackageNotFoundError):
+        distribution = Distribution.from_name(name)
+        files = [file for file in distribution.files or () if ".." not in file.parts]
+        modules = {file.parts[0].partition(".")[0] for file in files if file.suffix in _SUFFIXES}
+        modules |= set((distribution.read_text("top_level.txt") or "").split())
+        for path in (Path(str(file.locate())) for file in files if file.suffix == ".pth"):
+            modules |= {one.name for one in iter_modules(path.read_text(encoding="utf-8").splitlines())}
+        code = set[Path]()
+        for module in (one for one in modules if not one.startswith(_NO_CODE)):
+            spec = find_spec(module)
+            if spec is not None and spec.origin is not None:
+                code.add(Path(spec.origin).parent if spec.submodule_search_locations else Path(spec.origin))
+            else:
+                places = {Path(*file.parts[:2]) for file in files if file.parts[0] == module}
+                code |= {Path(str(distribution.locate_file(place))) for place in places}
+        return code
+    return set()
+
+
+def required_versions(name: str) -> dict[str, str]:
+    """Return the versions of the installed distributions that the metadata of a distribution require, by name."""
+    versions = dict[str, str]()
+    with suppress(PackageNotFoundError):
+        for text in Distribution.from_name(name).requires or ():
+            other = normalized_name(re.split(r"[^\w.-]", text, maxsplit=1)[0])
+            with suppress(PackageNotFoundError):  # required on other platforms
+                versions |= {} if "extra ==" in text else {other: version_of(other)}
+    return versions
 
 
 @cache

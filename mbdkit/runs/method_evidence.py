@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel, ValidationError
 
-from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.distributions import MBDKIT, code_of_distribution, own_version, required_versions
 from mbdkit.base.text import listed
 from mbdkit.engine.native import machine_code
 from mbdkit.registry.catalogue import Origin, Registered
@@ -66,10 +66,10 @@ def evidence_file(origin: Origin) -> Path:
 
 @cache
 def code_digest(origin: Origin) -> str:
-    """Return the digest of all files of the package of a plugin; of mbdkit, those that its methods consist of."""
+    """Return the digest of all files of the distribution of a plugin; of mbdkit, those that its methods consist of."""
     code = code_of(origin)
     if origin.distribution != MBDKIT:
-        return digest_of(code)
+        return digest_of(*{code, *code_of_distribution(origin.distribution)})
     built = machine_code.manifest().get("files", {})  # whose digests are known, because stored code depends on them
     lines = [f"{name} {machine_code.digest(name)}" for name in built]
     lines += _lines(str(_OWN), *(name for name in _files(str(_OWN), *_OWN_CODE) if name not in built))
@@ -79,11 +79,19 @@ def code_digest(origin: Origin) -> str:
     return _joined(lines)
 
 
-def digest_of(code: Path) -> str:
-    """Return the digest of all files of a package, or of a module that is not in a package."""
-    if code.is_dir():
-        return _joined(_lines(str(code), *_files(str(code), suffix="")))
-    return _joined(_lines(str(code.parent), code.name) if code.exists() else ())
+def digest_of(*code: Path) -> str:
+    """Return the digest of all files of packages, and of modules that are not in a package.
+
+    Names of files count from the package if there is only one, and from its folder if there are several.
+    """
+    lines = list[str]()
+    for path in code:
+        if path.is_dir():
+            prefix = f"{path.name}/" if len(code) > 1 else ""
+            lines += [prefix + line for line in _lines(str(path), *_files(str(path), suffix=""))]
+        elif path.exists():
+            lines += _lines(str(path.parent), path.name)
+    return _joined(lines)
 
 
 def _joined(lines: Iterable[str]) -> str:
@@ -132,8 +140,17 @@ def read_records(path: Path) -> Sequence[Mapping[str, Any]]:
     try:
         texts = ("kind", "name", "distribution", "version", "digest", "mbdkit", "date")
         kinds: dict[str, type] = dict.fromkeys(texts, str)
-        kinds |= {"options": dict, "checks": dict, "claims": dict, "failed": list, "skipped": list, "quick": bool}
-        if all(isinstance(record[key], kind) for record in data["records"] for key, kind in kinds.items()):
+        kinds |= {
+            "options": dict,
+            "requires": dict,
+            "checks": dict,
+            "claims": dict,
+            "failed": list,
+            "skipped": list,
+            "quick": bool,
+        }
+        records = [{"requires": {}, **record} for record in data["records"]]
+        if all(isinstance(record[key], kind) for record in records for key, kind in kinds.items()):
             return tuple(data["records"])
     except (LookupError, TypeError):
         pass
@@ -200,12 +217,24 @@ def _judged(item: Registered, record: Mapping[str, Any], digest: str) -> PluginE
     if record["version"] != version:
         why = f"version {record['version']} was checked {when}, and {version} is installed"
         return PluginEvidence(changed, why, digest)
+    now = own_version()
+    if _minor(record["mbdkit"]) != _minor(now):
+        return PluginEvidence(changed, f"it was checked {when}, and {now} is installed", digest)
     if record["digest"] != digest:
         edited, other = "the sources were edited after the checks", "its code is not that which was checked"
         return PluginEvidence(changed, f"{edited if changed == 'checkout' else other} {when}", digest)
-    if not record["verified"]:
+    if not record["verified"] or not record["checks"]:
         names = record["failed"][:MOST_NAMES] or ["too few checks could be run"]
         more = f" and {len(record['failed']) - MOST_NAMES} more" if len(record["failed"]) > MOST_NAMES else ""
         return PluginEvidence("failed", f"{listed(names)}{more}, {when}", digest)
     quick = ", without the slow checks" if record["quick"] else ""
-    return PluginEvidence("verified", f"{when}{quick}", digest)
+    requires = record.get("requires", {})
+    now_there = required_versions(item.origin.distribution) if requires else {}
+    changes = [f"{name} from {version} to {now_there.get(name, 'none')}" for name, version in requires.items()
+               if now_there.get(name) != version]  # fmt: skip
+    since = f"; since then, installed versions changed: {listed(changes)}" if changes else ""
+    return PluginEvidence("verified", f"{when}{quick}{since}", digest)
+
+
+def _minor(version: str) -> list[str]:
+    return version.split(".")[:2]

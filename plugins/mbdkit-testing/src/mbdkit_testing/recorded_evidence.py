@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from mbdkit.base.distributions import MBDKIT, own_version
+from mbdkit.base.distributions import MBDKIT, own_version, required_versions
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import replacing
 from mbdkit.engine.native.machine_code import code_id
@@ -48,6 +48,7 @@ def record_of(item: Registered, report: Report, *, quick: bool) -> Record:
         "version": item.origin.version,
         "digest": code_digest(item.origin),
         "mbdkit": own_version(),
+        "requires": required_versions(item.origin.distribution),
         "kit": code_digest(_KIT)[:16],
         "python": platform.python_version(),
         "machine_code": code_id(),

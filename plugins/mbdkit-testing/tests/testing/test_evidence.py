@@ -25,7 +25,7 @@ from mbdkit.spec import load_spec
 from mbdkit_testing.check_result import Report, failed, passed
 from mbdkit_testing.recorded_evidence import record_of, write_records
 from tests.first_party import ROOT
-from tests.installing import install_module, python
+from tests.installing import announce, install_module, python
 
 CODE = "WEIGHT = 0.25\n"
 HEUN = """
@@ -130,6 +130,53 @@ def test_what_has_changed_since_is_no_evidence(method: Made, change: Callable[[P
 def test_another_version_is_no_evidence(method: Made) -> None:
     recorded(method())
     assert evidence_of(method("1.1")).why.startswith("version 1.0 was checked by mbdkit")
+
+
+def test_evidence_covers_every_module_of_a_distribution_and_names_what_it_requires(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The method of `heun-kit` takes its weights from a second module, from a namespace, and from `weight-table`."""
+    folder, parts = tmp_path / "heun_space" / "heun_part", ("heun_kit.py", "heun_core.py", "heun_space/heun_part/a.py")
+    folder.mkdir(parents=True)
+    announce(tmp_path, "heun-kit", {"main": "heun_kit"}, requires=("weight-table>=1", "other; extra == 'test'"))
+    announce(tmp_path, "weight-table", {})
+    for part in parts:
+        (tmp_path / part).write_text(CODE)
+    (tmp_path / "heun_kit-1.0.dist-info" / "RECORD").write_text("".join(f"{part},,\n" for part in parts))
+    monkeypatch.syspath_prepend(tmp_path)
+    importlib.import_module("heun_kit")
+    plugin: Any = IntegratorPlugin("heun", "Heun.", StageOptions, create=print, claims=print)
+    item = Registered("integrator", plugin, Origin("heun-kit", "1.0", "main = heun_kit"))
+    recorded(item)
+    assert evidence_of(item).word == "verified"
+    assert "since then" not in evidence_of(item).why
+    (tmp_path / "weight_table-1.0.dist-info").rename(tmp_path / "weight_table-1.1.dist-info")
+    forget()
+    assert str(evidence_of(item)).endswith("; since then, installed versions changed: weight-table from 1.0 to 1.1")
+    for part in parts:
+        (tmp_path / part).write_text(CODE.replace("25", "26"))
+        forget()
+        assert evidence_of(item).word == "changed since", part
+        (tmp_path / part).write_text(CODE)
+    del sys.modules["heun_kit"]
+    forget()
+
+
+@pytest.mark.parametrize(("version", "word"), [("1.0.7", "verified"), ("1.1.0", "changed since")])
+def test_evidence_holds_for_patches_of_mbdkit_but_not_for_another_minor_version(
+    method: Made, monkeypatch: pytest.MonkeyPatch, version: str, word: str
+) -> None:
+    recorded(method())
+    monkeypatch.setattr(method_evidence, "own_version", lambda: version)
+    assert evidence_of(method()).word == word
+
+
+def test_a_record_without_checks_verifies_nothing(method: Made) -> None:
+    path = recorded(method())
+    record: dict[str, Any] = {**read_records(path)[0], "checks": {}}
+    write_records([record | {"sha256": seal_of(record)}], path)
+    forget()
+    assert evidence_of(method()).word == "failed"
 
 
 def test_evidence_depends_neither_on_line_ends_nor_on_what_python_and_editors_leave(method: Made) -> None:
