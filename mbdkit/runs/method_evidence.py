@@ -85,12 +85,10 @@ def digest_of(*code: Path) -> str:
     Names of files count from the package if there is only one, and from its folder if there are several.
     """
     lines = list[str]()
-    for path in code:
-        if path.is_dir():
-            prefix = f"{path.name}/" if len(code) > 1 else ""
-            lines += [prefix + line for line in _lines(str(path), *_files(str(path), suffix=""))]
-        elif path.exists():
-            lines += _lines(str(path.parent), path.name)
+    for path in filter(Path.exists, code):
+        prefix = f"{path.name}/" if len(code) > 1 and path.is_dir() else ""
+        found = _lines(str(path), *_files(str(path), suffix="")) if path.is_dir() else _lines(str(path.parent), path.name)
+        lines += [prefix + line for line in found]
     return _joined(lines)
 
 
@@ -140,15 +138,8 @@ def read_records(path: Path) -> Sequence[Mapping[str, Any]]:
     try:
         texts = ("kind", "name", "distribution", "version", "digest", "mbdkit", "date")
         kinds: dict[str, type] = dict.fromkeys(texts, str)
-        kinds |= {
-            "options": dict,
-            "requires": dict,
-            "checks": dict,
-            "claims": dict,
-            "failed": list,
-            "skipped": list,
-            "quick": bool,
-        }
+        kinds |= dict.fromkeys(("options", "requires", "checks", "claims"), dict)
+        kinds |= {"failed": list, "skipped": list, "quick": bool}
         records = [{"requires": {}, **record} for record in data["records"]]
         if all(isinstance(record[key], kind) for record in records for key, kind in kinds.items()):
             return tuple(data["records"])
