@@ -77,7 +77,7 @@ def spec_of(markers: Path, **sections: Any) -> dict[str, Any]:
     return {
         "mbdkit": 1,
         "title": f"Knee challenge: {markers.stem}",
-        "subject": {"mass": MASS, "height": 1.66, "sex": "male"},
+        "subject": {"mass": MASS, "height": 1.66, "sex": "male", "age": 83, "replacement": {"right": "knee"}},
         "model": {"name": "leg", "legs": 2, "root": "trunk", **muscles},
         "motion": {
             "file": str(markers.resolve()),

@@ -107,7 +107,7 @@ KNEES = quantity_group(
     _of_knees(0, "patellofemoral_force", "of the patella on the thigh", "without patella"),
     _of_knees(1, "medial_force", "in the medial compartment", "if frontal moments are not known"),
     _of_knees(2, "lateral_force", "in the lateral compartment", "if frontal moments are not known"),
-    _of_knees(3, "compression", "along the shank; with error bars, the median of its distribution", "if not computed"),
+    _of_knees(3, "compression", "along the shank, by recruitment", "if not computed"),
     _bar_of_knees(4, "lower", "below"),
     _bar_of_knees(5, "upper", "above"),
     optional=True, word="knees", one="knee", example="medial_force", axis="knee", is_optional=True,

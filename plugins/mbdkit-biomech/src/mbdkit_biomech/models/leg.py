@@ -107,8 +107,8 @@ class LegOptions(LegPose):
     """Body height [m]; scales the segments."""
     body_mass: Positive = 75.0
     """Body mass [kg]."""
-    table: Literal["winter", "de-leva-female", "de-leva-male"] = "winter"
-    """Table of the proportions of the segments."""
+    table: Literal["winter", "de-leva", "de-leva-female", "de-leva-male"] = "winter"
+    """Table of the proportions of the segments; `de-leva` is the mean of those for women and men."""
     thigh_length: Positive | None = None
     """Distance from hip to knee [m]; by default, by `table` and `height`."""
     shank_length: Positive | None = None

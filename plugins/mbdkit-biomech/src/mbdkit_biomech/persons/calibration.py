@@ -223,15 +223,18 @@ class Segments:
         named = [one for one in (right, left, *back) if one is not None]
         if len(named) < 2 + len(back):
             return None
-        points = [self._inside(one) for one in named]
+        points = [self.inside(one, "trunk") for one in named]
         return points[0], points[1], np.mean(points[2:], axis=0)
 
-    def _inside(self, landmark: tuple[Trial, str]) -> np.ndarray:
+    def inside(self, landmark: tuple[Trial, str], body: str) -> np.ndarray:
+        """Return the mean place (3,) of a landmark in the frame of a segment [m]; raise SpecError if it is never seen
+        together with the segment.
+        """
         trial, name = landmark
-        own = trial.poses["trunk"].inside(trial.file.marker(name, "motion.clusters.trunk"))
+        own = trial.poses[body].inside(trial.file.marker(name, f"motion.clusters.{body}"))
         if np.isnan(own[:, 0]).all():
-            raise SpecError(f"in no frame is {shown(name)} seen together with three markers of the trunk",
-                            key="motion.clusters.trunk")  # fmt: skip
+            raise SpecError(f"in no frame is {shown(name)} seen together with three markers of the {body}",
+                            key=f"motion.clusters.{body}")  # fmt: skip
         return np.asarray(np.nanmean(own, axis=0))
 
 

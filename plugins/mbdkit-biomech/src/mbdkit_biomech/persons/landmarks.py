@@ -29,6 +29,7 @@ PATTERNS = {
     "asis": r"asis?|ias",
     "psis": r"psis?|ips",
     "sacrum": r"v?sac(r|rum|ral)?",
+    "patella": r"pat(ella)?",
     "knee.lateral": rf"kne|knee|lfe|fle|(lateral|lat){_KNEE}|{_KNEE}(lateral|lat)",
     "knee.medial": rf"knm|mkne|kneem|mfe|fme|(medial|med){_KNEE}|{_KNEE}(medial|med)",
     "ankle.lateral": rf"ank|ankle|lmal|fal|(lateral|lat){_ANKLE}|{_ANKLE}(lateral|lat)",

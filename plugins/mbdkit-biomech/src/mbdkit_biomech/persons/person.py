@@ -40,18 +40,14 @@ STATED, THICKNESS = 10.0, 0.04
 #: chance.
 MISFIT = 2.5
 
-#: Standard deviation of the place of a knee across the plane of motion from which it is better found without landmarks,
-#: and the largest one with which frontal moments are known [m]. The first is half the width of the compartments, less a
-#: third; the second, half the width.
-ACROSS, FARTHEST_ACROSS = 0.015, 0.025
+#: Standard deviation of the place of a knee across the plane of motion from which it is not known, unless a landmark on
+#: one side of the knee shows it [m]: half the width of the compartments, less a third.
+ACROSS = 0.015
 
-#: Without landmarks, a knee is outward of the middle of hip and ankle [m], since legs have 1.3 degrees of varus, with a
-#: standard deviation of 2.3 (J. Bellemans et al., Clin. Orthop. Relat. Res. 470 (2012) 45-53). The standard deviation
-#: [m] contains that of 9 mm, and 10 mm as the hip of a flexed leg rotates by some degrees (an assumption).
-OUTWARD, ALIGNMENT = 0.005, 0.0135
-
-#: Standard deviation of the ankle from the middle of the markers of the foot, across the plane (an assumption) [m].
-FOOT = 0.015
+#: Landmarks on one side of a knee: how far the knee is inward of each, and the standard deviation [m]. The first one is
+#: in front of it, so that some degrees of rotation of the leg move it by millimetres (an assumption). Epicondyles are
+#: beside it by half the breadth of a knee with its skin, 90 mm, and deviate by 5 mm between persons, and by palpation.
+BESIDE_KNEE = {"patella": (0.0, 0.01), "knee.lateral": (0.045, 0.01), "knee.medial": (-0.045, 0.01)}
 
 #: Mean distance of two knees or ankles across the plane of motion from which they are no longer doubtful [m].
 APART = 0.02
@@ -136,7 +132,7 @@ class Person:
             done = "corrected" if own.corrected else "not corrected"
             offset = f"; {1000 * own.late:.0f} ms late (deviation {1000 * own.deviation:.0f} ms), {done}"
         return {
-            "subject": f"{of.mass:g} kg, {of.height:g} m, {of.sex}; {', '.join(lengths)}",
+            "subject": f"{of.described}; {', '.join(lengths)}",
             "centres": ", ".join(centers),
             "plane": f"{'found' if self.plane.is_fitted else 'stated'}, residual {1000 * self.plane.residual:.0f} mm",
         } | ({"plates": ", ".join(plates) + offset} if plates else {})
@@ -206,7 +202,7 @@ class Skeleton:
     def person(self, plates: PlateResult) -> Person:
         """Return the person with its plates."""
         subject, thigh, shank = self.subject, self.lengths["thigh"].value, self.lengths["shank"].value
-        own = BodySegments(subject.mass, subject.height, f"de-leva-{subject.sex}", thigh, shank)
+        own = BodySegments(subject.mass, subject.height, subject.table, thigh, shank)
         masses = {name: getattr(own, name).mass for name in ("trunk", "thigh", "shank", "foot")}
         hips = np.mean([self.points[f"hip{leg}"] for leg in self.segments.legs], axis=0)
         points = {"hip": hips} | {name: own for name, own in self.points.items() if not name.startswith("hip")}
@@ -224,19 +220,20 @@ class Skeleton:
         """Return the knees above plates, and what was found about places of forces and knees across the plane."""
         found: dict[str, KneeLoad] = {}
         unknown: list[str] = []
-        lines: list[str] = []
         findings: list[Finding] = []
         for leg in self.segments.legs:
             knee, loads = f"knee{leg}", [one for one in plates.loads.values() if one.body == f"foot{leg}"]
             side, vertical = 1.0 if self.segments.side(leg) == "r" else -1.0, sum(one.force[:, 1] for one in loads)
             at, deviation = self.points[knee], float(np.sqrt(self.centers[knee].covariance[2, 2]))
-            if deviation > ACROSS:
-                hip, variance = self.points[f"hip{leg}"][:, 2], float(self.centers[f"hip{leg}"].covariance[2, 2])
-                foot = self.plane.coordinates(self.segments.motion.poses[f"foot{leg}"].position)[:, 2]
-                at = np.column_stack([at[:, :2], 0.5 * (hip + foot) + side * OUTWARD])
-                deviation = float(np.sqrt(ALIGNMENT**2 + 0.25 * (variance + FOOT**2)))
-                if loads:
-                    (lines if deviation <= FARTHEST_ACROSS else unknown).append(f"{knee} {1000 * deviation:.0f} mm")
+            for kind, (inward, own) in BESIDE_KNEE.items():
+                if deviation > ACROSS and (landmark := self.segments.named(kind, self.segments.side(leg))):
+                    seen = self.segments.motion.poses[f"thigh{leg}"].point(
+                        self.segments.inside(landmark, f"thigh{leg}")
+                    )
+                    across = self.plane.coordinates(seen)[:, 2] - side * inward
+                    at, deviation = np.column_stack([at[:, :2], across]), own
+            if loads and deviation > ACROSS:
+                unknown.append(f"{knee} {1000 * deviation:.0f} mm")
             if loads and np.sqrt(self.centers[f"ankle{leg}"].covariance[2, 2]) <= ACROSS:
                 moments = sum(one.frontal_moment(self.points[f"ankle{leg}"]) for one in loads)
                 beside = float(np.nansum(moments) / np.sum(vertical, where=~np.isnan(moments)))
@@ -247,20 +244,15 @@ class Skeleton:
                         "the place of its plates across the plane of motion, on which the forces in the knee depend"
                     )
                     findings += _doubts("plates", [sentence])
-            if loads and deviation <= FARTHEST_ACROSS:
+            if loads and deviation <= ACROSS:
                 moment = side * sum(one.frontal_moment(at) for one in loads)
                 found[knee] = KneeLoad(np.asarray(moment), np.maximum(vertical, 0.0), deviation)
         sentence = (
             f"where knees are across the plane of motion is not known ({listed(unknown, 'and')}; at most "
-            f"{1000 * FARTHEST_ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of "
-            "muscles: use markers on the medial and lateral sides of the knees, in the motion or in a static trial"
+            f"{1000 * ACROSS:.0f} mm are accepted), so that their compartments do not bound the forces of muscles: use "
+            "markers on the patella, or on a side of the knees, in the motion or in a static trial"
         )
-        by_line = (
-            f"where knees are across the plane of motion follows from hips and feet ({listed(lines, 'and')}), so that "
-            "the bound by their compartments is soft: markers on both sides of the knees make it firmer"
-        )
-        findings += [Finding("centers", None, sentence)] * bool(unknown)
-        return found, findings + [Finding("centers", None, by_line)] * bool(lines)
+        return found, findings + [Finding("centers", None, sentence)] * bool(unknown)
 
     def _shifts(self, columns: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the shifts of columns by artefacts; see `Person.shifts`."""

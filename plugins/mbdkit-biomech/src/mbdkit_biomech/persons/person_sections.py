@@ -19,12 +19,36 @@ class Subject(Section):
     given, is scaled to this person.
     """
 
+    ABSENT_BY_DEFAULT: ClassVar[tuple[str, ...]] = ("sex", "age", "replacement")
+
     mass: Annotated[float, Field(gt=0, le=500)]
     """Body mass [kg]."""
     height: Annotated[float, Field(gt=0, le=3)]
     """Body height [m]."""
-    sex: Literal["female", "male"]
-    """Which of de Leva's tables gives masses, centres of mass and radii of gyration of the segments."""
+    sex: Literal["female", "male"] | None = None
+    """Which of de Leva's tables gives masses, centres of mass and radii of gyration of the segments; by default, the
+    mean of both."""
+    age: Annotated[float, Field(ge=18, le=110)] | None = None
+    """Age [a], from which the strength of the muscles follows; by default, that of adults of unknown age."""
+    replacement: dict[Literal["left", "right"], Literal["knee"]] = Field(default_factory=dict)
+    """Joints that have been replaced, by side; muscles of such a knee are weaker."""
+
+    @property
+    def table(self) -> Literal["de-leva", "de-leva-female", "de-leva-male"]:
+        """Name of the table of the segments."""
+        return "de-leva" if self.sex is None else "de-leva-female" if self.sex == "female" else "de-leva-male"
+
+    @property
+    def described(self) -> str:
+        """The person in words."""
+        age = None if self.age is None else f"{self.age:g} years"
+        replaced = [f"{side} {joint} replaced" for side, joint in self.replacement.items()]
+        return ", ".join(filter(None, [f"{self.mass:g} kg", f"{self.height:g} m", age, self.sex, *replaced]))
+
+    @property
+    def replaced_knees(self) -> list[str]:
+        """Sides of the knees that have been replaced."""
+        return [side for side, joint in self.replacement.items() if joint == "knee"]
 
 
 class PlaneAxes(Section):
@@ -105,8 +129,9 @@ class Uncertainty(Section):
     """Factor of the standard deviation, by angle, of the lever arm of each `patella` between persons and sources;
     default 1."""
     cocontraction: tuple[Activation, Activation] | None = None
-    """Largest least activations, uniform from 0, of extensors and flexors of a knee together: around the beginning of
-    the stance, and in its second half; default [0.15, 0.08]."""
+    """Largest least activations of extensors and flexors of a knee together, which are 0 for one half of persons, and
+    uniform from 0 for the other half: around the beginning of the stance, and in its second half; default [0.15,
+    0.08]."""
     muscle_delay: Duration | None = None
     """Time by which the forces of all muscles are early or late [s]; default 0.02."""
     pressure: Distance | None = None

@@ -3,7 +3,7 @@
 Points of muscles keep their place relative to the joints: the points of a segment are stretched by the ratio of its
 lengths, those of trunk and foot by the ratio of body heights. Optimal lengths of fibres and lengths of tendons are
 multiplied by the ratio of the lengths of the path in the upright pose, as OpenSim scales them (S. L. Delp et al., IEEE
-Trans. Biomed. Eng. 54 (2007) 1940-1950). Forces of muscles stay as they are.
+Trans. Biomed. Eng. 54 (2007) 1940-1950). Forces of muscles are multiplied by the strength of the person.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ from mbdkit.mechanism.quantity_names import QuantityNames
 from mbdkit_biomech.models._one_leg import SUFFIX
 from mbdkit_biomech.models._segments import BodySegments
 from mbdkit_biomech.models.leg import LegFourBarOptions, LegOptions, person_of
+from mbdkit_biomech.muscles.muscle import Muscle
 from mbdkit_biomech.muscles.muscle_path import MusclePath
+from mbdkit_biomech.persons.landmarks import side_of
 from mbdkit_biomech.persons.person_sections import Subject
+from mbdkit_biomech.persons.strength import REPLACED, strength_of
 
 if TYPE_CHECKING:
     from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec
@@ -50,7 +53,7 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
         Measured lengths of `thigh` and `shank` [m].
     """
     data = json.loads(spec.canonical_json())["model"]
-    changed = {**data, "body_mass": subject.mass, "height": subject.height, "table": f"de-leva-{subject.sex}"}
+    changed = {**data, "body_mass": subject.mass, "height": subject.height, "table": subject.table}
     changed |= {f"{name}_length": length for name, length in lengths.items()}
     if not data.get("muscles"):
         return changed
@@ -58,11 +61,35 @@ def scaled_model(spec: InverseSpec, subject: Subject, lengths: Mapping[str, floa
     points = _points_of_segments(generic, person)
     muscles = {name: moved_muscle(muscle, points) for name, muscle in data["muscles"].items()}
     before, after = _path_lengths(spec, data), _path_lengths(spec, changed | {"muscles": muscles})
+    strength = strength_of(subject, generic)
     for name, muscle in muscles.items():
         ratio = after[name] / before[name]
-        keys = "optimal_length", "tendon_length"
-        muscles[name] = muscle | {key: _stretched(muscle[key], ratio, 0.0) for key in keys}
-    return changed | {"muscles": muscles}
+        factors = {"optimal_length": ratio, "tendon_length": ratio, "max_force": strength}
+        muscles[name] = muscle | {key: _stretched(muscle[key], one, 0.0) for key, one in factors.items()}
+    changed["muscles"] = muscles
+    if legs := replaced_legs(spec, subject):
+        every = of_model(spec, changed).mechanism().muscles
+        muscles = {name: muscle.model_dump(mode="json", exclude_none=True) for name, muscle in every.items()}
+        for name in (name for name, muscle in every.items() if any(moves_knee(muscle, leg) for leg in legs)):
+            muscles[name]["max_force"] = _stretched(muscles[name]["max_force"], REPLACED, 0.0)
+        changed |= {"muscles": muscles, "symmetric_muscles": False}
+    return changed
+
+
+def replaced_legs(spec: InverseSpec, subject: Subject) -> list[str]:
+    """Return the suffixes of the legs whose knees have been replaced."""
+    if leg_options(spec.model).legs == 2:
+        sides = {"right": "", "left": SUFFIX}
+    else:
+        sides = {"left" if side_of((spec.motion.clusters or {}).get("thigh", ())) == "l" else "right": ""}
+    return [leg for side, leg in sides.items() if side in subject.replaced_knees]
+
+
+def moves_knee(muscle: Muscle, leg: str) -> bool:
+    """Return whether a muscle extends or flexes the knee of a leg, and does not cross the ankle."""
+    bodies = {item.on for item in muscle.path}
+    extends = muscle.patella is not None and muscle.patella.joint == f"knee{leg}"
+    return extends or (f"shank{leg}" in bodies and f"foot{leg}" not in bodies)
 
 
 def _points_of_segments(generic: BodySegments, person: BodySegments) -> dict[str, tuple[float, float, float]]:

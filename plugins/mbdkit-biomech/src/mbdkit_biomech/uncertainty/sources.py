@@ -4,8 +4,10 @@ A scalar changes one or several places of a problem, such as ``("masses", "thigh
 `mbdkit_biomech.uncertainty.changed_problem`. Changes of several scalars in a place are added. Shares are changes of
 logarithms, so that factors are log-normal.
 
-Muscles on both sides of a knee that act together are a source, because recruitment leaves them out. The extensors and
-flexors of a knee have a larger least activation than recruitment needs, at two times of the stance:
+Muscles on both sides of a knee that act together are a source, because recruitment leaves them out. Persons differ:
+some of nine patients with instrumented knees had up to one body weight more force in late stance than others (A.
+Trepczynski et al., J. Neuroeng. Rehabil. 15 (2018) 101). One half of the persons has none here (an assumption); in the
+other half, extensors and flexors have a larger least activation than recruitment needs, at two times of the stance:
 
 - from the end of the swing to the loading response, both groups act in all strides of 14 persons (Dynamic knee muscle
   co-contraction quantified during walking, IEEE 2016), with mean peaks of 5 to 15 % of a maximal contraction at heel
@@ -30,6 +32,8 @@ from mbdkit.base.text import did_you_mean
 from mbdkit_biomech.persons.calibration import require_known
 from mbdkit_biomech.persons.landmarks import LEFT
 from mbdkit_biomech.persons.person_sections import Uncertainty
+from mbdkit_biomech.persons.scaled_model import moves_knee, replaced_legs
+from mbdkit_biomech.persons.strength import REPLACED_DEVIATION, UNKNOWN_AGE
 
 #: `mbdkit_biomech.inverse_dynamics.compute.InverseProblem`, whose module imports this one.
 InverseProblem: TypeAlias = Any
@@ -57,15 +61,19 @@ class UncertainScalar:
     group: str  #: Name of the source in tables, which several scalars may share.
     kind: Kind  #: ``person``, ``muscles`` or ``devices``.
     moves: Mapping[Place, float]  #: Changes of places for a change of the scalar by 1.
-    #: None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two.
+    #: None if the scalar is normal with the standard deviation 1; otherwise it is uniform between these two, with this
+    #: probability, or otherwise 0.
     span: tuple[float, float] | None = None
+    share: float = 1.0
 
     @property
     def levels(self) -> np.ndarray:
         """(L,) values of a scalar in a range."""
         assert self.span is not None
         low, high = self.span
-        return np.asarray(low + (high - low) * (np.arange(LEVELS) + 0.5) / LEVELS)
+        places = (np.arange(LEVELS) + 0.5) / LEVELS  # those below 1 - share stand for 0
+        inside = (places - 1.0 + self.share) / self.share
+        return np.where(inside > 0, low + (high - low) * inside, 0.0)
 
     @property
     def nodes(self) -> list[tuple[float, float]]:
@@ -79,12 +87,12 @@ class UncertainScalar:
 
 
 def _scalar(
-    size: float, *place: str, kind: Kind = "person", span: tuple[float, float] | None = None
+    size: float, *place: str, kind: Kind = "person", span: tuple[float, float] | None = None, share: float = 1.0
 ) -> UncertainScalar:
     """Return the scalar that changes a place by a size, named by the words of its key."""
     key, *elements = place
     group = WORDS[key].format(*(element.replace("_", " ") for element in elements))
-    return UncertainScalar(group, kind, {place: size}, span)
+    return UncertainScalar(group, kind, {place: size}, span, share)
 
 
 def asked_uncertainty(problem: InverseProblem) -> Uncertainty | None:
@@ -199,8 +207,14 @@ class _Sources:
                 self._require(key, "needs `recruitment`: without it, muscles exert no force")
             return
         if size := self._size("max_force"):
-            moves: dict[Place, float] = {("max_force", name): size for name in recruiter.muscles}
-            yield UncertainScalar("strength of all muscles", "muscles", moves)
+            subject = self.problem.source.subject
+            known = subject is None or subject.age is not None or self.asked.max_force is not None
+            groups = {"strength of all muscles": (recruiter.muscles, size if known else np.hypot(size, UNKNOWN_AGE[1]))}
+            for leg in [] if subject is None else replaced_legs(self.problem.source, subject):
+                own = [name for name, muscle in recruiter.muscles.items() if moves_knee(muscle, leg)]
+                groups[f"strength after replacement of knee{leg}".replace("_", " ")] = own, REPLACED_DEVIATION
+            for group, (names, deviation) in groups.items():
+                yield UncertainScalar(group, "muscles", {("max_force", name): float(deviation) for name in names})
         for key in keys[:3]:
             if size := self._size(key):
                 yield from (_scalar(size, key, name, kind="muscles") for name in recruiter.muscles)
@@ -218,7 +232,7 @@ class _Sources:
         largest = dict(zip(PHASES, self._size("cocontraction") or (0.0, 0.0), strict=True))
         for knee, phase, _ in shared_activations(self.problem):
             if size := largest[phase]:
-                yield _scalar(1.0, "cocontraction", knee, phase, kind="muscles", span=(0.0, size))
+                yield _scalar(1.0, "cocontraction", knee, phase, kind="muscles", span=(0.0, size), share=0.5)
         if size := self._size("muscle_delay"):
             yield _scalar(size, "muscle_delay", kind="muscles")
         for key, value in (("exponent", recruiter.exponent), ("minimum", recruiter.asked.minimum)):

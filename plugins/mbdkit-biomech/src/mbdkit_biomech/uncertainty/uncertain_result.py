@@ -33,7 +33,7 @@ from mbdkit.archive.result_table import TableColumn
 from mbdkit.base import elementary
 from mbdkit.base.text import counted, listed
 from mbdkit.engine.linear_systems import product
-from mbdkit_biomech.inverse_dynamics.compute import Inverse, knees_of, without_followers
+from mbdkit_biomech.inverse_dynamics.compute import Inverse, compression, knees_of, reactions_of, without_followers
 from mbdkit_biomech.inverse_dynamics.signals.chi_square import LEVEL, quantile
 from mbdkit_biomech.uncertainty.sources import LEVELS, Kind, UncertainScalar, asked_uncertainty, sources_of
 from mbdkit_biomech.uncertainty.stacked_outcomes import LOST, Outcomes, StackedOutcomes
@@ -65,21 +65,21 @@ class AddedBars(NamedTuple):
 
 @dataclass(frozen=True)
 class KneeBars:
-    """Quantiles over samples of the compressions of K knees along the shank in T frames [N].
+    """Compressions of K knees along the shank in T frames by recruitment, and quantiles over samples [N].
 
     Muscles pull, so that a compression is not smaller than that without them.
     """
 
     joints: Sequence[int]  #: Indices of the knees among the joints.
+    center: np.ndarray  #: (T, K) compressions by the recruitment of the spec.
     low: np.ndarray
-    median: np.ndarray
-    high: np.ndarray  #: (T, K) quantiles of 2.5, 50 and 97.5 %.
+    high: np.ndarray  #: (T, K) quantiles of 2.5 and 97.5 %.
     least: np.ndarray  #: (T, K) quantiles of 2.5 % of the compressions without muscles.
 
     @classmethod
     def of(cls, stacked: StackedOutcomes, sampled: Outcomes, values: np.ndarray) -> KneeBars:
         """Return the quantiles of samples of values (S, K) of the scalars."""
-        result = stacked.result
+        result, reactions = stacked.result, reactions_of(stacked.result)
         knees, angles = knees_of(result.problem), result.motion.q.reshape(len(result.motion.time), -1, 3)[..., 2]
         found = np.empty((4, len(angles), len(knees)))
         for k, (joint, shank) in enumerate(knees):
@@ -88,19 +88,20 @@ class KneeBars:
             own, without = (
                 x * one[:, :, joint, 0] + y * one[:, :, joint, 1] for one in (sampled.reactions, sampled.without)
             )
-            found[:3, :, k] = [_bound(own, level) for level in (0.5 - LEVEL / 2, 0.5, 0.5 + LEVEL / 2)]
+            found[0, :, k] = compression(reactions[:, joint], result.motion.q, shank)
+            found[1:3, :, k] = [_bound(own, level) for level in (0.5 - LEVEL / 2, 0.5 + LEVEL / 2)]
             found[3, :, k] = _bound(np.where(np.isnan(own), np.nan, without), 0.5 - LEVEL / 2)
         return cls([joint for joint, _ in knees], *found)
 
     def with_data(self, of_data: np.ndarray, is_unknown: np.ndarray) -> np.ndarray:
-        """Return medians and both sides of the bars (T, K, 3), given squared bars of forces of joints (T, J) by the
-        data, and where forces are not known.
+        """Return compressions and both sides of their bars (T, K, 3), given squared bars of forces of joints (T, J) by
+        the data, and where forces are not known.
         """
         noise, unknown = of_data[:, self.joints], is_unknown[:, self.joints]
-        lower = np.minimum(np.sqrt((self.median - self.low) ** 2 + noise), self.median - self.least)
-        upper = np.sqrt((self.high - self.median) ** 2 + noise)
-        sides = (np.where(unknown, np.nan, one) for one in (np.maximum(lower, 0.0), upper))
-        return np.stack([self.median, *sides], axis=-1)
+        lower, upper = (np.maximum(one, 0.0) for one in (self.center - self.low, self.high - self.center))
+        lower = np.minimum(np.sqrt(lower**2 + noise), np.maximum(self.center - self.least, 0.0))
+        sides = (np.where(unknown, np.nan, one) for one in (lower, np.sqrt(upper**2 + noise)))
+        return np.stack([self.center, *sides], axis=-1)
 
 
 @dataclass(frozen=True)
