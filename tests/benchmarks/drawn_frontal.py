@@ -30,13 +30,14 @@ SWAY, STEP = (0.022, 0.005), (0.10, 0.03)
 ALIGNMENT, TURN = (np.radians(1.3), np.radians(2.3)), (np.radians(5.0), np.radians(8.0))
 """Varus of the leg (Bellemans et al. 2012), and outward turn of the leg about the line from hip to ankle (an
 assumption) [rad]."""
-BOUNDS: dict[str, tuple[bool, dict[str, Any]]] = {
-    "no landmarks, with the bound": (False, {}),
-    "no landmarks, no bound": (False, {"frontal": "none"}),
-    "landmarks, with the bound": (True, {}),
-    "landmarks, no bound": (True, {"frontal": "none"}),
+KNEE = ("KNE", "KNM")
+BOUNDS: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {
+    "a landmark outside, with the bound": (KNEE[:1], {}),
+    "a landmark outside, no bound": (KNEE[:1], {"frontal": "none"}),
+    "landmarks, with the bound": (KNEE, {}),
+    "landmarks, no bound": (KNEE, {"frontal": "none"}),
 }
-"""Whether the knees have landmarks, and sections of the spec."""
+"""Landmarks of the knees, and sections of the spec."""
 HIPS, FEET, PRESSURE = 0.01, 0.01, 0.006
 """Standard deviations of the hip from its regression, of the markers of the foot from the ankle, and of the mean point
 of the ground's force from the ankle [m], all across."""
@@ -59,8 +60,8 @@ class FrontalPlane:
     """The point of application of the ground's force."""
     across: Array
     """Force across as a share of the vertical one."""
-    landmarks: bool = False
-    """Whether the knee has landmarks on both sides, moved with the skin of the thigh."""
+    landmarks: tuple[str, ...] = ()
+    """Landmarks of the knee, moved with the skin of the thigh."""
 
     @classmethod
     def drawn(cls, random: np.random.Generator) -> FrontalPlane:
@@ -99,7 +100,7 @@ class FrontalPlane:
         """Return columns of markers and plates in a laboratory, whose second axis points to the left, with these places
         across.
         """
-        left_out = () if self.landmarks else ("KNE", "KNM")
+        left_out = set(KNEE) - set(self.landmarks)
         found = {name: own.copy() for name, own in columns.items() if name[1:] not in left_out}
         middle = {"thigh": (self.hip, self.knee, THIGH), "shank": (self.knee, self.ankle, SHANK)}
         for kind, points in MARKERS.items():

@@ -36,6 +36,7 @@ from mbdkit_biomech.inverse_dynamics.muscles.soft_targets import Compartments
 from mbdkit_biomech.inverse_dynamics.results.record import run_of
 from mbdkit_biomech.inverse_dynamics.spec.inverse_spec import InverseSpec, load_inverse_spec
 from mbdkit_biomech.persons.plate_contacts import later
+from mbdkit_biomech.persons.strength import UNKNOWN_AGE
 
 from .person_markers import CLUSTERS, SHANK, THIGH, Array, Walker, columns_of
 
@@ -54,6 +55,9 @@ CUTOFF = 6.0
 has no impact at heel strike; loads that have it would contradict Newton's law."""
 GAIN, STRENGTH, FIBER, TENDON = 0.01, 0.2, 0.05, 0.02
 """Standard deviations of logarithms; `STRENGTH` is that of a common factor and that of one for each muscle."""
+AGES, LOSS = (20.0, 80.0), 0.093
+"""Ages, and the loss of strength in a decade, as a share of that of the young: knees of women (S. K. Hunter, M. W.
+Thompson and R. D. Adams, J. Gerontol. A 55 (2000) B264-B273). The bars follow another source."""
 MASS = {"trunk": 0.1, "thigh": 0.2, "shank": 0.1, "foot": 0.3}
 INERTIA = {"trunk": 0.2, "thigh": 0.2, "shank": 0.3, "foot": 0.6}
 """Standard deviations of the logarithms of masses, and of moments of inertia at these masses."""
@@ -335,6 +339,7 @@ def _truth(random: Wider) -> InverseSpec:
     walker, (data, flat) = page_walker(), json.loads(json.dumps(_expanded()))
     muscles = data["model"]["muscles"]
     common, longer = STRENGTH * random.standard_normal(), float(random.standard_normal())
+    common += np.log(1.0 - LOSS * (random.uniform(*AGES) - AGES[0]) / 10.0) - UNKNOWN_AGE[0]
     for muscle in muscles.values():
         if "patella" in muscle:
             muscle["patella"] = muscle["patella"] | {"deviations": longer}

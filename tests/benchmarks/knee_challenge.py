@@ -200,6 +200,30 @@ def compared(run: mbdkit.Run, measured: Mapping[str, np.ndarray], rows: slice) -
     )
 
 
+def score_of(comparison: Comparison) -> float:
+    """Return the mean logarithm of the density of the measured values [1/N], up to a constant, if errors are Gaussian
+    on both sides of the computed ones, with the deviations that the bars state.
+    """
+    side = np.where(comparison.error > 0, comparison.lower, comparison.upper) / 1.96
+    mean = np.maximum(comparison.bar / 1.96, 1.0)
+    return float(np.mean(-0.5 * (comparison.error / np.maximum(side, 1.0)) ** 2 - np.log(mean)))
+
+
+def fifths_of(phases: Sequence[Phase], force: Comparison) -> list[str]:
+    """Return a table of the errors in each fifth of all stances."""
+    start, stances = phases[0].first, [one for one in phases if one.name.startswith("stance")]
+    lines = ["", f"{'fifth of stance':<18}{'bias [N]':>10}{'bias [BW]':>11}{'covered':>9}{'log score':>11}"]
+    for number in range(5):
+        inside = np.concatenate([
+            np.arange(one.end - one.first)[slice(*(k * (one.end - one.first) // 5 for k in (number, number + 1)))]
+            + one.first - start for one in stances
+        ])  # fmt: skip
+        own = Comparison(*(values[inside] for values in force))
+        bias = float(np.mean(own.error))
+        lines.append(f"{number + 1:<18}{bias:>10.0f}{bias / WEIGHT:>11.2f}{own.covered:>9.0%}{score_of(own):>11.2f}")
+    return lines
+
+
 def largest_peak(values: np.ndarray, half: slice) -> int:
     """Return the index of the largest local maximum of values (T,) in a half of a stance; without one, of the largest.
 
@@ -226,6 +250,7 @@ def report_of(phases: Sequence[Phase], force: Comparison, angle: Comparison, run
             f"{phase.name:<12}{len(own.error):>7}{own.rms:>9.0f}{own.rms / WEIGHT:>10.3f}{np.mean(own.error):>10.0f}"
             f"{own.covered:>9.0%}{np.nanmedian(own.bar) / WEIGHT:>17.2f}"
         )
+    lines += fifths_of(phases, force)
     heads = f"{'peak':<22}{'measured [N] at [s]':>21}{'computed [N] at [s]':>21}{'then measured':>15}{'bar [N]':>9}"
     lines += ["", f"{heads}{'bar [BW]':>10}  inside then"]
     sources = []
