@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from collections.abc import Iterator
 from datetime import datetime
@@ -23,6 +22,7 @@ from mbdkit.archive.run import Run
 from mbdkit.archive.run_header import open_archive
 from mbdkit.archive.stored_kinds import kinds_of_file
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
+from mbdkit.base.plain_data import json_data
 from mbdkit.base.text import listed, one_line, shown
 from mbdkit.quantities.array import FLOAT, TEXT, Array
 from mbdkit.quantities.names import AXES, COORDINATES
@@ -173,7 +173,7 @@ class _Checker:
             self.say("the spec has changed since it was written: spec_sha256 does not match")
         spec = None
         with contextlib.suppress(ValueError):
-            spec = json.loads(values["spec"])
+            spec = json_data(values["spec"])
         if isinstance(spec, dict):
             self.spec = spec
         else:

@@ -27,6 +27,7 @@ from mbdkit.base.errors import ArchiveError
 from mbdkit.base.files import read_bytes, replace_file
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.base.frozen import dataclass
+from mbdkit.base.plain_data import json_data
 from mbdkit.quantities.array import TEXT, Array
 
 #: Largest size of a checkpoint [bytes]; those of long runs with many bodies have a few megabytes.
@@ -187,7 +188,7 @@ def decoded_state(content: bytes) -> Any:
     if not content.startswith(_MAGIC) or hashlib.sha256(body).digest() != digest:
         return None
     end = 8 + int.from_bytes(body[:8], "little")
-    return _with_arrays(json.loads(body[8:end]), _Reader(body, end))
+    return _with_arrays(json_data(body[8:end]), _Reader(body, end))
 
 
 def _sync_folder(folder: Path) -> None:

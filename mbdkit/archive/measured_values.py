@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping
 
 from mbdkit.archive.read_only_dict import ReadOnlyDict
+from mbdkit.base.plain_data import json_data
 
 #: Integrals over time of numbers or vectors, and extrema, by expression, in SI units; nan where undefined.
 Integrals = Mapping[str, float | tuple[float, ...]]
@@ -26,7 +27,7 @@ def compared_json(compared: ComparedMeasures) -> str:
 def compared_from_json(text: str) -> ComparedMeasures:
     """Return the values in the attribute ``compared_measures``; raise ValueError if the text is not valid."""
     try:
-        return {name: tuple(map(_number, x)) for name, x in json.loads(text).items()}
+        return {name: tuple(map(_number, x)) for name, x in json_data(text).items()}
     except (AttributeError, TypeError) as error:
         raise ValueError("the attribute compared_measures has no numbers by name") from error
 
@@ -43,7 +44,7 @@ def integrals_from_json(text: str) -> Integrals:
     try:
         return {
             name: (_number(x[0]), _number(x[1])) if isinstance(x, list) else _number(x)
-            for name, x in json.loads(text).items()
+            for name, x in json_data(text).items()
         }
     except (AttributeError, IndexError, TypeError) as error:
         raise ValueError("the attribute integrals has no numbers by name") from error
@@ -93,7 +94,7 @@ class MeasuredValues(ReadOnlyDict[str, float]):
 
         Raises ValueError if the text is not such an attribute.
         """
-        measures = json.loads(text)
+        measures = json_data(text)
         try:
             values = {name: _number(measure["value"]) for name, measure in measures.items()}
             units = {name: str(measure["unit"]) for name, measure in measures.items()}

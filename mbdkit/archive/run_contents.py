@@ -35,6 +35,7 @@ from mbdkit.base import higher_layers
 from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.base.frozen import dataclass, field, replace
+from mbdkit.base.plain_data import json_data
 from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
 from mbdkit.spec import RunSpec
@@ -280,7 +281,7 @@ class ArchiveContents(RunContents):
     def gradients(self) -> Mapping[str, Mapping[str, Any]]:  # type: ignore[override]
         """See `RunContents`."""
         with reading("the gradients", self.path):
-            return ReadOnlyDict(json.loads(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
+            return ReadOnlyDict(json_data(str(self.file.attrs.get(layout.GRADIENTS, "{}"))))
 
     def mechanism(self) -> StoredMechanism:
         """Return the mechanism that was run."""

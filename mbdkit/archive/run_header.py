@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping
@@ -16,11 +15,11 @@ from mbdkit.archive import layout
 from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import closed_on_error, reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
-from mbdkit.archive.part_file import PART, part_path
+from mbdkit.archive.part_file import PART, checkpoint_path, part_path
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
-from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE
+from mbdkit.base.plain_data import LONGEST_NAME, LONGEST_TITLE, json_data
 from mbdkit.base.text import shortened, shown
 from mbdkit.quantities.array import GROWING, TEXT, Kind
 from mbdkit.quantities.names import AXES, COORDINATES
@@ -42,8 +41,12 @@ def open_archive(path: Path) -> h5py.File:
         hint = "" if path.suffix else f"; the archive of a run is a file such as {path.name}.h5"
         hint = f"; {left} holds the data of an unfinished run" if left.exists() else hint
         raise SpecError(f"there is no such file{hint}", file=path)
-    is_empty = path.suffix == PART and not os.path.getsize(path)
-    file = open_hdf5(path, "run archive", hint="the run was killed before it wrote any rows" if is_empty else "")
+    hint = ""
+    if path.suffix == PART and checkpoint_path(path).exists():
+        hint = f"`mbdkit run --resume {shown(path.name)}` completes the run from its checkpoint"
+    elif path.suffix == PART and not os.path.getsize(path):
+        hint = "the run was killed before it wrote any rows"
+    file = open_hdf5(path, "run archive", hint=hint)
     with closed_on_error(file):
         _check_format(file, path)
     return file
@@ -153,7 +156,7 @@ def misalignments(file: h5py.File) -> np.ndarray | None:
 
 def spec_of(text: str) -> dict[str, Any]:
     """Return a spec from its canonical JSON; raise ValueError if it is not the spec of a run."""
-    spec = json.loads(text, parse_int=_integer)
+    spec = json_data(text, parse_int=_integer)
     if not isinstance(spec, dict):
         raise ValueError("it is not a mapping")
     for name in (*_MAPPINGS, *_OPTIONAL_MAPPINGS):

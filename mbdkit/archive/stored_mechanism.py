@@ -15,7 +15,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from mbdkit.base.errors import ArchiveError, MbdkitError, SpecError
 from mbdkit.base.frozen import dataclass
-from mbdkit.base.plain_data import canonical_text, parse_path, plain
+from mbdkit.base.plain_data import canonical_text, json_data, parse_path, plain
 from mbdkit.base.text import listed, shown
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
@@ -73,10 +73,7 @@ def read_mechanism(text: str, bodies: Sequence[str]) -> StoredMechanism:
     `text`: as returned by `mechanism_json`. `bodies`: the names of the recorded bodies. Raises ValueError if `text` is
     damaged.
     """
-    try:
-        data = json.loads(text)
-    except RecursionError:
-        raise ValueError("it is nested too deeply") from None
+    data = json_data(text)
     kinds = [item.plugin.key_in_model for item in registry().only("mbdkit").of_kind("element-kind")]  # type: ignore[attr-defined]
     foreign = data.keys() - {*_SECTIONS, *kinds, *_LAST_SECTIONS, *_OTHERS}
     known = (*_SECTIONS, *kinds, *_LAST_SECTIONS)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 from mbdkit.base.context_values import value_within
 from mbdkit.base.errors import SpecError
 from mbdkit.base.files import read_bytes
+from mbdkit.base.plain_data import json_data
 from mbdkit.base.text import shown
 
 
@@ -94,4 +95,4 @@ def files_json(files: Sequence[FileRead]) -> str:
 
 def read_files(text: str) -> tuple[FileRead, ...]:
     """Return files from JSON; raise ValueError or TypeError if it is damaged."""
-    return tuple(FileRead(str(entry["name"]), int(entry["size"]), str(entry["sha256"])) for entry in json.loads(text))
+    return tuple(FileRead(str(entry["name"]), int(entry["size"]), str(entry["sha256"])) for entry in json_data(text))

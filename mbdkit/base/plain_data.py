@@ -208,6 +208,27 @@ def canonical_text(data: Any) -> str:
 _COMPACT = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
+#: Escapes in JSON; the group is half of a surrogate pair without the other half.
+_ESCAPES = re.compile(r"\\(?:u[dD][89abAB]..\\u[dD][c-fC-F]..|(u[dD][89a-fA-F]..)|.)")
+
+
+def json_data(text: str | bytes, **options: Any) -> Any:
+    """Return the data of a JSON text from a file; `options` are those of `json.loads`.
+
+    Raises ValueError, in most cases with the line, if the text is not JSON, is nested too deeply, or contains half of a
+    surrogate pair, which cannot be written to any file.
+    """
+    if isinstance(text, bytes):
+        text = text.decode()
+    try:
+        data = json.loads(text, **options)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    if half := next((match for match in _ESCAPES.finditer(text) if match[1]), None):
+        raise json.JSONDecodeError(f"half of a surrogate pair, {half[0]}", text, half.start())
+    return data
+
+
 def json_text(data: object, indent: int | None = None) -> str:
     """Return data as JSON; numbers that are not finite become null, and objects unknown to JSON become text."""
     return json.dumps(_finite(data), indent=indent, ensure_ascii=indent is None, allow_nan=False)

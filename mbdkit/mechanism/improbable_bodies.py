@@ -165,9 +165,9 @@ def _light(mechanism: Mechanism, points: dict[str, list[Point]]) -> Iterator[str
         for name, found in points.items()
     }
     light = {
-        name: mass / length**2
+        name: density
         for name, length in lengths.items()
-        if length > LONG and (mass := mechanism.bodies[name].mass) < LIGHT * length**2
+        if length > LONG and (density := mechanism.bodies[name].mass / length / length) < LIGHT
     }
     links = Counter((mechanism.bodies[name].mass, round(lengths[name], 6)) for name in light)
     if few := [name for name in light if links[mechanism.bodies[name].mass, round(lengths[name], 6)] < LINKS]:

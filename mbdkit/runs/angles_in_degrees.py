@@ -89,7 +89,7 @@ def looks_like_degrees(angle: float) -> bool:
 
 def _is_whole(value: float) -> bool:
     """Return whether a number is an integer, up to the rounding errors of a conversion of units."""
-    return abs(value - round(value)) <= 1e-14 * abs(value)
+    return math.isinf(value) or abs(value - round(value)) <= 1e-14 * abs(value)
 
 
 def _is_length(spec: ModelSpec, path: Path) -> bool:

@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel, ValidationError
 
 from mbdkit.base.distributions import MBDKIT, code_of_distribution, own_version, required_versions
+from mbdkit.base.plain_data import json_data
 from mbdkit.base.text import listed
 from mbdkit.engine.native import machine_code
 from mbdkit.registry.catalogue import Origin, Registered
@@ -130,7 +131,7 @@ def read_records(path: Path) -> Sequence[Mapping[str, Any]]:
     Raises ValueError if it is damaged.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json_data(path.read_bytes())
     except FileNotFoundError:
         return ()
     if not isinstance(data, dict) or data.get("format") != FORMAT or data.get("format_version") != FORMAT_VERSION:

@@ -21,6 +21,7 @@ from mbdkit.base.plain_data import (
     Path,
     assignment_parts,
     copied,
+    json_data,
     parse_path,
     path_text,
     value_text,
@@ -187,7 +188,7 @@ def _json(text: str) -> object:
         return result
 
     try:
-        return json.loads(text, object_pairs_hook=unique)
+        return json_data(text, object_pairs_hook=unique)
     except json.JSONDecodeError as error:
         raise _invalid("JSON", f"{error.msg} (column {error.colno})", error.lineno) from None
 

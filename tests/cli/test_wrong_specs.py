@@ -52,6 +52,12 @@ def driver(motion: str) -> str:
 #: What is wrong: the spec, the line of the message (None where it names none), the key, and words of the message.
 WRONG = {
     "a driver with a corner": (driver('"min(t, 0.5)"'), 12, "model.joints.D.motion", "smooth the motion"),
+    "a point at 1e200 m": (
+        free("points: [[0.5, 0], [-0.5, 0]]", "at: [1.0e+200, 0]"),
+        4,
+        "model",
+        "cannot be computed in double precision",
+    ),
     "a driver that wraps": (driver('"atan2(sin(7*t), cos(7*t))"'), 12, "model.joints.D.motion", "no driver can follow"),
     "a gradient by no parameter": (
         f"{SMALL}{ENERGY}\ngradients: [model.masses.0, model.mases.0]\n",

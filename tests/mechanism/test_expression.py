@@ -59,7 +59,7 @@ TEXTS = [
     "exp(-t)*log(1 + t)/sqrt(t)",
     "abs(1 - t) + tanh(3*(t - 1))",
     "min(t, 1) + max(t, 1, 2 - t) + min(3, t, t**2, 1 - t)",
-    "1e-3*t + 1_000 + .5 + 0x10",
+    "1e-3*t + 1000 + .5 + 0x10",
     " t +\n 1 ",
     "+".join(f"sin({k}*t)/{k}" for k in range(1, 400)),
 ]
@@ -177,6 +177,11 @@ def test_a_mistyped_name_is_answered_with_the_right_one_and_its_position():
 def test_the_position_counts_from_the_start_of_what_was_written():
     with pytest.raises(SpecError, match=r"unknown name 'x'; known: t, pi and functions \(position 7 of"):
         Expression.parse("  t + x")
+
+
+def test_underscores_of_python_in_numbers_are_refused():
+    with pytest.raises(SpecError, match=r"no underscores: write 10\.5 \(position 7 of '2\*t \+ 1_0\.5'\)"):
+        Expression.parse("2*t + 1_0.5")
 
 
 def test_a_caret_is_answered_with_the_power_operator():

@@ -103,6 +103,7 @@ def test_an_error_names_file_line_and_key(name, text, line, key, in_tmp_path):
         ("a.json", b'{"a": 1, "a": 2}', "twice"),
         ("a.json", b'{"a" 1}', "not valid JSON"),
         ("a.json", b"[" * 100_000, "nested too deeply"),
+        ("a.json", rb'{"title": "\ud83d\ude00 \ud800"}', r"half of a surrogate pair, .ud800 \(column 25\)"),
         ("a.toml", b"a = \n", "not valid TOML"),
         ("a.toml", b"a = 1\na = 2\n", "not valid TOML"),
         ("a.toml", b"a = " + b"[" * 100_000, "nested too deeply"),

@@ -340,6 +340,10 @@ def test_rows_are_read_without_the_structure_of_the_file(part: Path) -> None:
     part.write_bytes(content)
     with pytest.raises(OSError):
         h5py.File(part)
+    with pytest.raises(
+        ArchiveError, match=r"`mbdkit run --resume run\.h5\.part` completes the run from its checkpoint"
+    ):
+        mbdkit.load(part)
     assert mbdkit.resume(part).data_sha256 == mbdkit.run(SPECS["rk4"]).data_sha256
     assert os.listdir(part.parent) == ["run.h5"]
 

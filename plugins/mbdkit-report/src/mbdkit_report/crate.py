@@ -21,7 +21,7 @@ from mbdkit.archive.layout import EVIDENCE
 from mbdkit.archive.reader import load
 from mbdkit.archive.run import Run
 from mbdkit.archive.skeleton import memory_file
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import SpecError, file_error
 from mbdkit.base.files import check_output
 from mbdkit.base.plain_data import json_text
 from mbdkit.base.text import shown
@@ -62,6 +62,8 @@ def write_crate(archives: Sequence[Path], folder: Path) -> None:
     ------
     SpecError
         If the folder exists, two archives have one name, an archive is damaged, or a run has not ended.
+    ResourceError
+        If the disk is full or writing is not permitted.
     """
     check_output(folder, overwrite=False)
     names = [path.stem for path in archives]
@@ -73,13 +75,18 @@ def write_crate(archives: Sequence[Path], folder: Path) -> None:
                 raise SpecError("this run did not end", file=path)
         if problems := check(path):  # a copy gets hashes of its own, which would hide changes
             raise SpecError(f"this archive is damaged: {problems[0]}", file=path)
-    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as work:
-        crate = _Crate(Path(work) / folder.name)
-        crate.folder.mkdir()
-        for path in archives:
-            crate.add_run(path)
-        crate.write(archives)
-        crate.folder.rename(folder)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as work:
+            crate = _Crate(Path(work) / folder.name)
+            crate.folder.mkdir()
+            for path in archives:
+                crate.add_run(path)
+            crate.write(archives)
+            crate.folder.rename(folder)
+    except OSError as error:
+        raise file_error(
+            error.errno, f"this folder cannot be written: {error.strerror or error}", file=folder
+        ) from error
 
 
 class _Crate:
@@ -242,7 +249,7 @@ def crate_problems(folder: Path) -> list[str] | None:
     try:
         entities = json.loads(path.read_text(encoding="utf-8"))["@graph"]
         files = {one["@id"]: one["sha256"] for one in entities if one["@type"] == "File"}
-    except (ValueError, LookupError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, RecursionError) as error:
         return [shown(f"{METADATA} is damaged: {error!r}")]
     problems = []
     for name, digest in files.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
@@ -109,9 +110,11 @@ def write_tables(
             for path, table in files.items():
                 temporary = stack.enter_context(replacing(path, overwrite=overwrite, source=source))
                 use(item, lambda table=table, file=temporary: table_writer.of(write)(table, file))  # type: ignore[misc]
+                with temporary.open("rb+") as written:
+                    os.fsync(written.fileno())  # a full disk is noticed before the first file has its name
     except BaseException:
         if is_new:
-            folder.rmdir()
+            shutil.rmtree(folder, ignore_errors=True)
         raise
     return list(files)
 

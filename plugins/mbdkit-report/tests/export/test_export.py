@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
+import os
 import pkgutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -257,6 +258,24 @@ def test_an_export_that_fails_in_the_middle_leaves_nothing(run, tmp_path, monkey
     with pytest.raises(ResourceError, match="No space left"):
         export(run, tmp_path / "out", "csv")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("is_new", [True, False])
+def test_a_disk_that_is_full_at_the_second_file_leaves_no_table(is_new, run, tmp_path, monkeypatch):
+    sizes, sync = iter(range(1000)), os.fsync
+
+    def synced(file):
+        if next(sizes):
+            raise OSError(28, "No space left on device")
+        sync(file)
+
+    if not is_new:
+        (tmp_path / "out").mkdir()
+    monkeypatch.setattr(os, "fsync", synced)
+    with pytest.raises(ResourceError, match="No space left"):
+        export(run, tmp_path / "out", "csv")
+    assert (tmp_path / "out").exists() is not is_new
+    assert list(tmp_path.glob("out/*")) == []
 
 
 def test_a_run_without_rows_is_refused(make_run, tmp_path):

@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import platform
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +18,7 @@ import pytest
 
 import mbdkit
 from mbdkit.archive.archive_check import check
-from mbdkit.base.errors import SpecError
+from mbdkit.base.errors import ResourceError, SpecError
 from mbdkit_report.crate import METADATA, write_crate
 
 META = {"description": "A rod swings.", "creator": "Ada Lovelace <https://orcid.org/0000-0001>", "license": "CC0-1.0"}
@@ -78,6 +81,23 @@ def test_a_crate_has_nothing_of_the_machine_or_the_user_unasked(tmp_path: Path) 
     for text in filter(None, (*known, str(tmp_path))):
         assert text.encode() not in content
     assert entities["./"]["author"] == {"@id": "#unnamed"}
+
+
+def test_a_crate_that_cannot_be_written_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mbdkit.run(SPEC, archive=tmp_path / "swing.h5").close()
+
+    def refuse(*arguments: Any, **options: Any) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), f"{tmp_path}/.crate-xyz")
+
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", refuse)
+    with pytest.raises(ResourceError, match=f"^{tmp_path}/crate: .* cannot be written: {os.strerror(errno.EROFS)}$"):
+        write_crate([tmp_path / "swing.h5"], tmp_path / "crate")
+
+
+def test_metadata_nested_too_deeply_are_damage(tmp_path: Path) -> None:
+    (tmp_path / METADATA).write_text("[" * 100_000)
+    (problem,) = check(tmp_path)
+    assert problem.startswith(f"{METADATA} is damaged")
 
 
 @pytest.mark.parametrize("name", ["swing.h5", "swing-spec.json"])

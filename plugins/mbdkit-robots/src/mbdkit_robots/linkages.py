@@ -40,7 +40,7 @@ def read_linkage(file: str, *, steps_per_second: float, mass_per_length: float) 
         joints = {joint["id"]: joint for joint in data["joints"]}
         links = [(link["id"], link.get("type", "link"), link["joints"], link) for link in data["links"]]
         places = {name: (float(joint["position"][0]), float(joint["position"][1])) for name, joint in joints.items()}
-    except (ValueError, KeyError, TypeError, IndexError):
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError):
         raise refused(f"{file} is no mechanism of pylinkage, as mechanism_to_json writes it") from None
     if wrong := [name for name, joint in joints.items() if joint.get("type") not in ("ground", "revolute")]:
         raise refused(f"joints other than pins are not read: {listed(wrong)}")

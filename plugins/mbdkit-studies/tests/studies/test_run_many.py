@@ -32,6 +32,15 @@ def prepared() -> Any:
     return mbdkit.prepare(spec | {"time": time})
 
 
+def test_a_whole_number_beyond_double_precision_is_refused_by_formulas_too() -> None:
+    prepared = mbdkit.prepare("double-pendulum", time={"end": 0.1, "step": 0.01})
+    for mass in (1.1, 1.2, 1.3):
+        prepared.run({"model.masses.0": mass})
+    for number in (10**400, -(10**400)):
+        with pytest.raises(SpecError, match=r"model\.masses\[0\]: is too large"):
+            prepared.run({"model.masses.0": number})
+
+
 def test_results_are_those_of_single_runs_and_a_run_can_be_repeated() -> None:
     prepared = mbdkit.prepare("four-bar", time={"end": 0.2, "step": 0.01})
     runs = prepared.run_many(CRANK, [KINETIC, "reaction_force_max"])

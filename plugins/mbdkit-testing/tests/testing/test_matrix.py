@@ -71,4 +71,7 @@ def test_evidence_about_what_is_not_installed_is_refused_by_name(tmp_path: Path)
     write_records([record | {"distribution": "acme", "name": "leapfrog"}], old)
     assert "acme:leapfrog" in drawn("-o", str(tmp_path / "m"), "--against", str(old), status=2)
     assert "no evidence" in drawn("-o", str(tmp_path / "m"), "--against", str(Path(__file__)), status=2)
+    deep = tmp_path / "deep.json"
+    deep.write_text("[" * 100_000)
+    assert "it is nested too deeply" in drawn("-o", str(tmp_path / "m"), "--against", str(deep), status=2)
     assert not (tmp_path / "m").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
@@ -215,7 +216,7 @@ class PreparedRun:
         paths = self._paths.get(names := tuple(parameters))
         if paths is None:
             paths = self._paths[names] = tuple([self._path_of(name) for name in names])
-        if not all(type(value) is float or type(value) is int for value in parameters.values()):
+        if not all(type(x) is float or (type(x) is int and abs(x) <= sys.float_info.max) for x in parameters.values()):
             return None
         if names not in self._varied_runs:
             self._varied_runs[names] = None
