@@ -43,15 +43,16 @@ class ElementaryFunction:
     def __call__(self, *operands: Any) -> Any:
         """Return the value as a float for numbers, and element by element for arrays, which are broadcast.
 
-        Operands with a method ``__array_ufunc__`` of their own get the function of NumPy.
+        Operands with a method ``__elementary__`` get this function, others with an own method ``__array_ufunc__`` that
+        of NumPy.
         """
         kinds = {type(operand) for operand in operands}
         if kinds <= _NUMBERS:
             return self._of_numbers(*map(float, operands))
         import numpy as np
 
-        if any(hasattr(kind, "__array_ufunc__") and not issubclass(kind, np.ndarray | np.generic) for kind in kinds):
-            return self.ufunc(*operands)
+        if own := [x for x in operands if hasattr(x, "__array_ufunc__") and not isinstance(x, np.ndarray | np.generic)]:
+            return own[0].__elementary__(self, operands) if hasattr(own[0], "__elementary__") else self.ufunc(*operands)
         arrays = [np.asarray(operand) for operand in operands]
         if len(arrays) != 1 + (self.name in _OF_TWO) or any(x.dtype.kind == "c" for x in arrays):
             raise TypeError(f"{self.name} takes {1 + (self.name in _OF_TWO)} real operands, not {operands}")

@@ -226,9 +226,9 @@ class Trace:
             return self.combine(symbol, _OPERATORS[symbol], *operands)
         if symbol in _COMPARISONS:
             return self.compare(symbol, _COMPARISONS[symbol], *operands)
-        if ufunc not in _UFUNCS():
+        if ufunc not in _UFUNCS:  # other functions of NumPy have other bits than those of `elementary`
             raise self.failure(f"{ufunc.__name__} is not recorded")
-        name, function = _UFUNCS()[ufunc]
+        name, function = _UFUNCS[ufunc]
         return self.result(f"{name}({', '.join(map(_text, operands))})", function(*map(plain, operands)))
 
     def condition(self, text: str, holds: bool) -> bool:
@@ -366,11 +366,8 @@ class TracedNumber:
     __mod__, __rmod__ = _binary("%")
     __lt__, __le__, __gt__, __ge__ = (_comparison(symbol) for symbol in ("<", "<=", ">", ">="))
     __eq__, __ne__ = (_comparison(symbol) for symbol in ("==", "!="))
-    __float__, __int__, __trunc__, __floor__, __ceil__, __round__ = (_lost("a plain number") for _ in range(6))
-    __repr__, __str__, __format__, __reduce__ = (_lost("text") for _ in range(4))
-
-    def __hash__(self) -> int:
-        return hash(self.value)
+    __repr__, __str__, __format__, __reduce__, __reduce_ex__ = (_lost("text") for _ in range(5))
+    __hash__ = _lost("a hash")  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
         return self.trace.condition(f"({self.name} != 0.0)", self.value != 0.0)
@@ -392,6 +389,18 @@ class TracedNumber:
         if method == "__call__" and not options and all(np.ndim(plain(operand)) == 0 for operand in operands):
             return self.trace.apply(ufunc, operands)
         raise self.trace.failure(f"{ufunc.__name__} is not recorded")
+
+    def __elementary__(self, function: Any, operands: Sequence[Any]) -> Any:
+        if all(np.ndim(plain(operand)) == 0 for operand in operands):
+            return self.trace.result(f"{function.name}({', '.join(map(_text, operands))})", function(*plain(operands)))
+        raise self.trace.failure(f"{function.name} of arrays is not recorded")
+
+
+# Whatever else floats have, as conversions to arrays and pickles use, would take the number out.
+for _name in (
+    {*dir(float), "__array__", "__array_interface__", "__array_struct__"} - {*dir(object)} - {*vars(TracedNumber)}
+):
+    setattr(TracedNumber, _name, property(_lost(f"what `{_name}` gives")))
 
 
 def plain(value: Any) -> Any:
@@ -444,12 +453,7 @@ def _flat(values: Any) -> Iterator[Any]:
             yield value
 
 
-def _ufuncs() -> dict[Any, tuple[str, Callable[..., Any]]]:
-    names = {function.ufunc: (name, function) for name, function in elementary.FUNCTIONS.items() if function.ufunc}
-    return names | {np.sqrt: ("_sqrt", math.sqrt), np.absolute: ("abs", abs)}
-
-
-_UFUNCS = functools.cache(_ufuncs)
+_UFUNCS: Mapping[Any, tuple[str, Callable[..., Any]]] = {np.sqrt: ("_sqrt", math.sqrt), np.absolute: ("abs", abs)}
 _SYMBOLS = {
     np.add: "+", np.subtract: "-", np.multiply: "*", np.divide: "/", np.less: "<", np.less_equal: "<=",
     np.greater: ">", np.greater_equal: ">=", np.equal: "==", np.not_equal: "!=",

@@ -28,6 +28,7 @@ from mbdkit.engine.nested_dissection import sparse_order
 from mbdkit.mechanism.angle_function import Center
 from mbdkit.mechanism.bodies import Element
 from mbdkit.mechanism.element_kinds import element_kinds
+from mbdkit.mechanism.impure_items import impure_item_in
 from mbdkit.mechanism.joint_base import PoseFunction
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.mechanism_data import ELEMENTS
@@ -207,8 +208,10 @@ def compiled_content(mechanism: Mechanism) -> bytes | None:
 
     Mechanisms with equal keys differ only in initial positions and velocities. If a joint depends on the initial
     positions, these are part of the key as well. Numbers are compared bitwise, so that 0.0 and -0.0 differ. The result
-    is None if some input has a type that `marshal` does not support.
+    is None if some input has a type that `marshal` does not support, or if code of others that is not pure takes part.
     """
+    if impure_item_in(mechanism) is not None:
+        return None
     posed = any(joint.point_moves_on_first or joint.angles() for joint in mechanism.joints.values())
     bodies = [
         (name, body.mass, body.inertia, (body.position, body.angle) if posed else None)
@@ -321,16 +324,16 @@ def characteristic_length(mechanism: Mechanism) -> float:
     Lengths of beams are compared with these distances. If all are 0, they are those between points of the elements that
     the run treats, such as the shapes of contacts, but at most 1 m; without any, the result is 1.
     """
-    points: dict[str, set[tuple[float, float]]] = {name: {(0.0, 0.0)} for name in mechanism.bodies}
+    points: dict[str, list[tuple[float, float]]] = {name: [(0.0, 0.0)] for name in mechanism.bodies}
     for joint in mechanism.joints.values():
         for _, name, point in joint.attachments():
-            if name in points:
-                points[name].add(point)
+            if name in points and (len(points[name]) > FEW_POINTS or point not in points[name]):
+                points[name].append(point)
     longest = largest([_longest_distance(points), *(beam.length for beam in mechanism.beams.values())])
     if longest == 0.0:
         for element in (one for key, _ in mechanism.treatments for one in mechanism.elements[key].values()):
             for name, point in element.extent_points():
-                points[name].add(point)
+                points[name].append(point)
         longest = smallest(_longest_distance(points), 1.0)
     return longest or 1.0
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Collection, Container, Iterable, Mapping
+from typing import Any
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import LONGEST_NAME, quoted, value_text
@@ -41,16 +43,21 @@ def check_mechanism(
     own = {kind: [name for name in named if name not in parts] for kind, named in elements.items()}
     check_names([name for name in bodies if name not in parts], beams, own)
     points = {name for name, body in bodies.items() if body.inertia is None}
-    pins = {_ends(joint): name for name, joint in joints.items() if joint.joins_points}
+    pins = defaultdict[frozenset[str], list[tuple[str, Any]]](list)  # by bodies: traced numbers have no hash
+    for name, joint in joints.items():
+        if joint.joins_points:
+            pins[frozenset(ends := _ends(joint))].append((name, ends))
     for key, element in (
         (f"model.{kind}.{quoted(name)}", value) for kind, named in elements.items() for name, value in named.items()
     ):
         _check_element(key, element, bodies, points)
         if isinstance(element, Law) and isinstance(element.pathway, JointAngles):
             _check_joint_angles(f"{key}.pathway.angles", element.pathway, joints, points)
-        if (line := _line(element)) is not None and (pin := pins.get(_ends(line))) is not None:
-            message = f"joint '{pin}' holds these two points together, so a spring between them has no effect"
-            raise SpecError(message, key=f"{key}.{line.pathway_key}points")
+        if (line := _line(element)) is not None:
+            ends = _ends(line)
+            if pin := next((name for name, held in pins[frozenset(ends)] if held == ends), ""):
+                message = f"joint '{pin}' holds these two points together, so a spring between them has no effect"
+                raise SpecError(message, key=f"{key}.{line.pathway_key}points")
     for index, name in enumerate(assembly.fix):
         check_known(name, bodies, f"model.assembly.fix[{index}]")
 
@@ -162,9 +169,9 @@ def _line(force: Element) -> SpringDamper | Law | None:
     return force if isinstance(force, SpringDamper | Law) and force.pathway.is_line else None
 
 
-def _ends(element: Joint | SpringDamper | Law) -> frozenset[tuple[str, tuple[float, float]]]:
-    """Return the two ends of an element as (body, point in the frame of this body), in any order."""
-    return frozenset((name, point) for _, name, point in element.attachments())
+def _ends(element: Joint | SpringDamper | Law) -> dict[str, tuple[float, float]]:
+    """Return the two ends of an element: for each body, the point in its frame."""
+    return {name: point for _, name, point in element.attachments()}
 
 
 def _described(element: Element) -> str:

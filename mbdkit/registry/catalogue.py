@@ -65,6 +65,11 @@ class Registered:
         return f"{self.origin.distribution}:{self.name}"
 
     @property
+    def is_pure(self) -> bool:
+        """Whether formulas of numbers may stand for the code of the item: it is mbdkit's own, or permits it."""
+        return self.origin.distribution == MBDKIT or self.plugin.pure
+
+    @property
     def spec_name(self) -> str:
         """The name in a canonical spec: the short name for mbdkit's own items, the full id for all others."""
         return self.name if self.origin.distribution == MBDKIT else self.id
@@ -102,6 +107,8 @@ class Registry:
     def __init__(self, items: Iterable[Registered], reports: Iterable[Report] = ()):
         kinds = list(KINDS)
         self.items = tuple(sorted(items, key=lambda item: (kinds.index(item.kind), item.plugin.order)))
+        #: Items whose code may depend on anything, in the order of `KINDS`.
+        self.impure = tuple(item for item in self.items if not item.is_pure)
         self._reports = tuple(reports)
         self._of_kind = {kind: tuple(group) for kind, group in groupby(self.items, attrgetter("kind"))}
         self._accepted: dict[Kind, dict[str, Registered]] = {}

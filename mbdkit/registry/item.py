@@ -26,7 +26,14 @@ class Item:
     """Base of the items that plugins offer; the class of an item is its kind.
 
     `name`: short name. `summary`: one line that describes the item. `order`: position among the items of its kind;
-    items of the same order keep the order in which they are loaded.
+    items of the same order keep the order in which they are loaded. `pure`: whether the code of the item computes its
+    results from its arguments alone, and uses their numbers only in ``+ - * / // % **``, comparisons, ``abs``, ``min``,
+    ``max`` and the functions of `mbdkit.plugin.equations.elementary`. This permits mbdkit to replace calls by formulas
+    that it records once, and to keep results, in runs that differ in numbers only (``mbdkit.prepare``,
+    ``mbdkit.ensemble``, repeated runs of a mapping). Anything else that code does with a recorded number, such as
+    ``float(x)``, a key of a dictionary, an array or a text, ends the recording, and the runs are computed one by one,
+    as those with code that is not `pure` always are. Purity is not checked otherwise: code that also depends on files,
+    random numbers or its earlier calls must not claim it.
 
     A new kind needs a subclass with the class attributes below and an entry in `ITEM_CLASSES`. The hook `mbdkit_items`
     returns items of every kind. All kinds are loaded, named and listed in the same way, and their errors are reported
@@ -49,6 +56,7 @@ class Item:
     name: str
     summary: str
     order: int = field(default=500, kw_only=True)
+    pure: bool = field(default=False, kw_only=True)
 
     @property
     def full_name(self) -> str:
@@ -74,6 +82,8 @@ class Item:
             raise PluginError("its summary is not one line of text")
         if not isinstance(self.order, int) or isinstance(self.order, bool):
             raise PluginError(f"its order is {described(self.order)}, not a whole number")
+        if not isinstance(self.pure, bool):
+            raise PluginError(f"its `pure` is {self.pure!r}, not True or False")
         self._check_fields(name for name, value in vars(self).items() if not isinstance(value, Target))
 
     def check_targets(self) -> None:

@@ -151,13 +151,14 @@ class LaneRuns:
     def _method(self, spec: RunSpec) -> Method | None:
         """Return the method of a run; None if a run with these settings cannot be vectorized.
 
-        Results are cached, because specs often share settings.
+        Results are cached, because specs often share settings; methods of others that are not pure are created anew.
         """
         settings = (
             spec.formulation, spec.stabilization, spec.events, spec.check, spec.accuracy, spec.choose, spec.limits,
             spec.integrator, spec.measures, spec.inputs, spec.impacts,
         )  # fmt: skip
-        if self._settings is None or settings != self._settings[0]:
+        chosen = filter(None, (spec.integrator_item, spec.step_control_item))
+        if self._settings is None or settings != self._settings[0] or not all(item.is_pure for item in chosen):
             self._settings = settings, None if why_alone(spec, self.measures) else make_method(spec)
         return self._settings[1]
 

@@ -2,8 +2,7 @@
 
 What such runs share is kept by the content of the mapping: all keys, types and values, except for the floats of `model`
 and `parameters`, which may vary. It is not shared with runs that differ in anything else, nor after a change of the
-registered plugins or of the environment variables of mbdkit. Models, methods, laws and criteria of other distributions
-may depend on anything, so that runs with them are always computed in the ordinary way.
+registered plugins or of the environment variables of mbdkit.
 """
 
 from __future__ import annotations
@@ -14,12 +13,10 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
 from mbdkit.archive.run import Run
-from mbdkit.base.distributions import MBDKIT
 from mbdkit.base.plain_data import Path, copied
 from mbdkit.engine.consistent_start import Starts
 from mbdkit.registry.manager import registry
 from mbdkit.registry.policy import ALLOW, DISABLE, STRICT
-from mbdkit.runs.findings import criteria
 from mbdkit.runs.lane_group import LaneMember
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.varied_numbers import Variant, VariedNumbers
@@ -81,16 +78,14 @@ def _varied_runs(
 
 
 def _accepts(variant: Variant, run: LaneMember) -> bool:
-    """Return whether runs of a variant have no warnings, are short, and depend on nothing but their specs."""
+    """Return whether runs of a variant have no warnings, are short, and read no files."""
     spec, mechanism = run.settings, variant.compiled
-    own = [item for stage in ("spec", "start", "rows", "end") for item, _ in criteria(stage)]
     return (
         not (variant.findings or variant.watched or mechanism.states)
         and not (spec.measures or spec.gradients or spec.files_read or spec.estimates)
         and run.method.traits.tolerances is None
         and run.table.interval is None
         and run.table.steps * len(mechanism.bodies) <= MANY
-        and all(item.origin.distribution == MBDKIT for item in (*spec.items, *own))
     )
 
 

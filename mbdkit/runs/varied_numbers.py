@@ -24,6 +24,7 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lanes.lane_mechanisms import topology_of
 from mbdkit.mechanism.checks import check_centers, check_springs
+from mbdkit.mechanism.impure_items import impure_item_of
 from mbdkit.mechanism.law_element import Law
 from mbdkit.mechanism.mechanism import Mechanism
 from mbdkit.mechanism.parameters import names_in, parameter_values
@@ -90,8 +91,11 @@ class Variant:
         """Record the formulas of a valid spec for the numbers at some key paths, also of those in functions of the
         state if the trace `keeps_texts`.
 
-        Raises an error, mostly UntraceableError, if the numbers are used in a way that cannot be recorded.
+        Raises an error, mostly UntraceableError, if the numbers are used in a way that cannot be recorded, or if code
+        of others takes part that is not `pure`.
         """
+        if (other := impure_item_of(spec)) is not None:
+            raise UntraceableError(f"{other.id} is not pure")
         compiled, table = compile_mechanism(spec.mechanism()), timetable(spec, None)
         base = arrays_of(spec.mechanism(), compiled)
         trace = Trace(keeps_texts=keeps_texts)

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from mbdkit.base.errors import SpecError
 from mbdkit.base.plain_data import Path, canonical, copied, path_text, plain
 from mbdkit.base.text import did_you_mean
+from mbdkit.mechanism.impure_items import impure_item_of
 from mbdkit.mechanism.parameters import names_in, parameter_values, without_units
 from mbdkit.spec.choices import RegistryLookup, registry_of
 from mbdkit.spec.reading import put
@@ -86,7 +87,9 @@ class VariedSpecs:
         text = json.dumps(data["model"], allow_nan=False)
         if (known := self._alike.get(text)) is None:
             model = type(pattern.model).model_validate_json(text, context=self._context)
-            found = self._alike[text] = pattern.with_model(model, parameters, numbers)
+            found = pattern.with_model(model, parameters, numbers)
+            if impure_item_of(found) is None:
+                self._alike[text] = found
             if len(self._alike) > MOST_ALIKE:
                 self._alike.pop(next(iter(self._alike)))
             return found

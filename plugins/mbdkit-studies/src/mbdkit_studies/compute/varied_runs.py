@@ -9,6 +9,7 @@ import numpy as np
 
 from mbdkit.archive.finished_runs import FinishedRuns
 from mbdkit.base.errors import MbdkitError
+from mbdkit.mechanism.impure_items import impure_item_of
 from mbdkit.runs.lane_runs import LaneRuns
 from mbdkit.runs.varied_numbers import VariedNumbers
 from mbdkit.runs.varied_runs import VariedRuns
@@ -60,8 +61,8 @@ class EnsembleRuns:
         except MbdkitError:
             self.reason = "the text of their specs depends on more than these values"
             return
-        if not is_determined(self.base):
-            self.reason = "a plugin builds their mechanisms, which are stored"
+        if (other := impure_item_of(self.base)) is not None:
+            self.reason = f"the {other.plugin.label()} {other.id} does not say that it is pure"
             self.note = f"each run is prepared by itself, which takes longer, because {self.reason}"
             return
         if any(path[0] not in ("model", "parameters") for path in self.texts.paths):
@@ -106,6 +107,5 @@ def drawn(places: Sequence[int], runs: int) -> frozenset[int]:
 
 
 def is_determined(spec: RunSpec) -> bool:
-    """Return whether a spec alone determines its mechanism, because mbdkit itself has its model and force laws."""
-    is_own = spec.model_item.origin.distribution == "mbdkit"  # otherwise its mechanism must not be built here
-    return is_own and all(item.origin.distribution == "mbdkit" for item in spec.force_law_items)
+    """Return whether a spec alone determines its mechanism, because its model and its force laws are pure."""
+    return spec.model_item.is_pure and all(item.is_pure for item in spec.force_law_items)
