@@ -20,7 +20,7 @@ import numpy as np
 
 from mbdkit.mechanism.values import curve_of
 from mbdkit_predict.grid import weights
-from mbdkit_predict.point_functions import OF_POINTS
+from mbdkit_predict.point_functions import ARGUMENTS, OF_POINTS
 from mbdkit_predict.transcription import Mesh, Transcription
 
 #: Least number of nodes in a motion, as many as there are samples of a motion in runs; and before the objective is
@@ -30,7 +30,6 @@ NODES, FEW = 10_000, 1_000
 #: of the outermost panels.
 GRADED = 2.0 ** -np.arange(1, 31)
 PANEL = 5  #: Nodes of the Gauss-Legendre formula of each of the panels into which an interval is divided.
-ARGUMENTS = "q", "v", "a", "lam", "z", "u"  #: First arguments of `Transcription.stage`.
 BULK = 0.99  #: Share of what remains that the intervals have which are divided.
 #: Least size of moments relative to forces, and of changes of states relative to the states: smaller ones are noise.
 LEAST = 1e-6

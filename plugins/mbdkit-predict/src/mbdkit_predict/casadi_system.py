@@ -15,7 +15,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import listed
 from mbdkit.engine.interpreted_mechanism import InterpretedMechanism, Motion
 from mbdkit.events.event_expression import RunExpression
-from mbdkit.expressions.program import value_of
+from mbdkit.expressions.operations import OPERATIONS
+from mbdkit.expressions.program import execute
 from mbdkit.quantities.names import archive_names
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.quantities.states import States
@@ -264,13 +265,25 @@ class CasadiSystem:
     def _parsed(self, text: str) -> RunExpression:
         return RunExpression.parse(text, self.chosen.mechanism, self.chosen.named, crosses=False)
 
-    def _value(self, parsed: RunExpression) -> Any:
-        def leaf(operation: str, number: float) -> Any:
+    def operands(self, text: str) -> ca.SX:
+        """Return the operands of all operations of an expression, (K, 1); see `operands_of`."""
+        operands = list[Any]()
+        self._value(self._parsed(text), operands)
+        return column(operands)
+
+    def _value(self, parsed: RunExpression, known: list[Any] | None = None) -> Any:
+        """Return the value of an expression; its operands are added to those that are known."""
+
+        def step(operation: str, number: float, *operands: Any) -> Any:
             if operation == "get":
                 return self.quantity(parsed.quantities[int(number)])
-            return self.time if operation == "t" else number
+            if operation in ("const", "t"):
+                return self.time if operation == "t" else number
+            if known is not None:
+                known.extend(operands_of(operation, operands))
+            return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
 
-        return value_of(parsed.program, leaf)
+        return execute(parsed.program, step)
 
     def quantity(self, quantity: Quantity) -> Any:
         """Return a quantity as a symbol, the norm of a vector; raise SpecError if it cannot be exported."""
@@ -289,6 +302,12 @@ class CasadiSystem:
             except (BranchError, TypeError, ValueError, AttributeError) as error:
                 reason = f"its definition cannot be executed with symbols ({error})"
         raise SpecError(f"{quantity} cannot be exported: {reason}")
+
+
+def operands_of(operation: str, operands: Sequence[Any]) -> list[Any]:
+    """Return the operands of an operation, and the difference at whose zero it switches."""
+    switches = OPERATIONS[operation].switch == "difference"
+    return [*operands, *([operands[0] - operands[1]] if switches else [])]
 
 
 def _elements(vector: ca.SX) -> list[Symbol]:

@@ -15,6 +15,7 @@ from mbdkit.mechanism.motion_corners import corners_of
 from mbdkit.mechanism.switching_times import switching_times
 from mbdkit_predict.predict_spec import PredictSpec
 
+CLOSEST = 1e-12  #: Least length of an interval that is cut, as a share of the motion.
 NEAR = 0.25  #: Largest distance, as a share of an interval, by which its end is moved to a given time.
 
 
@@ -59,6 +60,16 @@ class IntervalGrid:
         parts = [self.share[:first], np.diff(ends), self.share[last + 1 :]]
         phases = [self.phase[:first], np.full(len(ends) - 1, phase), self.phase[last + 1 :]]
         return IntervalGrid(np.concatenate(phases), np.concatenate(parts), self.c)
+
+    def cut(self, durations: np.ndarray, times: Iterable[float]) -> IntervalGrid:
+        """Return a finer grid whose intervals also end at given times, for given durations of the phases."""
+        ends = durations @ self.ends
+        inside = [
+            time for time in times if abs(ends - time).min() > CLOSEST * ends[-1] and CLOSEST < time / ends[-1] < 1
+        ]
+        lengths = np.diff(np.union1d(ends, inside), prepend=0.0)
+        of = np.searchsorted(ends, np.cumsum(lengths) - 0.5 * lengths)
+        return IntervalGrid(self.phase[of], self.share[of] * lengths / (durations @ self.lengths)[of], self.c)
 
     def divided(self, parts: np.ndarray) -> IntervalGrid:
         """Return a finer grid, given the number of parts (N,) of each interval."""

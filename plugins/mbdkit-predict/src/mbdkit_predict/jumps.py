@@ -20,7 +20,8 @@ import casadi as ca
 import numpy as np
 
 from mbdkit.base.errors import SpecError
-from mbdkit_predict.point_functions import OF_STATE
+from mbdkit.mechanism.values import curve_of
+from mbdkit_predict.point_functions import ARGUMENTS, OF_POINTS, OF_STATE
 from mbdkit_predict.transcription import Mesh, Transcription
 
 SAMPLES = 10_000  #: Number of samples of a motion, besides the collocation points.
@@ -133,6 +134,14 @@ class MotionPath:
         lam, mu, u = (self._at(name, held) for name in ("lam", "mu", "u"))
         p = np.tile(self._mesh.values["p"][:, None], len(times))
         return np.array(function.map(len(times))(q, v, 0.0 * v, lam, z, u, p, t, mu))
+
+    def along(self, function: ca.Function, times: np.ndarray) -> np.ndarray:
+        """Return the values (K, T) of a function of the arguments `given` at times (T,), as they are in the motion."""
+        x = {name: self._at(name, times) for name in OF_POINTS}
+        for name, table in self._method.spec.tables.items():
+            x["u"][self._method.spec.chosen.control_states.index(f"measured.{name}")] = curve_of(table)(times)
+        p = np.tile(self._mesh.values["p"][:, None], len(times))
+        return np.array(function.map(len(times))(*(x[name] for name in ARGUMENTS), p, times[None], x["mu"]))
 
     def evaluate(self, expressions: Sequence[ca.SX], times: np.ndarray, held: np.ndarray) -> np.ndarray:
         """Return expressions (K,) of the arguments `given` at times (T,), as the rows are, (K, T)."""

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from mbdkit_predict.point_hessian import PointHessian, PointJacobian
 from mbdkit_predict.processes import Stop
@@ -22,6 +24,9 @@ PRECISION = 1e-10  #: Tolerance of the optimizer, to which it scales the conditi
 #: Factor of the objective, relative to its natural size, for the optimizer. Its last barrier parameter then has less
 #: effect: the error of a squat due to it is 2e-11 instead of 2e-9.
 SCALE = 100.0
+#: Shift of inverse iterations for directions without curvature, and the largest curvature, or rate of a condition, that
+#: counts as zero, relative to what it is the sum of.
+SHIFT, FLAT = 1e-11, 1e-7
 NEAR, BARRIER = 1e-5, 1e-5  #: Least distance from bounds, and barrier parameter, at the start on a finer mesh.
 #: Of two iterates with violations below this, that with the smaller objective is the better one.
 FEASIBLE = 1e-6
@@ -91,6 +96,10 @@ class Solution:
     #: Mathematical Programming 106:25-57, 2006, section 3.1): it adds a multiple of the identity otherwise, which it
     #: did not in its last step. Without any step, it is not known.
     is_strict: bool = False
+    #: Changes of unknowns by name, divided by their sizes, for which the curvature of the Lagrangian is zero while all
+    #: active conditions hold, if there are any. The inertia above does not show them, because the matrix of the
+    #: optimizer contains barrier terms. They are computed on meshes without a coarser one.
+    undetermined: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def is_optimum(self) -> bool:
@@ -220,11 +229,44 @@ class NonlinearProgram:
             for row in groups
         )
         gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
+        free = None
+        if start.keys().isdisjoint({"lam_g0"}) and status in SUCCESSES:
+            free = self._flat_direction(solver, x, g, lam)
         is_strict = status in SUCCESSES and count > 0 and found["iterations"]["regularization_size"][-1] == 0.0
         solution = self._iterate(x, g, float(result["f"]))
         return replace(
-            solution, status=status, iterations=count, slopes=slopes, gap=gap, is_smooth=is_smooth, is_strict=is_strict
-        )
+            solution, status=status, iterations=count, slopes=slopes, gap=gap, is_smooth=is_smooth, is_strict=is_strict,
+            undetermined={} if free is None else self._apart(free),
+        )  # fmt: skip
+
+    def _flat_direction(self, solver: Any, x: np.ndarray, g: np.ndarray, lam: np.ndarray) -> np.ndarray | None:
+        """Return the direction with the least curvature of the Lagrangian on the null space of the active conditions,
+        without barrier terms, by inverse iteration; None if it is curved or, but for single points, empty.
+        """
+        upper = solver.get_function("nlp_hess_l")(x, [], 1.0, lam).sparse()
+        slopes = solver.get_function("nlp_jac_g")(x, [])[1].sparse()
+        hessian = upper + sparse.triu(upper, 1).T
+        inside = [np.minimum(value - low, high - value) > ACTIVE * np.maximum(1.0, abs(value))
+                  for value, low, high in ((x, self._low_x, self._high_x), (g, self._low, self._high))]  # fmt: skip
+        free, held = np.flatnonzero(inside[0]), np.flatnonzero(~inside[1])
+        curvature, jacobian = hessian[free][:, free], slopes[held][:, free]
+        shift = SHIFT * (abs(curvature).max() or 1.0)
+        eye = [shift * sparse.eye(len(free)), -SHIFT * sparse.eye(len(held))]
+        try:
+            factors = splu(sparse.bmat([[curvature + eye[0], jacobian.T], [jacobian, eye[1]]], "csc"))
+        except RuntimeError:  # exactly singular
+            return None
+        way = np.random.default_rng(0).standard_normal(len(free))
+        for _ in range(3):
+            way = factors.solve(np.concatenate([way, np.zeros(len(held))]))[: len(free)]
+            way /= np.linalg.norm(way) or 1.0
+        size = FLAT * (abs(way) @ abs(curvature) @ abs(way)) + np.finfo(float).eps * abs(curvature).max()
+        is_feasible = abs(jacobian @ way).max(initial=0.0) <= FLAT * abs(jacobian).max()
+        if not (way.any() and is_feasible and abs(way @ curvature @ way) <= size):
+            return None
+        whole = np.zeros(len(x))
+        whole[free] = way
+        return whole
 
     def _iterate(self, x: np.ndarray, g: np.ndarray, objective: float) -> Solution:
         violation, violations = _beyond(g, self._low, self._high), dict[str, float]()

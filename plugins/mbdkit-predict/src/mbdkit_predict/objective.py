@@ -14,7 +14,7 @@ from mbdkit.base.units import Unit
 from mbdkit.expressions.operations import OPERATIONS, REDUCE
 from mbdkit.expressions.program import execute
 from mbdkit.measures.measure_compiler import MeasureCompiler
-from mbdkit_predict.casadi_system import CasadiSystem
+from mbdkit_predict.casadi_system import CasadiSystem, operands_of
 from mbdkit_predict.predict_spec import PredictSpec
 from mbdkit_predict.symbols import Symbol, column
 
@@ -29,6 +29,7 @@ class Objective:
     finals: ca.SX
     #: Integrands, final values, and what has peaks, (K, 1) each, expressions in the symbols of the system.
     peaks: ca.SX
+    operands: ca.SX  #: Operands of all operations that contain no functional, (K, 1).
     value: ca.Function  #: Function of the integrals, the final values, the peaks, and the duration.
 
 
@@ -52,7 +53,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     compiler = _ObjectiveCompiler(spec.with_states(spec.minimize), spec)
     program, _ = compiler.measure()
     results: dict[str, list[tuple[Any, Symbol]]] = {INTEGRAL: [], FINAL: [], PEAK: []}
-    duration = ca.SX.sym("duration")
+    duration, known = ca.SX.sym("duration"), list[Any]()
 
     def functional(kind: str, x: object) -> Symbol:
         symbol = Symbol(ca.SX.sym(f"{kind}_{len(results[kind])}"))
@@ -71,6 +72,7 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
             raise SpecError("a vector can be minimized only as its norm, such as abs(joints.knee.force)")
         reduction = operation.removeprefix(REDUCE)
         if reduction == operation:
+            known.extend(operands_of(operation, operands))
             return OPERATIONS[operation].array(*operands, *(number,) * (operation == "powi"))
         if reduction in results:
             return functional(reduction, operands[0])
@@ -85,4 +87,11 @@ def objective_of(spec: PredictSpec, system: CasadiSystem) -> Objective:
     value = column([execute(tuple(program), step)])
     given = [column([symbol for _, symbol in functionals]) for functionals in results.values()]
     integrands, finals, peaks = (column([x for x, _ in functionals]) for functionals in results.values())
-    return Objective(integrands, finals, peaks, ca.Function("objective", [*given, duration], [value]))
+    inside = [x for x in ca.vertsplit(column(known)) if not ca.depends_on(x, ca.vertcat(*given, duration))]
+    return Objective(
+        integrands,
+        finals,
+        peaks,
+        ca.vertcat(ca.SX(0, 1), *inside),
+        ca.Function("objective", [*given, duration], [value]),
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbdkit.base.text import listed
+from mbdkit_predict.between_conditions import Violation, violations_between
 from mbdkit_predict.between_points import FEW, NODES, Residual, change_by_held, residual_between_points
 from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
@@ -27,6 +28,9 @@ WANDERING, FEW_STEPS, ELSEWHERE = 90, 15, 0.25
 #: Largest first-order change of the objective by what remains between the points, as a share of the objective, of a
 #: motion that begins a sequence of meshes. That of artefacts is as large as the objective, or larger.
 CREDIBLE = 0.25
+#: Least share of the time in which controls that are not determined may change: with constant derivatives, those in the
+#: one interval of a switch may.
+LEAST_SHARE = 0.1
 MOST_INTERVALS = 640  #: Largest number of intervals of a refined mesh; every first mesh is refined once.
 ITERATIONS_OF_START = 500  #: Largest number of iterations from a drawn guess.
 SWITCHINGS = 3  #: How often phases are made of the jumps that a motion passes.
@@ -34,6 +38,7 @@ HUGE = 1e8  #: Unknowns above this size at the limit of iterations are taken for
 #: Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
 #: intervals in which they do are divided.
 OPEN, DIVISIONS = 0.1, 2
+MOST_CUTS = 8  #: How often meshes are cut where a condition is exceeded between the points.
 #: Factors of the estimated error of the objective, and of its first-order change by what remains between the points.
 SAFETY, HIGHER_ORDER = 3.0, 1.5
 #: Smallest ratio of two changes of the objective in a row that is believed; the second one, where conditions become
@@ -93,6 +98,8 @@ class Optimum:
         The table of all meshes.
     wandered
         Whether the search began anew, because the first meshes led to different motions.
+    flat
+        `Solution.undetermined` on the first mesh.
     doubt
         Sentence on jumps that are not held; empty without any.
     """
@@ -107,6 +114,7 @@ class Optimum:
     start: int
     rows: Sequence[SolvedMesh]
     wandered: bool
+    flat: Mapping[str, np.ndarray]
     doubt: str = ""
 
     @property
@@ -123,6 +131,29 @@ class Optimum:
     def is_minimum(self) -> bool:
         """Whether the second-order condition holds."""
         return self.is_optimum and _solution(self.mesh).is_strict
+
+    @property
+    def undetermined(self) -> tuple[str, bool]:
+        """Sentence on controls that may change without a change of the objective, empty if there are none, and whether
+        the motion may change as well.
+        """
+        free = self.flat
+        if not free:
+            return "", False
+        u = free["u"] * self.transcription.control_sizes[:, None]
+        times = abs(u).max(axis=0, initial=0.0)
+        if (times > 0.1 * times.max(initial=0.0)).mean() < LEAST_SHARE:
+            return "", False
+        sides, sizes, _ = np.linalg.svd(u, full_matrices=False)
+        names, shares = self.transcription.system.control_names, abs(sides[:, 0])
+        chosen = np.flatnonzero(shares > 1e-3 * shares.max())
+        named = listed([f"`{names[k]}`" for k in chosen], "and")
+        is_one = len(sizes) < 2 or sizes[1] <= 1e-3 * sizes[0]
+        ratio = ":".join(f"{sides[k, 0] / sides[chosen[0], 0]:.4g}" for k in chosen)
+        how = f" in the ratio {ratio}" * (is_one and len(chosen) > 1)
+        largest = {name: float(abs(x).max(initial=0.0)) for name, x in free.items()}
+        moves = max(largest[name] for name in ("q", "z", "p", "duration")) > 1e-6 * largest["u"]
+        return f"Controls are not determined: {named} may change{how} without a change of the objective", moves
 
     @property
     def ending_here(self) -> int:
@@ -262,7 +293,7 @@ class _MeshSearch:
             jumps, own = jumps_along(self.transcription, mesh), [mesh] * _solution(mesh).is_optimum
             if any(jump.name for jump in jumps):
                 return self._optimum(mesh, own, error, self._failure(mesh), jumps)
-        divisions, is_resolved = 0, False
+        divisions, cuts, is_resolved = 0, 0, False
         while _solution(mesh).is_optimum:
             opens, joints = self.transcription.openings(mesh)
             if opens.max() > OPEN and divisions == DIVISIONS:
@@ -272,20 +303,29 @@ class _MeshSearch:
                 divisions, self.halved = divisions + 1, len(self.meshes)
                 mesh = yield from self._refine(mesh, opens > OPEN, "in which joints open")
                 continue
-            self.meshes.append(mesh)
-            error, is_known = self._error()
             objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
             limit = self.spec.tolerance * objective + NOTHING * mesh.size
+            limits = limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance)
+            violations = violations_between(self.transcription, mesh)
+            large_ones = [violation for violation in violations if violation.is_large(*limits)]
+            if cuts < MOST_CUTS and (narrow := [violation for violation in large_ones if violation.is_narrow]):
+                cuts, mesh = cuts + 1, (yield from self._cut(mesh, narrow))
+                continue
+            self.meshes.append(mesh)
+            error, is_known = self._error()
             is_last = len(self.meshes) > self.halved + 1 and 2 * count > MOST_INTERVALS
             is_accurate, chosen = is_known and error <= limit, None
             if is_accurate or is_last or not is_resolved:
                 residual = residual_between_points(self.transcription, mesh, NODES if is_accurate or is_last else FEW)
-                large = residual.is_large(limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance))
+                for violation in violations:
+                    residual.change[violation.interval] = abs(residual.change[violation.interval]) + violation.change
+                large = residual.is_large(*limits)
+                large[[violation.interval for violation in violations if violation.share > limits[1]]] = True
                 is_resolved = not large.any()
                 if is_accurate or is_last:
                     error = max(error, HIGHER_ORDER * float(abs(residual.change).sum()))
                     if is_last and (error > limit or not is_resolved):
-                        reason = _mesh_limit(error, limit, residual, count)
+                        reason = _mesh_limit(error, limit, residual, count, large_ones)
                     if is_last or is_resolved:
                         break
                 # all intervals are halved unless few of them have almost all that remains
@@ -303,7 +343,10 @@ class _MeshSearch:
         self, mesh: Mesh, meshes: Sequence[Mesh], error: float, reason: str, jumps: Sequence[Jump]
     ) -> Optimum:  # fmt: skip
         method = self.problems[len(mesh.grid.c)]
-        return Optimum(method, mesh, meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered)
+        flat = _solution(self.first).undetermined
+        return Optimum(
+            method, mesh, meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered, flat
+        )
 
     def _begin(self, coarser: Mesh | None = None, *, is_brief: bool = False) -> _Solving:
         """Solve from all first guesses, and from the motion of a coarser mesh, without its multipliers; return the best
@@ -313,7 +356,8 @@ class _MeshSearch:
         moved, grid = list[Mesh](), None
         if coarser is not None:
             method = method.of_high_order()
-            moved = [self.transcription.moved(coarser, method, np.full(len(coarser.grid.phase), 2))]
+            halved = coarser.grid.divided(np.full(len(coarser.grid.phase), 2))
+            moved = [self.transcription.moved(coarser, method, halved)]
             grid = moved[0].grid
         switching = self.switching if coarser is None else None
         count = 1 if switching else self.spec.starts
@@ -335,6 +379,14 @@ class _MeshSearch:
         self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
         if coarser is not None and not is_credible[start] and _solution(self.first).is_optimum and self._can_begin:
             return (yield from self._begin(self.first))
+        return self.first
+
+    def _cut(self, mesh: Mesh, narrow: Sequence[Violation]) -> _Solving:
+        """Solve on a mesh with intervals that end where conditions are exceeded, which begins a new sequence."""
+        method, self.halved = self.transcription, len(self.meshes)
+        grid = mesh.grid.cut(mesh.values["duration"], [time for violation in narrow for time in violation.cuts])
+        (self.first,) = yield [(method, method.moved(mesh, method, grid), MOST_ITERATIONS)]
+        self._note(self.first, f"cut where `{narrow[0].name}` is exceeded between the points")
         return self.first
 
     def _refine(self, mesh: Mesh, chosen: np.ndarray | None, which: str) -> _Solving:
@@ -448,8 +500,13 @@ def extrapolated(changes: Sequence[float] | np.ndarray, order: int, accident: fl
     return SAFETY * ratio / (1.0 - ratio) * max(last, before * accident)
 
 
-def _mesh_limit(error: float, limit: float, residual: Residual, count: int) -> str:
-    if error > limit:
+def _mesh_limit(
+    error: float, limit: float, residual: Residual, count: int, violations: Sequence[Violation]
+) -> str:  # fmt: skip
+    if violations:
+        name, time, _, size, *_ = violations[0]
+        why = f"between collocation points, `{name}` is exceeded by {size:.2g} at t = {time:.6g} s,"
+    elif error > limit:
         why = f"the error of the objective is still {error:.2g}, which is more than `tolerance`,"
     else:
         why = f"between collocation points, {residual.impulse.sum():.2g} of the impulse of all forces is not balanced"

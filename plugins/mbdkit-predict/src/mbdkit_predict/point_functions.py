@@ -14,6 +14,7 @@ from mbdkit_predict.objective import Objective
 #: Symbols that are not known at the start and the end of a motion, only at collocation points.
 OF_STATE = ("a", "lam", "u")
 OF_POINTS = ("q", "v", "a", "lam", "mu", "z", "u")  #: Unknowns with a column for each collocation point.
+ARGUMENTS = "q", "v", "a", "lam", "z", "u"  #: First arguments of `PointFunctions.stage`.
 
 
 class Held(NamedTuple):

@@ -217,6 +217,9 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
         doubts.append(SMALL)
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
+    free, moves = result.undetermined
+    if moves:
+        doubts.append(f"{free}, and so may the motion.")
     if result.wandered and result.ending_here < 2:
         doubts.append(f"{WANDERED} {result.basin}")
     if forward is None:
@@ -233,5 +236,6 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
         )
     if result.spec.compare and (rival is None or rival.reason or rival.is_doubtful):
         doubts.append("The motion that is compared has no accurate optimum, so that the gain is not known.")
-    known = (ESTIMATED, result.basin) if result.basin else (ESTIMATED,)
+    unmoved = f"{free} or the motion, so that they have no error bar." if free and not moves else ""
+    known = tuple(filter(None, (ESTIMATED, result.basin, unmoved)))
     return Judgement("doubtful", tuple(doubts)) if doubts else Judgement("good", known)

@@ -121,13 +121,23 @@ class Switching:
     motion: GuessedMotion
 
 
-class _PathOfPhase(NamedTuple):
+class PathOfPhase(NamedTuple):
+    """A condition along the path, of one phase or of all."""
+
     name: str
     expression: ca.SX
     low: float
     high: float
     phase: int | None
+    operands: ca.SX  #: Operands of the operations in the expression, (K, 1).
     peak: int | None = None  #: Index of the peak that the values do not exceed, which is an unknown.
+
+
+class AlongPath(NamedTuple):
+    """A condition along the path, with the derivatives of the objective by its bounds at all points, (N s,)."""
+
+    path: PathOfPhase
+    slopes: np.ndarray
 
 
 class Transcription:
@@ -197,14 +207,16 @@ class Transcription:
              self._expression(first, "periodic", 0.0))
             for last, first in spec.repeated_values
         ]  # fmt: skip
-        self._path: list[_PathOfPhase] = []
-        self._bounded: list[tuple[str, int, _PathOfPhase]] = []
+        self._path: list[PathOfPhase] = []
+        self._bounded: list[tuple[str, int, PathOfPhase]] = []
         for k, (place, phase) in enumerate(phases):
             self._add_path(phase.subject_to, f"{place}subject_to", k)
         if spec.phases:
             self._add_path(spec.subject_to, "subject_to", None)
         for k, peak in enumerate(ca.vertsplit(objective.peaks)):
-            self._path.append(_PathOfPhase(f"peak {k} of the objective", peak, -np.inf, 0.0, None, k))
+            self._path.append(
+                PathOfPhase(f"peak {k} of the objective", peak, -np.inf, 0.0, None, objective.operands, k)
+            )
         conditions = [*(x for x, _, _ in self._initial.values()), *(x for _, *both in self._periodic for x in both)]
         self._is_free = np.array(ca.which_depends(ca.vertcat(ca.SX(0, 1), *conditions), system.z, 1), dtype=bool)
         path = ca.vertcat(ca.SX(0, 1), *(path.expression for path in self._path))
@@ -236,7 +248,8 @@ class Transcription:
         for name, condition in conditions.items():
             expression = self._expression(condition.value, f"{key}.{name}.value")
             low, high = condition.bounds
-            path = _PathOfPhase(f"{key}: {name}", expression, low, high, phase)
+            operands = self.system.operands(self.spec.with_states(condition.value))
+            path = PathOfPhase(f"{key}: {name}", expression, low, high, phase, operands)
             if expression.is_symbolic() and (unknown := unknowns.get(expression.element_hash())):
                 self._bounded.append((*unknown, path))
             else:
@@ -353,19 +366,22 @@ class Transcription:
         conditions become active and the order of the method is lost, are divided into more parts. If some intervals are
         `chosen` (N,), only these are divided, into as many parts.
         """
-        finer = self.moved(mesh, self, self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1))
+        parts = self._parts(mesh) if chosen is None else np.where(chosen, CUTS[1], 1)
+        finer = self.moved(mesh, self, mesh.grid.divided(parts))
         return replace(finer, slopes=self._refined_slopes(mesh, finer.grid), is_unexamined=mesh.is_unexamined)
 
-    def moved(self, mesh: Mesh, other: Transcription, divided: np.ndarray) -> Mesh:
-        """Return the motion of a solution as a guess for another number of collocation points, with intervals that are
-        divided into so many parts (N,).
-        """
-        values = dict(mesh.values)
-        within = {m: np.array([(j + c) / m for j in range(m) for c in other.c]) for m in set(divided.tolist())}
+    def moved(self, mesh: Mesh, other: Transcription, grid: IntervalGrid) -> Mesh:
+        """Return the motion of a solution as a guess for another number of collocation points, on a finer grid."""
+        values, duration, grid = dict(mesh.values), mesh.values["duration"], replace(grid, c=other.c)
+        ends, lengths, centres = (
+            duration @ mesh.grid.ends,
+            duration @ mesh.grid.lengths,
+            duration @ (grid.ends - 0.5 * grid.lengths),
+        )
+        of = np.repeat(np.searchsorted(ends, centres), len(other.c))
+        shares = 1.0 - (ends[of] - duration @ grid.points) / lengths[of]
         for name in OF_POINTS:
-            columns = {m: self.values_at(mesh, name, shares) for m, shares in within.items()}
-            values[name] = np.concatenate([columns[m][:, i] for i, m in enumerate(divided.tolist())], axis=1)
-        grid = replace(mesh.grid.divided(divided), c=other.c)
+            values[name] = self.values_at(mesh, name, shares, of)
         return Mesh(grid, other._with_nodes(values), mesh.iterations, size=mesh.size)
 
     def _parts(self, mesh: Mesh) -> np.ndarray:
@@ -650,7 +666,18 @@ class Transcription:
         """
         return self.sides[:, np.repeat(grid.phase, count)]
 
-    def _points(self, grid: IntervalGrid, path: _PathOfPhase) -> np.ndarray:
+    def along_path(self, mesh: Mesh) -> list[AlongPath]:
+        """Return the conditions along the path, bounds of states among them."""
+        assert mesh.solution is not None
+        every, slopes = list[AlongPath](), mesh.solution.slopes
+        bounded = [(path, slopes.get(name, np.zeros((i + 1, 1)))[i]) for name, i, path in self._bounded]
+        for path, found in [*((path, slopes.get(path.name, np.zeros(1))) for path in self._path), *bounded]:
+            values, points = np.zeros(len(mesh.times)), self._points(mesh.grid, path)
+            values[points] = np.ravel(found)[points if np.size(found) == len(values) else slice(None)]
+            every.append(AlongPath(path, values))
+        return every
+
+    def _points(self, grid: IntervalGrid, path: PathOfPhase) -> np.ndarray:
         """Return the indices of the collocation points at which a condition along the path is asked.
 
         These are the points of its phase, except ends whose conditions fix the value within the bounds: no motion near
@@ -717,6 +744,11 @@ class Transcription:
         s, values = len(self.c), mesh.values
         ends = values["nodes"] if self.has_nodes else np.vstack([values[name][:, s - 1 :: s] for name in "qvz"])
         return np.column_stack([values["start"], ends])
+
+    @property
+    def control_sizes(self) -> np.ndarray:
+        """Natural sizes (U,) of the controls."""
+        return self._sizes["u"]
 
     @cached_property
     def _sizes(self) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.optimize import minimize_scalar
 
 import mbdkit
 from mbdkit_predict.grid import IntervalGrid
@@ -151,6 +152,64 @@ def test_friction_without_a_value_at_rest_has_the_optimum_of_gauss_points() -> N
     assert_within(run.objective - 12.25, run.objective_error)
     run = mbdkit.predict(loaded(friction))  # the last Radau point is at rest
     assert run.verdict == "doubtful" or abs(run.objective - 12.25) <= run.objective_error
+
+
+def by_way_of(x: float, at: float) -> float:
+    """Return the least effort of 1 kg from rest at 0 to rest at 1 m in 1 s that is at x or beyond at a time `at`.
+
+    It is that of two cubics, whose common speed is free.
+    """
+
+    def effort(speed: float) -> float:
+        first, second = (x, speed, at), (1.0 - x - speed * (1.0 - at), -speed, 1.0 - at)
+        return sum(12.0 * d**2 / t**3 - 12.0 * d * w / t**2 + 4.0 * w**2 / t for d, w, t in (first, second))
+
+    return 12.0 if at**2 * (3.0 - 2.0 * at) >= x else float(minimize_scalar(effort, (0.0, 3.0)).fun)
+
+
+@pytest.mark.parametrize(
+    ("width", "at", "collocation", "is_table"),
+    [
+        (1e-3, 0.4137, {}, False),
+        (1e-5, 0.3331, {"points": 2}, True),
+        pytest.param(5e-4, 0.377, {"method": "gauss"}, False, marks=pytest.mark.slow),
+        pytest.param(2e-2, 0.3054, {"points": 5}, True, marks=pytest.mark.slow),
+    ],
+)
+def test_a_narrow_condition_holds_between_the_points(
+    width: float, at: float, collocation: dict[str, Any], is_table: bool
+) -> None:
+    gate, sections = f"block.x - 0.9*exp(-((t - {at})/{width})**2)", WIDE
+    if is_table:
+        table = {
+            "table": [[0.0, at - width, at, at + width, 1.0], [0.0, 0.0, 0.9, 0.0, 0.0]],
+            "interpolation": "linear",
+        }
+        gate, sections = "block.x - measured.gate", WIDE | {"measured": {"gate": table}}
+    run = mbdkit.predict(block(subject_to={"gate": {"value": gate, "min": 0}}, collocation=collocation, **sections))
+    assert run.verdict == "good", run.verdict_reasons
+    near = np.linspace(-1.0, 1.0, 4001) * width
+    heights = 0.9 * (np.maximum(0.0, 1.0 - abs(near) / width) if is_table else np.exp(-((near / width) ** 2)))
+    exact = max(by_way_of(x, at + s) for x, s in zip(heights, near, strict=True))
+    assert_within(run.objective - exact, run.objective_error)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1e-5, 1e-3, 1e-1])
+def test_a_hurdle_in_space_is_right_or_doubtful(width: float) -> None:
+    hurdle = {"value": f"dot.y - 0.36*exp(-((dot.x - 0.49)/{width})**2)", "min": 0}
+    rest = {f"dot.{name}": 0 for name in ("x", "y", "vx", "vy")}
+    push = {"push": {"type": "force", "body": "dot", "value": [0.0, 0.0]}}
+    model = {"name": "mechanism", "gravity": [0, 0], "bodies": {"dot": {"mass": 1.0}}, "forces": push}
+    run = mbdkit.predict(
+        {
+            "mbdkit_predict": 1, "base": {"model": model}, "duration": 1.0, "initial": rest, "minimize": EFFORT,
+            "controls": {f"forces.push.value[{k}]": {"bounds": [-200, 200]} for k in (0, 1)},
+            "final": rest | {"dot.x": 1}, "subject_to": {"hurdle": hurdle}, "limits": {"wall_time": 20},
+        }
+    )  # fmt: skip
+    # by way of 0.36 m at half time, 192 y^2, a lower bound but for the shift of the time and of the summit
+    assert run.verdict == "doubtful" or run.objective > 0.99 * (12.0 + 192.0 * 0.36**2)
 
 
 FREE = {"bounds": [0.1, 0.9]}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import ctypes
 import sys
 from pathlib import Path
@@ -26,7 +27,7 @@ from mbdkit_predict.processes import Stop
 from mbdkit_predict.transcription import OF_POINTS, Mesh
 from predict import chains
 from predict.chains import chain
-from predict.exact_optima import DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
+from predict.exact_optima import AT_REST, BLOCK, DRAG, EFFORT, EXACT, PUSH, block, of_states, swing_up
 from tests.identified import MASS, STIFFNESS, sliding, write_fit
 from tests.margins import assert_within
 
@@ -101,6 +102,31 @@ def test_a_parameter_is_optimized_together_with_the_motion() -> None:
     assert run.parameters["forces.spring.stiffness"] == pytest.approx(np.pi**2, rel=1e-4)
     assert run.objective < 1e-8
     assert run.mechanism.forces["spring"].stiffness == run.parameters["forces.spring.stiffness"]
+
+
+def test_controls_that_are_not_determined_are_named() -> None:
+    second = {"second": {"type": "force", "body": "block", "value": [0.0, 0.0]}}
+    goal = f'integral((controls["{PUSH}"] + controls["forces.second.value[0]"])**2)'
+    both = {name: {"bounds": [-100, 100]} for name in (PUSH, "forces.second.value[0]")}
+    run = mbdkit.predict(block(forces=second, controls=both, minimize=goal))
+    assert_within(run.objective - 12.0, run.objective_error)
+    words = f"Controls are not determined: `{PUSH}` and `forces.second.value[0]` may change in the ratio 1:-1"
+    assert run.verdict == "good"
+    assert any(reason.startswith(words) for reason in run.verdict_reasons)
+
+
+def test_a_motion_that_is_not_determined_is_doubtful() -> None:
+    # the second block ends at a place at any speed, and its force costs nothing
+    model = copy.deepcopy(BLOCK)
+    model["bodies"]["other"] = model["bodies"]["block"]
+    model["joints"]["other"] = model["joints"]["rail"] | {"bodies": ["ground", "other"]}
+    model["forces"]["other"] = {"type": "force", "body": "other", "value": [0.0, 0.0]}
+    spec = block(controls={name: {"bounds": [-50, 50]} for name in (PUSH, "forces.other.value[0]")})
+    spec["initial"] = AT_REST | {"other.x": 0, "other.vx": 0}
+    run = mbdkit.predict(spec | {"base": {"model": model}, "final": spec["final"] | {"other.x": 1}})
+    assert_within(run.objective - 12.0, run.objective_error)
+    assert run.verdict == "doubtful"
+    assert "`forces.other.value[0]` may change without a change of the objective" in run.verdict_reasons[0]
 
 
 def test_an_archive_of_a_prediction_is_read_and_repeated(tmp_path: Path) -> None:
