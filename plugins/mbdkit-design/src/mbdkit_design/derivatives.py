@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from mbdkit_design.evaluation import Evaluator
 
+#: Largest error of a derivative that is not reported, times the distance between the bounds, as a share of the goal.
+UNREPORTED = 1e-2
 STEP = 1e-4  #: Step of central differences, as a share of the bounds.
 
 
@@ -53,26 +55,32 @@ def differences(evaluator: Evaluator, x: np.ndarray, places: Sequence[int] | Non
     return np.asarray(np.moveaxis((above - below) / (high - low)[some, None, None], 0, -1))
 
 
-def unconfirmed(evaluator: Evaluator, x: np.ndarray) -> tuple[str, ...]:
-    """Return a sentence for each goal or limit whose derivatives at a point fail their check.
+def checked(evaluator: Evaluator, x: np.ndarray) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return sentences about derivatives of goals and limits at a point that fail their check: those that differences
+    of runs do not confirm, and those that are confirmed, but have a discretization error that matters.
 
-    A frequent cause is a one-sided force law that begins to act exactly at a frame of a measured motion.
+    A frequent cause of the first is a one-sided force law that begins to act exactly at a frame of a measured motion.
     """
     if evaluator.why_differences:
-        return ()
+        return (), ()
     try:
-        checks = [gradient.check for gradient in gradients(evaluator, x, check=True)]
+        every = gradients(evaluator, x, check=True)
     except MbdkitError:
-        return ()
-    found = [(check, m) for check in checks if check is not None for m in np.flatnonzero(~check.agrees).tolist()]
-    return tuple(_disagreement(check, m) for check, m in found)
+        return (), ()
+    failed = [(one.check, m) for one in every if one.check is not None for m in np.flatnonzero(~one.check.agrees)]
+    value = np.max(np.abs([one.value for one in every]), axis=0)
+    unconfirmed = tuple(_disagreement(check, m) for check, m in failed if not check.is_like_steps[m])
+    matters = (
+        (check, m)
+        for check, m in failed
+        if check.is_like_steps[m] and np.max(check.entry_error[m] * evaluator.widths) > UNREPORTED * value[m]
+    )
+    return unconfirmed, tuple(f"At the best point, {inaccurate_entries(check, m)}." for check, m in matters)
 
 
 def _disagreement(check: GradientCheck, m: int) -> str:
-    """Return a sentence that says why the check of the derivative of a goal or limit failed."""
+    """Return a sentence that says that differences do not confirm the derivative of a goal or limit."""
     name = check.names[m]
-    if check.is_like_steps[m]:
-        return f"At the best point, {inaccurate_entries(check, m)}, unless {name} is not smooth there."
     exact, by_differences = told_apart(check.derivative[m], check.extrapolated[m], 4)
     return (
         f"The derivative of {name} at the best point is not confirmed by differences, {exact} and {by_differences} in "

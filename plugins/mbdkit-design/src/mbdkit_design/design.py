@@ -16,8 +16,8 @@ from mbdkit.base.errors import SpecError
 from mbdkit.base.text import counted, table
 from mbdkit.spec.run_spec import RunSpec
 from mbdkit_design.compared_settings import Comparison, compare
-from mbdkit_design.derivatives import derivatives_sentence, unconfirmed
-from mbdkit_design.design_spec import DesignSpec
+from mbdkit_design.derivatives import checked, derivatives_sentence
+from mbdkit_design.design_spec import DesignSpec, LocalOptimizer
 from mbdkit_design.design_tables import comparison_table, front_table
 from mbdkit_design.evaluation import Evaluator
 from mbdkit_design.gains import (
@@ -67,7 +67,8 @@ class Design:
     message
         Reason why the best search ended.
     derivatives
-        How the derivatives of goals and limits were computed, as a sentence; empty if none were needed.
+        How the derivatives of goals and limits were computed, as a sentence, and which of them are inaccurate at the
+        best point; empty if none were needed.
     unconfirmed
         Goals and limits whose exact derivatives at the best point disagree with differences of runs, as sentences.
     undetermined
@@ -133,8 +134,7 @@ class Design:
         lines = [*filter(None, [self.doubt]), self.trust.judgement]
         lines += [*(f"{goal_words(gain.name)}: {gain.text()}" for gain in self.gains), table(rows)]
         lines += [f"{self.counted_runs}, {at_best} of {every} searches ended here: {self.message}"]
-        if self.derivatives:
-            lines.append(self.derivatives)
+        lines += filter(None, (self.single, self.derivatives))
         if len(self.front) > 1:
             points = front_table(self.spec, self.front, self.best)
             more = f"{len(self.front) - ROWS} more points are in design.json." if len(self.front) > ROWS else ""
@@ -179,6 +179,12 @@ class Design:
             "at such points. Try the optimizer bundle, several `starts`, or a smooth goal, such as rms(...) instead of "
             "a maximum."
         )
+
+    @property
+    def single(self) -> str:
+        """Sentence that says that only one search along gradients was made; empty otherwise."""
+        is_single = self.searches[1] == 1 and isinstance(self.spec.optimizer, LocalOptimizer)
+        return "A single search finds a local minimum; `optimizer.starts` makes several." if is_single else ""
 
     @property
     def counted_runs(self) -> str:
@@ -249,6 +255,7 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
     trust = certified(evaluator, first, best.end)
     most = result[0].cost + 1e-3 * abs(result[0].cost)
     near = sum(one.feasible == result[0].feasible and one.cost <= most for one in result)
+    unconfirmed, inaccurate = checked(evaluator, best.end) if evaluator.gradients and not best.is_least else ((), ())
     alone = undetermined(problem, best.end) if len(spec.totals) == 1 else ()  # its runs count, too
     return Design(
         spec=spec,
@@ -262,8 +269,8 @@ def solve(evaluator: Evaluator, stages: Stages) -> Design:
         searches=(near, len(result)),
         message=best.message,
         is_converged=best.is_converged,
-        derivatives=derivatives_sentence(evaluator),
-        unconfirmed=unconfirmed(evaluator, best.end) if evaluator.gradients and not best.is_least else (),
+        derivatives=" ".join(filter(None, (derivatives_sentence(evaluator), *inaccurate))),
+        unconfirmed=unconfirmed,
         undetermined=alone,
         changed_starts=_changed_starts(evaluator, best.end),
     )

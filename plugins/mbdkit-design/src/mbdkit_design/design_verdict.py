@@ -35,14 +35,13 @@ def design_verdict(design: Design) -> Verdict:
     ]
     at_best, every = design.searches
     note = f"{at_best} of {every} searches ended at this point to 0.1 % of the goal."
-    alone = " A single search finds a local minimum; `optimizer.starts` makes several." if every == 1 else ""
     return Verdict(
         name="design",
         title="Verdict",
         sentence=" ".join([*(claim.sentence for claim in claims if claim.sentence), *design.warnings]),
         claims=tuple(claims),
         tables=tuple(_tables(design)),
-        notes=(" ".join(filter(None, (note + alone, design.derivatives))),),
+        notes=(" ".join(filter(None, (note, design.single, design.derivatives))),),
     )
 
 

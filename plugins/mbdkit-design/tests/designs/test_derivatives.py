@@ -11,7 +11,7 @@ import pytest
 from tests.designs.swinging_shank import BRACE, ONE, T, design_of, mean, moments, shank, swing
 
 import mbdkit
-from mbdkit_design.derivatives import derivatives, derivatives_sentence, differences, unconfirmed
+from mbdkit_design.derivatives import checked, derivatives, derivatives_sentence, differences
 from mbdkit_design.design_charts import sensitivity_section
 from mbdkit_design.design_loading import load_design_spec
 from mbdkit_design.evaluation import Evaluator
@@ -67,9 +67,9 @@ def test_a_corner_of_the_goal_at_the_best_point_is_named() -> None:
     most = 20.0 * 0.7 + 1e-9  # the angle is 0.2 + 0.5 sin(3 t)
     goal = f"abs(max(abs(forces.brace.value)) - {most:.17g})"
     evaluator = Evaluator(load_design_spec(design_of(swing(), variables=ONE, minimize=goal)))
-    (sentence,) = unconfirmed(evaluator, np.array([0.1]))
+    (sentence,), _ = checked(evaluator, np.array([0.1]))
     assert "derivative of goal at the best point is not confirmed" in sentence
-    assert unconfirmed(evaluator, np.array([0.2])) == ()
+    assert checked(evaluator, np.array([0.2])) == ((), ())
 
 
 def test_a_result_at_a_corner_of_the_goal_is_an_optimum_if_no_side_descends() -> None:
@@ -104,3 +104,31 @@ def test_sensitivities_at_a_corner_have_two_sides_and_no_sign() -> None:
             assert np.isnan(one.changes[name])
             section = sensitivity_section([one], {name: "stiffness"}, {(one.scenario, one.measure): "N m"})
             assert "if increased" in str(section.tables[0].rows)
+
+
+def test_the_discretization_error_of_a_smooth_goal_is_no_kink() -> None:
+    # the goal, the square of cos(3 sqrt(k)), is smooth; its derivative is zero at the best point
+    slide = {"type": "prismatic", "bodies": ["ground", "b"], "points": [[0, 0], [0, 0]], "axis": [1, 0]}
+    along = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "b"], "points": [[0, 0], [0, 0]]}
+    model = {
+        "name": "mechanism",
+        "gravity": [0, 0],
+        "bodies": {"b": {"mass": 1.0, "inertia": 1.0, "position": [1.0, 0.0]}},
+        "joints": {"slide": slide},
+        "forces": {"spring": {"type": "law", "law": "linear", "stiffness": 6.6, "pathway": along}},
+    }
+    base = {
+        "mbdkit": 1,
+        "model": model,
+        "integrator": {"name": "dopri5", "adaptive": True, "rtol": 1e-3},
+        "time": {"end": 3.0},
+    }
+    variables = {"model.forces.spring.stiffness": {"bounds": [6.5, 7.2], "start": 6.6}}
+    spec = {"mbdkit_design": 1, "base": base, "variables": variables, "minimize": "final(b.x)**2"}
+    found = mbdkit.design(spec, optimum_only=True)
+    assert not found.doubt
+    assert "At the best point, the derivative of 'goal' is inaccurate" in found.derivatives
+    assert "A single search finds a local minimum; `optimizer.starts` makes several." in found.summary()
+    # an error that does not matter for the goal
+    evaluator = Evaluator(load_design_spec(spec | {"minimize": "final(b.x)**2 + 1"}))
+    assert checked(evaluator, evaluator.point(found.best.variables)) == ((), ())

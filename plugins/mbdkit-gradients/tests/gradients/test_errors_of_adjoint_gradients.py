@@ -62,8 +62,8 @@ METHODS: tuple[tuple[dict[str, Any], dict[str, float]], ...] = (
 def own_jacobian(values: np.ndarray, end: float) -> np.ndarray:
     """Return the derivatives (3, K) of the measures, by complex steps in all parameters at once."""
     count, change = len(values), 1e-30
-    (m1, m2, i1, i2, s1, s2, length, k1, free1, c1, k2, free2, c2, g, *start) = (
-        values[:, None] + 1j * change * np.eye(count)
+    (m1, m2, i1, i2, s1, s2, length, k1, free1, c1, k2, free2, c2, g, *start) = values[:, None] + 1j * change * np.eye(
+        count
     )
 
     def kinetic(a: np.ndarray, b: np.ndarray, wa: np.ndarray, wb: np.ndarray) -> np.ndarray:
