@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from tests.gradients.bouncing_ball import GAUSS, MEASURES, PAD, expected
 from tests.gradients.bouncing_ball import ball as ball_on_pad
 
@@ -98,3 +99,39 @@ def _compare(spec: dict[str, Any], measures: list[str]) -> None:
     assert found.check.is_passed, str(found)
     # margin: an error bar of mbdkit
     assert_within(found.jacobian - reference, 3.5 * found.error + 1e-6 * np.abs(reference))
+
+
+def test_errors_are_true_if_steps_pass_the_beginning_of_a_contact_of_hunt_and_crossley() -> None:
+    # expected: own runs between the beginning and the end of the contact, by SciPy
+    values = {"m": 1.0, "k": 1e5, "h": 0.2}
+    dissipation, gravity, end = 0.3, 9.81, 0.35
+
+    def height(m: float, k: float, h: float) -> float:
+        def rates(_: float, y: np.ndarray) -> list[float]:
+            depth = -y[0]
+            return [y[1], k * np.sign(depth) * abs(depth) ** 1.5 * (1 - 1.5 * dissipation * y[1]) / m - gravity]
+
+        def leaves(_: float, y: np.ndarray) -> float:
+            return float(y[0])
+
+        leaves.terminal, leaves.direction = True, 1.0  # type: ignore[attr-defined]
+        fall = np.sqrt(2.0 * h / gravity)
+        solved = solve_ivp(rates, (fall, end), [0.0, -gravity * fall], "DOP853", rtol=1e-12, atol=1e-15, events=leaves)
+        rest = end - solved.t[-1]
+        return float(solved.y[1, -1] * rest - gravity * rest**2 / 2)
+
+    changes = [(name, 1e-4 * value) for name, value in values.items()]
+    right = np.array(
+        [
+            (height(**{**values, name: values[name] + x}) - height(**{**values, name: values[name] - x})) / (2.0 * x)
+            for name, x in changes
+        ]
+    )
+    spec = ball(end, stiffness="k", dissipation=dissipation)
+    spec["parameters"] = values
+    spec["model"]["bodies"]["ball"] = {"mass": "m", "inertia": 0.01, "position": [0, f"{PAD} + h"]}
+    spec |= {"integrator": {"name": "rk4"}, "time": {"end": end, "step": 5e-4}}
+    found = mbdkit.gradient(spec, "final(bodies.ball.y)", [*values])
+    true, stated = np.abs(found.jacobian[0] - right), found.error[0]
+    assert np.all(true <= 2.0 * stated)
+    assert np.all(stated <= 4.0 * true)

@@ -246,15 +246,19 @@ def check_gradient(
         unexplained = np.abs(derivative - extrapolated) + CORRECTED * np.abs(correction) + rounding
     else:
         correction = (REFERENCE_STEP / STEPS[0]) ** 2 * correction
-        other = direction.difference(reference, REFERENCE_STEP) + correction  # the error of the differences is removed
+        near, unsure = direction.difference(reference, REFERENCE_STEP), np.zeros(len(derivative))
         if reference_jacobian is not None:
             witness = reference_jacobian()
         # the part of the deviation of that gradient from its differences that their estimated error does not explain
         along, scale = witness @ direction.change, np.sum(np.abs(witness * direction.change), axis=1)
-        other_error = CORRECTED * np.abs(correction) + REFERENCE_ERROR * size / REFERENCE_STEP
-        if np.any(np.abs(along - other) > SUSPECT * scale + other_error):
-            wider = direction.difference(reference, 2.0 * REFERENCE_STEP) + 4.0 * correction
-            other_error = other_error + np.minimum(np.nan_to_num(SCATTER * np.abs(wider - other)), UNSURE * scale)
+        rounding = REFERENCE_ERROR * size / REFERENCE_STEP
+        if np.any(np.abs(along - near - correction) > SUSPECT * scale + CORRECTED * np.abs(correction) + rounding):
+            # the correction is wrong if the runs are irregular, as if they step over the beginning of a contact
+            own = (near - direction.difference(reference, 2.0 * REFERENCE_STEP)) / 3.0
+            unsure = 3.0 * SCATTER * np.minimum(np.abs(own - correction), np.abs(own))
+            unsure = np.minimum(np.nan_to_num(unsure), UNSURE * scale)
+            correction = np.where(np.abs(own) < np.abs(correction), own, correction)
+        other, other_error = near + correction, CORRECTED * np.abs(correction) + rounding + unsure
         unexplained = np.maximum(np.abs(along - other) - other_error, 0.0)
     entry_error = np.abs(jacobian - witness) + unexplained[:, None] / np.abs(direction.change)
     scaled = np.abs(direction.change) * np.stack([entry_error, np.abs(jacobian)])
