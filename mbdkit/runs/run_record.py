@@ -41,6 +41,12 @@ if TYPE_CHECKING:
 MeasuredIn = Callable[[Sequence[str], RunSpec], Sequence[float] | None]
 
 
+#: Largest tolerance by which steps resolve functions of time if measures may contain forces that the method determines.
+#:
+#: The error of the motion does not show them at rest, and they are splines of order 6 through the ends of steps. The
+#: integrals and extrema of such a spline through a sine are then right within 2e-4.
+OF_FORCES = 1e-7
+
 #: Times of a run that a checkpoint contains [s].
 TIMES = ("setup_s", "wall_s", "cpu_s", "integrals_s")
 
@@ -180,10 +186,13 @@ class RunRecord:
         if self.integrals is None:
             return replace(self.recorder.table, nodes=self.needs_nodes)
         traits, share = self.setup.method.traits, None
-        if traits.tolerances is not None and self.integrals.needs_nodes:
-            # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
-            order = 6.0 if traits.local_error is None else traits.local_error.order
-            share = share_of_integrals(traits.tolerances.rtol, order)
+        if traits.tolerances is not None:
+            rtol = traits.tolerances.rtol
+            if self.setup.spec.reacting is not None:
+                share = share_of_integrals(min(rtol, OF_FORCES), 6.0)
+            elif self.integrals.needs_nodes:
+                # methods with steps in Python use a quadrature of order 8 on dense output of order 5 or more
+                share = share_of_integrals(rtol, 6.0 if traits.local_error is None else traits.local_error.order)
         return self.setup.timetable(
             nodes=self.needs_nodes, ends=self.integrals.continuous is not None, share=share,
             integrands=[functional.program for functional in self._functionals],

@@ -111,7 +111,7 @@ class _Quantity(Estimated):
     def __init__(
         self,
         values: list[np.ndarray],
-        unit: float,
+        unit: float | np.ndarray,
         size: float,
         *,
         tolerances: Sequence[float],
@@ -124,7 +124,7 @@ class _Quantity(Estimated):
         self._all = [np.max(d, axis=1, initial=0.0, keepdims=True) for d in norms]
         factor, falls = _factor(norms, tolerances)
         _, common = _factor(self._all, tolerances)
-        agreed = max(AGREED * size, EXPECTED * asked * size, AT_REST * unit)
+        agreed = np.maximum(max(AGREED, EXPECTED * asked) * size, AT_REST * unit)
         largest = np.fmax.reduce(norms)
         tiny, minor = largest <= agreed, (largest <= MINOR * self._all[-1]) & common
         small = norms[-1] <= LARGEST_ERROR * size + agreed

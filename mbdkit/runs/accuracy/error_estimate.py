@@ -56,17 +56,14 @@ class Units:
 
     `length`: characteristic length [m]. Angles are multiplied by it, and torques divided, to compare them with lengths
     and forces. `speed`: length over duration of the run [m/s]. `force`: mass times length over the square of the
-    duration [N].
+    duration [N]. `rounding`: factor, or (B,) one for each body, by which rounding errors of positions and velocities
+    exceed those that follow from these units.
     """
 
     length: float
     speed: float
     force: float
-
-    @classmethod
-    def of(cls, length: float, mass: float, duration: float) -> Units:
-        """Return the units of a mechanism of this length [m] and total mass [kg] in a run of this duration [s]."""
-        return cls(length, length / duration, mass * length / duration**2)
+    rounding: float | np.ndarray = 1.0
 
 
 @dataclass(frozen=True)
@@ -139,7 +136,7 @@ def assemble(
     main: ObservedRows,
     every: Sequence[ObservedRows],
     units: Units,
-    estimated: Callable[[list[np.ndarray], float, float], Estimated],
+    estimated: Callable[[list[np.ndarray], float | np.ndarray, float], Estimated],
 ) -> ErrorEstimate:
     """Return the estimates for positions, velocities and reactions.
 
@@ -153,14 +150,15 @@ def assemble(
     length = units.length
     scale = np.array([1.0, 1.0, length])
 
-    def of(values: list[np.ndarray], in_main: np.ndarray, unit: float) -> Estimated:
+    def of(values: list[np.ndarray], in_main: np.ndarray, unit: float | np.ndarray) -> Estimated:
         return estimated(values, unit, float(np.max(np.linalg.norm(in_main, axis=-1), initial=0.0)))
 
     def wrench(run: ObservedRows) -> np.ndarray:
         return np.concatenate([run.force, run.torque[..., None] / length], axis=-1)
 
-    position = estimated([run.position * scale for run in every], length, size_of_motion(main.position, length))
-    velocity = of([run.velocity * scale for run in every], main.velocity * scale, units.speed)
+    size = size_of_motion(main.position, length)
+    position = estimated([run.position * scale for run in every], length * units.rounding, size)
+    velocity = of([run.velocity * scale for run in every], main.velocity * scale, units.speed * units.rounding)
     reaction = of([wrench(run) for run in every], wrench(main), units.force)
     count = int(np.sum(position.known & velocity.known & reaction.known))
     quantities = {"positions": position, "velocities": velocity, "reactions": reaction}
@@ -190,17 +188,17 @@ def size_of_motion(position: np.ndarray, length: float) -> float:
 class _Quantity(Estimated):
     """One quantity in three runs and the guard.
 
-    `values`: four arrays (T, B or J, K) in one unit of measurement. `unit`: natural unit of the quantity. `size`: size
-    of the quantity. `refinement`: see `estimate_errors`.
+    `values`: four arrays (T, B or J, K) in one unit of measurement. `unit`: natural unit of the quantity, or one for
+    each body. `size`: size of the quantity. `refinement`: see `estimate_errors`.
     """
 
-    def __init__(self, values: list[np.ndarray], unit: float, size: float, refinement: float):
+    def __init__(self, values: list[np.ndarray], unit: float | np.ndarray, size: float, refinement: float):
         first, second, third, guard = values
         self._values, self._refinement = values, refinement
         d01, d12, d02 = running_norms(first - second), running_norms(second - third), running_norms(first - third)
         d0g, d2g = running_norms(first - guard), running_norms(third - guard)
         all01, all12, all02 = (np.max(d, axis=1, initial=0.0, keepdims=True) for d in (d01, d12, d02))
-        floor, agreed = (max(share * size, AT_REST * unit) for share in (ROUND_OFF, AGREED))
+        floor, agreed = (np.maximum(share * size, AT_REST * unit) for share in (ROUND_OFF, AGREED))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio, common = np.where(d01 > 0, d12 / d01, np.inf), np.where(all01 > 0, all12 / all01, np.inf)
         spread = _largest(d01, d12, d02, d0g)
@@ -216,10 +214,10 @@ class _Quantity(Estimated):
         #: Whether the guard is too inaccurate to confirm the estimate, so that the difference from it is included.
         self._widened = (d2g > 0.5 * estimate) & (d2g > floor)
         finite = np.isfinite(d02) & np.isfinite(d2g)
-        small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= max(LARGEST_ERROR * size, floor)
+        small = np.where(self._widened, np.fmax(estimate, d0g), estimate) <= np.maximum(LARGEST_ERROR * size, floor)
         seen = finite & (falls | confirmed | tiny | minor) & agrees & small
         self.seen = np.minimum.accumulate(seen, axis=0)
-        self._all = (all01, all12, floor)
+        self._all = (all01, all12, float(np.max(floor)))
 
     def estimates(self, size: Callable[[np.ndarray], np.ndarray], axes: tuple[slice | None, ...]) -> np.ndarray:
         first, second, third, guard = self._values

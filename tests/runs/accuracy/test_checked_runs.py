@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,11 @@ import mbdkit
 from mbdkit.archive.archive_check import check
 from mbdkit.archive.compare import compare
 from mbdkit.archive.fingerprint import seal
+from mbdkit.runs.accuracy.check_run import units_of
+from mbdkit.runs.preparation import build
+from mbdkit.runs.recorded_states import ObservedRows
 from mbdkit.runs.simulation import simulate
-from mbdkit.spec import load_spec
+from mbdkit.spec import RunSpec, load_spec
 from tests.integrators.step_methods import RungeKutta, run_with
 from tests.margins import assert_within
 from tests.slow_cases import slow_but
@@ -246,3 +250,61 @@ def test_unknown_errors_of_a_beam_under_a_sudden_load_name_its_missing_damping(d
     result = mbdkit.run(m, integrator=method, time=time, check=True)
     advice = "of beam 'blade' never decay, because it has no `damping`"
     assert any(advice in reason for reason in result.verdict_reasons) == (not damping)
+
+
+def boom(mass: float) -> mbdkit.Mechanism:
+    """A boom of 6 m that a locked ram of two bodies of 1 kg holds."""
+    length, a = 6.0, math.radians(30)
+    out = np.array([math.cos(a), math.sin(a)])
+    foot, head = np.array([1.0, -0.5]), 2.0 * out
+    distance = float(np.linalg.norm(head - foot))
+    u = (head - foot) / distance
+    m = mbdkit.Mechanism()
+    m.body("boom", mass=mass, inertia=mass * length**2 / 12, position=length / 2 * out, angle=a)
+    for name, place in {"barrel": foot + 0.3 * u, "rod": head - 0.3 * u}.items():
+        m.body(name, mass=1.0, inertia=0.1, position=place, angle=math.atan2(u[1], u[0]))
+    m.revolute("pin", m.ground, "boom", at=(0, 0))
+    m.revolute("foot", m.ground, "barrel", at=foot)
+    m.revolute("head", "boom", "rod", at=head)
+    m.prismatic("ram", "barrel", "rod", points=((0, 0), (0, 0)), axis=(1, 0))
+    m.driver("oil", "barrel", "rod", coordinate="x", points=((0, 0), (0, 0)), motion=distance - 0.6)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("mass", "method"),
+    [
+        (3000.0, {"name": "gauss", "stages": 2}),
+        (7800.0, {"name": "gauss", "stages": 2}),
+        (7800.0, {"name": "rk4"}),
+        (7800.0, {"name": "dop853", "adaptive": True}),
+    ],
+)
+def test_a_heavy_body_that_locked_light_bodies_hold_has_known_errors(mass: float, method: dict[str, Any]) -> None:
+    # expected: nothing moves; the moment of the weight about the pin (with that of the ram's bodies, below 2e-4)
+    times = {"end": 1.0} if "adaptive" in method else {"end": 1.0, "step": 0.01}
+    found = mbdkit.run(boom(mass), integrator=method, time=times, check=True)
+    assert (found.verdict, found.verdict_reasons) == ("good", [])
+    a, foot = math.radians(30), np.array([1.0, -0.5])
+    head = 2.0 * np.array([math.cos(a), math.sin(a)])
+    u = (head - foot) / np.linalg.norm(head - foot)
+    expected = mass * 9.81 * 3.0 * math.cos(a) / abs(head[0] * u[1] - head[1] * u[0])
+    assert np.hypot(*found.joints["oil"].reaction_force_first[-1]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_rounding_errors_beside_heavy_bodies_follow_from_the_joints_of_the_own_part() -> None:
+    # expected: 10 N hold 1 kg, which a ball of its own feels; the boom's 1e6 N would give 1 kg an acceleration of 1e6
+    m = boom(1e5)
+    ball = m.body("ball", mass=1.0, position=(9.0, -1.0))
+    m.distance("string", m.ground, ball, points=((9, 0), (0, 0)), length=1.0)
+    workspace, _ = build(RunSpec.model_validate({"mbdkit": 1, "model": m.to_spec(), "integrator": {"name": "rk4"},
+                                                 "time": {"end": 1.0, "step": 0.1}}))  # fmt: skip
+    names = workspace.mechanism.joints
+    force = np.zeros((2, len(names), 2))
+    force[:, names.index("oil")], force[:, names.index("string")] = (1e6, 0.0), (0.0, 10.0)
+    states = np.zeros((2, 2, 4, 3))
+    rows = ObservedRows(np.array([0.0, 100.0]), *states, force, np.zeros((2, len(names))))
+    units = units_of(workspace, rows)
+    boom_parts, own = units.rounding[:3], units.rounding[3]
+    assert np.all(boom_parts == boom_parts[0])
+    assert boom_parts[0] == pytest.approx(1e5 * own)

@@ -67,3 +67,33 @@ def test_friction_and_the_energy_it_dissipates_are_those_of_the_motion_in_every_
     np.testing.assert_allclose(np.abs(found.contacts["bowl"].friction_force[1:]), mu * normal[1:], atol=2e-5)
     np.testing.assert_allclose(found.energy.dissipated, lost, atol=1e-6)
     assert_within(found.energy.balance, 2e-6)
+
+
+@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_measures_of_forces_of_a_sticking_box_are_those_of_statics(name: str, seed: int) -> None:
+    # expected: N = m g + Q sin(w t), whose integral is m g T + Q (1 - cos(w T)) / w, and H = h sin(u t); nothing moves,
+    # so that the error of the motion does not limit the steps
+    random = np.random.default_rng(seed)
+    mass, end = random.uniform(0.5, 3.0), random.uniform(0.8, 1.5)
+    weight, w, u = mass * G, random.uniform(5.0, 15.0), random.uniform(2.0, 8.0)
+    q, h = 0.3 * weight, 0.2 * weight
+    box = {"polygon": [[-0.3, -0.01], [0.3, -0.01], [0.3, 0.01], [-0.3, 0.01]]}
+    floor = {"line": {"point": [0, 0], "normal": [0, 1]}}
+    model = {
+        "bodies": {"b": {"mass": mass, "inertia": 0.05, "position": [0, 0.01]}},
+        "forces": {"load": {"type": "force", "body": "b", "value": [f"{h!r}*sin({u!r}*t)", f"-{q!r}*sin({w!r}*t)"]}},
+        "contacts": {"c": {"bodies": ["ground", "b"], "friction": 0.6, "shapes": [floor, box]}},
+    }
+    measures = {
+        "pressed": "integral(ground_reactions.b.normal_force)",
+        "most": "max(ground_reactions.b.normal_force)",
+        "rubbed": "integral(ground_reactions.b.force_x**2)",
+    }
+    method = {"name": name, "rtol": 1e-5} | ({} if name.startswith("scipy") else {"adaptive": True})
+    found = run(model, end, method=method, measures=measures).measures
+    pressed = weight * end + q / w * (1.0 - np.cos(w * end))
+    rubbed = h**2 * (end / 2.0 - np.sin(2.0 * u * end) / (4.0 * u))
+    assert_within(abs(found["pressed"] / pressed - 1.0), 1e-3)
+    assert_within(abs(found["most"] / (weight + q) - 1.0), 1e-3)
+    assert_within(abs(found["rubbed"] / rubbed - 1.0), 1e-3)
