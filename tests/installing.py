@@ -34,7 +34,8 @@ def install_module(site: Path, name: str, code: str, version: str = "1.0", requi
 def install_project(site: Path, folder: Path) -> None:
     """Install a project with its code in ``src``, as ``pip install -e`` would."""
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    announce(site, project["name"], project["entry-points"]["mbdkit"], project["version"])
+    requires = tuple(project.get("dependencies", ()))
+    announce(site, project["name"], project["entry-points"]["mbdkit"], project["version"], requires)
 
 
 def python(*arguments: str, path: tuple[Path, ...], cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:

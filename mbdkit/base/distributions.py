@@ -106,24 +106,35 @@ def code_of_distribution(name: str) -> set[Path]:
             modules |= {one.name for one in iter_modules(path.read_text(encoding="utf-8").splitlines())}
         code = set[Path]()
         for module in (one for one in modules if not one.startswith(_NO_CODE)):
-            spec = find_spec(module)
-            if spec is not None and spec.origin is not None:
-                code.add(Path(spec.origin).parent if spec.submodule_search_locations else Path(spec.origin))
-            else:
-                places = {Path(*file.parts[:2]) for file in files if file.parts[0] == module}
-                code |= {Path(str(distribution.locate_file(place))) for place in places}
+            places = {Path(*file.parts[:2]) for file in files if file.parts[0] == module}
+            code |= code_of_module(module) or {Path(str(distribution.locate_file(place))) for place in places}
         return code
     return set()
+
+
+def code_of_module(name: str) -> set[Path]:
+    """Return the folder of a package, or the file of a module, at the top level; empty for a namespace."""
+    spec = find_spec(name)
+    if spec is None or spec.origin is None:
+        return set()
+    return {Path(spec.origin).parent if spec.submodule_search_locations else Path(spec.origin)}
+
+
+def required_by(*names: str, extras: bool = False) -> set[str]:
+    """Return the names of the distributions that the metadata of some distributions require."""
+    texts = list[str]()
+    for name in names:
+        with suppress(PackageNotFoundError):
+            texts += Distribution.from_name(name).requires or ()
+    return {normalized_name(re.split(r"[^\w.-]", x, maxsplit=1)[0]) for x in texts if extras or "extra ==" not in x}
 
 
 def required_versions(name: str) -> dict[str, str]:
     """Return the versions of the installed distributions that the metadata of a distribution require, by name."""
     versions = dict[str, str]()
-    with suppress(PackageNotFoundError):
-        for text in Distribution.from_name(name).requires or ():
-            other = normalized_name(re.split(r"[^\w.-]", text, maxsplit=1)[0])
-            with suppress(PackageNotFoundError):  # required on other platforms
-                versions |= {} if "extra ==" in text else {other: version_of(other)}
+    for other in sorted(required_by(name)):
+        with suppress(PackageNotFoundError):  # required on other platforms
+            versions[other] = version_of(other)
     return versions
 
 

@@ -88,7 +88,9 @@ def digest_of(*code: Path) -> str:
     lines = list[str]()
     for path in filter(Path.exists, code):
         prefix = f"{path.name}/" if len(code) > 1 and path.is_dir() else ""
-        found = _lines(str(path), *_files(str(path), suffix="")) if path.is_dir() else _lines(str(path.parent), path.name)
+        found = (
+            _lines(str(path), *_files(str(path), suffix="")) if path.is_dir() else _lines(str(path.parent), path.name)
+        )
         lines += [prefix + line for line in found]
     return _joined(lines)
 

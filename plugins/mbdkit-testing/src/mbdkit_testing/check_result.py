@@ -26,6 +26,14 @@ REQUIRED_GROUP: dict[Kind, str] = {
     "element-kind": "energy",
     "joint-kind": "energy",
 }
+#: What the checks of a kind of plugin do not look at, besides what is not looked at for any kind.
+NOT_LOOKED_AT: dict[Kind, str] = {
+    "integrator": "iterations whose tolerance is no option, data that runs of other models leave behind, ",
+    "element-kind": "the reaction of the ground where forces depend on the places of bodies, ",
+    "joint-kind": "rows away from the example's motion and from some lines through its start, ",
+    "measure": "rows at unequal intervals, ",
+    "force-law": "lengths, rates and times beyond those of the samples, ",
+}
 
 
 @dataclass(frozen=True)
@@ -148,6 +156,11 @@ class Report:
         return "" if done else group
 
     @property
+    def not_looked_at(self) -> str:
+        """What no check looks at, in one sentence without a full stop."""
+        return f"not looked at: {NOT_LOOKED_AT.get(self.kind, '')}modules imported by name, other options"
+
+    @property
     def verified(self) -> bool:
         """Whether no check failed, and at least one check of the required group was run."""
         return not self.of("fail") and not self.missing
@@ -190,7 +203,7 @@ class Report:
         told = {cause: _paragraph(cause, results) for cause, results in shared.items()}
         parts = [*(told[cause] for cause in raised), *([table(rows, indent="  ")] if len(rows) > 1 else [])]
         verdict = f"{self.verdict(names=not shared)}, in {self.seconds:.0f} s of processor time"
-        return "\n\n".join([head, *parts, *(told[cause] for cause in others), verdict])
+        return "\n\n".join([head, *parts, *(told[cause] for cause in others), self.not_looked_at, verdict])
 
     def _shared_causes(self) -> dict[str, list[Result]]:
         """Return the causes that several checks have in common, at least one of which failed, with their results."""
@@ -220,6 +233,7 @@ class Report:
             "not_claimed": len(self.of("not claimed")),
             "skipped": len(self.of("skip")),
             "seconds": self.seconds,
+            "not_looked_at": self.not_looked_at,
             "checks": json.loads(json_text([asdict(result) for result in self.results])),
         }
 

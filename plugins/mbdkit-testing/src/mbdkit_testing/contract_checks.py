@@ -17,8 +17,16 @@ from mbdkit.methods.step_methods import Step, StepMethod, StepState, Why
 from mbdkit_testing.check import Skip, check
 from mbdkit_testing.check_result import Result, at_most, failed, passed, skipped, warned
 from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, final_state, require_complete
+from mbdkit_testing.item_checks import digest_in_new_process
 from mbdkit_testing.options_under_test import options_result, results_of_variants, validated
-from mbdkit_testing.trial_models import DRIVEN_PENDULUM, FORCED_PENDULUM, LAG_AT_1, WITH_STATE, forced_pendulum
+from mbdkit_testing.trial_models import (
+    DRIVEN_PENDULUM,
+    FORCED_PENDULUM,
+    FOUR_BAR,
+    LAG_AT_1,
+    WITH_STATE,
+    forced_pendulum,
+)
 
 STEPS = 23
 START_TIMES = 0.0, 3.0, 1000.0, -8.0  #: Start times for which runs should give the same results [s].
@@ -132,11 +140,16 @@ def _bytes(value: object) -> bytes:
 
 @check("contract.repeatable")
 def repeatable(integrator: IntegratorUnderTest) -> Result:
-    """Two runs are identical bit for bit, also if a method object is used again."""
+    """Two runs are identical bit for bit, also after another model, in a new process, and by the same method object."""
     time = {"end": 0.7, "step": 0.7 / STEPS}
+    for other in (FOUR_BAR, FORCED_PENDULUM):
+        integrator.run(other, time).close()
     with integrator.run(DRIVEN_PENDULUM, time) as first, integrator.run(DRIVEN_PENDULUM, time) as second:
         if first.data_sha256 != second.data_sha256:
             return failed("two runs of the same spec differ")
+        alone = digest_in_new_process(integrator.spec(DRIVEN_PENDULUM, time))
+        if alone not in ("", first.data_sha256):
+            return failed("a run after others differs from one in a new process: it keeps data between runs")
     made = integrator.method()
     ends = [drive(integrator.stepper(integrator.workspace(DRIVEN_PENDULUM), 0.7, STEPS, method=made)) for _ in range(2)]
     if not all(np.array_equal(x, y) for x, y in zip(*ends, strict=True)):

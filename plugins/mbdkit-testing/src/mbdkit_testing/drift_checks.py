@@ -57,7 +57,7 @@ def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
         figures: dict[str, Figure] = {"largest": largest, "finest": float(sizes[-1])}
         if largest < EXACT:
             return passed(drift="exact", **figures).within({"largest": EXACT})
-        if why := _must_hold(integrator, level):
+        if why := must_hold(integrator, level):
             return failed(f"{why}, but the constraints do not hold at {level} level", **figures)
         small = np.where(sizes < COARSE, sizes, np.nan)
         seen = observed_order(np.array(steps), small, floor=ROUNDING, fewest=FEWEST)
@@ -73,7 +73,7 @@ def _level(level: str, model: Model) -> Check[IntegratorUnderTest]:
     return Check(f"drift.{level}", rate, slow=level == "velocity")
 
 
-def _must_hold(integrator: IntegratorUnderTest, level: str) -> str:
+def must_hold(integrator: IntegratorUnderTest, level: str) -> str:
     """Return the reason why the constraints should hold to round-off at a level; empty if they need not."""
     claims = integrator.claims
     if level in HELD.get(integrator.formulation, ()):
@@ -99,7 +99,7 @@ def _of_tolerance(integrator: IntegratorUnderTest, level: str, model: Model) -> 
         size = _worst(run, level)
     if not math.isfinite(size):
         return failed("the run did not complete")
-    if size > EXACT and (why := _must_hold(integrator, level)):
+    if size > EXACT and (why := must_hold(integrator, level)):
         return failed(f"{why}, but the constraints do not hold at {level} level", largest=size)
     return passed(drift="exact" if size < EXACT else "of the tolerance", largest=size)
 
@@ -124,7 +124,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
     """
     levels = {name: list(HELD.get(name, ())) for name in integrator.claims.formulations}
     own = levels[integrator.formulation]
-    own += [level for level in ("position", "velocity") if level not in own and _must_hold(integrator, level)]
+    own += [level for level in ("position", "velocity") if level not in own and must_hold(integrator, level)]
     if not any(levels.values()):
         raise Skip("it claims no formulation that enforces the constraints")
     figures: dict[str, Figure] = {}
@@ -136,7 +136,7 @@ def formulations(integrator: IntegratorUnderTest) -> Result:
         for level in levels[name]:
             figures[f"{name} {level}"] = largest[level]
             if not largest[level] <= EXACT:
-                why = "" if level in HELD.get(name, ()) else f"; {_must_hold(integrator, level)}"
+                why = "" if level in HELD.get(name, ()) else f"; {must_hold(integrator, level)}"
                 return failed(f"on {name} the constraints should hold at {level} level{why}", **figures)
     return passed(**figures).within(dict.fromkeys(figures, EXACT))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from copy import deepcopy
 from functools import cached_property
 from typing import Any, cast
 
@@ -158,15 +157,15 @@ def order(kind: ElementUnderTest) -> Result:
 
 @check("element.balance")
 def balanced(kind: ElementUnderTest) -> Result:
-    """Forces of an element on its bodies are in balance, and so are their moments; a body at rest stands for the ground.
+    """The forces of an element on its bodies are in balance, and their moments; a body at rest stands for the ground.
 
     Elements whose forces change as all their bodies turn and move together, as those of wind do, act from outside.
     """
-    data, worst, names = kind.spec.mechanism().to_spec(), list[float](), list(kind.workspace.mechanism.bodies)
+    worst, names = list[float](), list(kind.workspace.mechanism.bodies)
     for name, one in kind.elements.items():
         if len({body for _, body in one.places()}) < 2:
             continue
-        whole, rest = _equations(data, kind.key, name, one), _equations({**data, kind.key: {}}, kind.key)
+        whole, rest = _equations(kind, name, one), _equations(kind)
         order = [names.index(body) if body in names else -1 for body in whole.bodies]  # the ground comes last
 
         def force(t: float, x: np.ndarray, u: np.ndarray, both: Any = (rest, whole)) -> np.ndarray:
@@ -174,41 +173,35 @@ def balanced(kind: ElementUnderTest) -> Result:
             without, acting = (one.residual(t, x.ravel(), u.ravel(), *no) for one in both)
             return (without - acting).reshape(-1, 3)
 
-        times, states = kind.rows[0], [rows.reshape(len(rows), -1, 3)[:, order] for rows in kind.rows[1:3]]
+        times, q, v, _ = kind.rows
+        states = (rows.reshape(len(rows), -1, 3)[:, order] for rows in (q, v))
         rows = list(zip(times, *states, strict=True))[:: max(1, len(times) // ROWS)]
         forces = [force(*row) for row in rows]
         size = max(float(np.max(np.abs(forces))), TINY)
         for (t, x, u), acting in zip(rows, forces, strict=True):
-            total = np.append(acting[:, :2].sum(axis=0), np.sum(acting[:, 2] + _cross(x, acting)))
-            worst.append(float(np.max(np.abs(total))) / size)
-            again = force(t, _turned(x) + [0.3, -0.2, TURN], _turned(u) + [0.5, 0.4, 0.0])
+            moments = acting[:, 2] + x[:, 0] * acting[:, 1] - x[:, 1] * acting[:, 0]
+            worst.append(float(np.max(np.abs([*acting[:, :2].sum(axis=0), np.sum(moments)]))) / size)
+            again = force(t, _turned(x, 0.3, -0.2, TURN), _turned(u, 0.5, 0.4, 0.0))
             if worst[-1] > SAME and np.max(np.abs(again - _turned(acting))) <= SAME * size:
                 cause = f"the forces of '{name}' on its bodies, or their moments, are not in balance"
                 return failed(f"{cause} at t = {t:g} s", off=worst[-1])
-    if not worst:
-        raise Skip("its elements act on one body each; balance is not looked at")
-    return passed(off=max(worst))
+    return passed(off=max(worst)) if worst else skipped("its elements act on one body each")
 
 
-def _cross(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
-
-
-def _turned(x: np.ndarray) -> np.ndarray:
-    """Return vectors, in the first two columns, turned by `TURN`."""
+def _turned(x: np.ndarray, *by: float) -> np.ndarray:
+    """Return vectors, in the first two columns, turned by `TURN`, and with `by` added to all columns."""
     c, s = math.cos(TURN), math.sin(TURN)
-    return np.column_stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1], x[:, 2]])
+    return np.column_stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1], x[:, 2]]) + np.array(by or 0.0)
 
 
-def _equations(data: dict[str, Any], key: str, name: str = "", one: Element | None = None) -> EquationsOfMotion:
+def _equations(kind: ElementUnderTest, name: str = "", one: Element | None = None) -> EquationsOfMotion:
     """Return the equations with a body in place of the ground, and with one element or none of a kind."""
-    elements = {} if one is None else {name: deepcopy(data[key][name])}
+    data = kind.spec.mechanism().to_spec()
+    element = data.pop(kind.key).get(name)
     for place, body in () if one is None else one.places():
-        put(elements[name], parse_path(place), STILL if body == GROUND else body)
-    still = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0]}
-    return EquationsOfMotion.of(
-        Mechanism.from_spec({**data, "bodies": {**data["bodies"], STILL: still}, key: elements})
-    )
+        put(element, parse_path(place), STILL if body == GROUND else body)
+    data["bodies"][STILL] = {"mass": 1.0, "inertia": 1.0, "position": [0.0, 0.0]}
+    return EquationsOfMotion.of(Mechanism.from_spec(data if one is None else {**data, kind.key: {name: element}}))
 
 
 @check("drawing.lines")

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import re
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
 from mbdkit.archive.run import Run
-from mbdkit.base.distributions import MBDKIT
+from mbdkit.base.distributions import MBDKIT, code_of_distribution, code_of_module, normalized_name, required_by
 from mbdkit.base.text import listed
 from mbdkit.registry.catalogue import Registered, Registry
+from mbdkit.runs.method_evidence import code_of
 from mbdkit.runs.simulation import simulate
 from mbdkit.spec.loading import load_spec
 from mbdkit.spec.run_spec import RunSpec, spec_type
 from mbdkit_testing.check import STEP_LIMIT, check
-from mbdkit_testing.check_result import Result, passed, skipped, warned
+from mbdkit_testing.check_result import Result, failed, passed, skipped, warned
 
 #: Modules whose names plugins may import.
 _DOOR = re.compile(r"mbdkit(\.(plugin(\.\w+)?|kernels|testing))?|mbdkit_\w+(\.seams)?")
@@ -73,10 +76,18 @@ class ItemUnderTest(Generic[AnyItem]):
         return self.spec_type(mbdkit=1, **given | sections)
 
 
-def short_runs() -> Iterator[tuple[str, Run]]:
-    """Yield short runs of packaged examples with their names."""
+def digest_in_new_process(spec: RunSpec) -> str:
+    """Return the hash of the data of a run in a new process; empty if its plugins are not installed, but in memory."""
+    code = "import json, mbdkit, sys; print(mbdkit.run(mbdkit.load_spec(json.load(sys.stdin))).data_sha256)"
+    words, text = [sys.executable, "-c", code], spec.canonical_json()
+    path = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    return subprocess.run(words, input=text, env=path, capture_output=True, text=True, check=False).stdout.strip()
+
+
+def short_runs(every: int = 1) -> Iterator[tuple[str, Run]]:
+    """Yield short runs of packaged examples with their names, and with a row after `every` steps."""
     for name in EXAMPLES:
-        with simulate(load_spec(name, time={"steps": 20, "step": 0.005})) as run:
+        with simulate(load_spec(name, time={"steps": 20, "step": 0.005}, output={"every": every})) as run:
             yield name, run
 
 
@@ -94,20 +105,38 @@ def functions(under_test: ItemUnderTest[Any]) -> Result:
 
 @check("contract.imports")
 def imports(under_test: ItemUnderTest[Any]) -> Result:
-    """The package of the plugin imports only names that are on doors, because all others may change at any time."""
-    package = _package(under_test.item)
-    spec = find_spec(package) if package else None
-    if spec is None or spec.origin is None:
+    """The distribution of the plugin imports only itself, what it requires, and names of mbdkit that are on doors,
+    because all others may change at any time. Imports by `importlib` are not looked at.
+    """
+    origin = under_test.item.origin
+    roots = {code_of(origin), *code_of_distribution(origin.distribution)}
+    files = [file for root in roots for file in (root.rglob("*.py") if root.is_dir() else [root]) if file.is_file()]
+    if not files:
         return skipped("its package has no files")
-    folders = spec.submodule_search_locations or []
-    files = [file for folder in folders for file in Path(folder).rglob("*.py")] or [Path(spec.origin)]
     ours = {_package(item) for item in under_test.installed.items if item.origin.distribution == MBDKIT}
     trees = {file.name: ast.parse(file.read_text(encoding="utf-8")) for file in files}
+    known = {*ours, *sys.stdlib_module_names, *(root.stem for root in roots), _package(under_test.item)}
+    required, new = set[str](), {normalized_name(origin.distribution), MBDKIT}
+    while new:
+        required, new = required | new, required_by(*new, extras=True) - required - new
+    outside = {
+        f"{top} ({file})"
+        for file, tree in trees.items()
+        for top in {module.partition(".")[0] for module, _ in _imported(tree)} - known
+        if (code := code_of_module(top)) and not _is_in(code, sorted(required, key=normalized_name(top).__ne__))
+    }
+    if outside:
+        told = listed(sorted(outside), "and")
+        return failed(f"it imports what belongs neither to its distribution nor to what that requires: {told}")
     names = {name: file for file, tree in trees.items() for name in _inner_names(tree, ours)}
     if not names:
         return passed(files=len(files))
     told = listed([f"{name} ({file})" for name, file in sorted(names.items())], "and")
     return warned(f"it imports what is on no door and may change at any time: {told}", names=len(names))
+
+
+def _is_in(code: set[Path], distributions: Iterable[str]) -> bool:
+    return any(code & code_of_distribution(name) for name in distributions)
 
 
 def _package(item: Registered) -> str:
@@ -116,18 +145,21 @@ def _package(item: Registered) -> str:
 
 def _inner_names(tree: ast.Module, ours: set[str]) -> Iterator[str]:
     """Yield the names that a module imports from packages of mbdkit, `ours`, and that are on no door."""
+    for module, name in _imported(tree):
+        imported = f"{module}.{name}".strip(".")
+        if module.partition(".")[0] not in ours or _DOOR.fullmatch(imported):
+            continue
+        if not _DOOR.fullmatch(module) or name not in dir(importlib.import_module(module)):
+            yield imported
+
+
+def _imported(tree: ast.Module) -> Iterator[tuple[str, str]]:
+    """Yield the modules that a module imports, without relative ones, and the names that it takes from them."""
     for node in ast.walk(tree):
-        names: list[tuple[str, str]] = []
         if isinstance(node, ast.Import):
-            names = [(alias.name, "") for alias in node.names]
+            yield from ((alias.name, "") for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            names = [(str(node.module), alias.name) for alias in node.names]
-        for module, name in names:
-            imported = f"{module}.{name}".strip(".")
-            if module.partition(".")[0] not in ours or _DOOR.fullmatch(imported):
-                continue
-            if not _DOOR.fullmatch(module) or name not in dir(importlib.import_module(module)):
-                yield imported
+            yield from ((str(node.module), alias.name) for alias in node.names)
 
 
 CHECKS = (functions,)

@@ -29,6 +29,10 @@ DERIVATIVE, SAME = 1e-8, 1e-9
 MOVED = 0.01  #: Largest displacement by which assembly may close a joint of the example, as a part of its size.
 #: Displacements from the start at which all rows are finite, as a part of the size of the joint, and their number.
 NEXT_TO_START, TRIES = 1e-3, 200
+#: Lines through the start on which curvatures are compared, points on each, its intervals with the largest changes that
+#: are halved and how often, and the change that remains only of a jump, relative to the curvature. At the ends of
+#: tables, 0.007 remain.
+LINES, POINTS, LARGEST, HALVINGS, JUMP = 8, 201, 3, 30, 0.02
 WORTH = 20.0  #: Factor by which the change of a row may differ from the displacement that causes it.
 #: Largest difference of motions by several methods, in parts of the motion, and number of the steps of these runs.
 MOTION, SHORT = 1e-7, 12
@@ -240,6 +244,27 @@ def rows(kind: JointUnderTest) -> Result:
     return passed(**worst).within(dict.fromkeys(worst, DERIVATIVE))
 
 
+@check("derivatives.curvature")
+def curvature(kind: JointUnderTest) -> Result:
+    """The curvature of rows does not jump, also far from the motion of the example."""
+    random, at = np.random.default_rng(5), np.linspace(-1.0, 1.0, POINTS)
+    for name, pair in kind.pairs.items():
+        for _ in range(LINES):
+            d = pair.scales * random.uniform(-1.0, 1.0, len(pair.q)) * np.tile([1.0, 1.0, np.pi], len(pair.places))
+            values = [pair.curvature_at(pair.q + s * d, d) for s in at]
+            changes, size = np.abs(np.diff(values, axis=0)).max(axis=1), max(1.0, float(np.nanmedian(np.abs(values))))
+            for k in np.argsort(-np.nan_to_num(changes))[:LARGEST]:
+                (low, high), (first, last) = at[k : k + 2], values[k : k + 2]
+                for _ in range(HALVINGS):
+                    middle = (low + high) / 2
+                    value = pair.curvature_at(pair.q + middle * d, d)
+                    is_below = np.max(np.abs(value - first)) > np.max(np.abs(last - value))
+                    low, high, first, last = (low, middle, first, value) if is_below else (middle, high, value, last)
+                if (jump := float(np.max(np.abs(last - first)))) > JUMP * size:
+                    return failed(f"the curvature of the rows of '{name}' jumps away from the example", jump=jump)
+    return passed(joints=len(kind.pairs))
+
+
 def _errors_of_derivatives(pair: Pair, q: np.ndarray) -> dict[str, float]:
     """Return the relative error of each derivative at a position, with drawn velocities and multipliers."""
     equations, scales, rows, t = pair.equations, pair.scales, pair.units, pair.time
@@ -394,6 +419,6 @@ def drawing(kind: JointUnderTest) -> Result:
 
 
 CHECKS = (
-    own_class, functions, start, turns, points, units, rows, reaction, spec, balance, methods, tangents, checkpoint,
-    drawing, without_plugin,
+    own_class, functions, start, turns, points, units, rows, curvature, reaction, spec, balance, methods, tangents,
+    checkpoint, drawing, without_plugin,
 )  # fmt: skip

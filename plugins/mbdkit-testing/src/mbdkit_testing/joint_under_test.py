@@ -139,6 +139,13 @@ class Pair:
         except StepError:
             return np.full(self.equations.m, np.nan)
 
+    def curvature_at(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return the second derivatives of the rows along `v`, (m,), relative to their units; NaN if not finite."""
+        try:
+            return self.equations.gamma(self.time, q, v) / self.units
+        except StepError:
+            return np.full(self.equations.m, np.nan)
+
     def states(self) -> Iterator[np.ndarray]:
         """Yield positions near the start."""
         random = np.random.default_rng(1)

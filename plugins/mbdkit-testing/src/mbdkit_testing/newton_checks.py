@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from mbdkit.methods.kinds import ImplicitRungeKutta, Method
+from mbdkit.methods.step_methods import StepMethod
 from mbdkit_testing.check import Skip, check
-from mbdkit_testing.check_result import Result, at_most, skipped
-from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive
+from mbdkit_testing.check_result import Result, at_most, failed, skipped
+from mbdkit_testing.integrator_under_test import IntegratorUnderTest, drive, require_complete
 from mbdkit_testing.order_checks import NEAR_ROUNDING
 from mbdkit_testing.trial_models import FORCED_PENDULUM
 
 SAME = 0.01  #: Largest change of the result by further iterations, as a share of the error of the result.
+SIZES, FEW = (0.02, 0.1, 0.004), 5  #: Sizes of steps [s], and their number, that show whether a method iterates.
 
 
 @check("newton.tolerance")
@@ -19,14 +23,22 @@ def tolerance(integrator: IntegratorUnderTest) -> Result:
     """Iterating to round-off changes the result by less than a hundredth of the error of the result."""
     if integrator.claims.adaptive:
         raise Skip("it is adaptive")
-    with integrator.run(FORCED_PENDULUM, {"end": 0.1, "step": 0.02}) as run:
-        if not run.stats["newton_iterations"]:
-            raise Skip("it does not iterate")
+    own, has_option = integrator.method(), "tolerance" in integrator.plugin.options.model_fields
+    works = list[dict[str, Any]]()
+    for size in SIZES:
+        with integrator.run(FORCED_PENDULUM, {"end": FEW * size, "step": size}) as run:
+            require_complete(run)
+            works.append(run.stats)
+    if not works[0]["newton_iterations"] and not has_option:
+        least, *_, most = sorted(one["rhs_evaluations"] for one in works)
+        if least < most and isinstance(own, StepMethod):
+            cause = "the number of evaluations in a step varies, so that it iterates, but it counts no iterations"
+            return failed(f"{cause}, and has no option `tolerance`", least=least, largest=most)
+        raise Skip("it does not iterate")
     steps = 50
-    own = integrator.method()
     if own.traits.tableau is not None:  # explicit methods are skipped above
         exact: Method = ImplicitRungeKutta(own.traits.tableau)
-    elif "tolerance" in integrator.plugin.options.model_fields:
+    elif has_option:
         exact = integrator.method(tolerance=1e-13)
     else:
         return skipped("it is not given by a tableau and has no option `tolerance`")

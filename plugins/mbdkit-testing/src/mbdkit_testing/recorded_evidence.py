@@ -59,6 +59,7 @@ def record_of(item: Registered, report: Report, *, quick: bool) -> Record:
         "claims": {name: value for name, value in report.claims.items() if value},
         "failed": [result.name for result in report.of("fail")],
         "skipped": [result.name for result in report.of("skip")],
+        "not_looked_at": report.not_looked_at,
         "checks": checks,
     }
     record = json.loads(json.dumps(record))  # tuples become lists

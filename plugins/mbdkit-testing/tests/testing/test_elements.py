@@ -57,6 +57,16 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
     "scale": ("element.spec", "its numbers change if they are written with units", {"piston [m^2]": "piston [mm^2]"}),
     "places": ("element.bodies", "lists no bodies", {METHOD: f"    def places(self): return []\n\n{METHOD}"}),
     "rate": ("order.states", "instead of 4", {"({self.flow})": "({self.flow} + 0.01*sin(1e6*t))"}),
+    "balance": (
+        "element.balance", "of 'lift' on its bodies, or their moments, are not in balance",
+        {
+            "    return acting\n": """    for one in acting:
+        turn = [lowering.expression("model", one.name, f"{x}*wrong_balances.{one.name}.length") for x in (0, 0, 9)]
+        lowering.wrench(one.name, lowering.number("boom"), turn)
+    return acting
+""",
+        },
+    ),
     "force": (
         "energy.balance", "does not converge",
         {"-AREA * PRESSURE,": "-AREA * PRESSURE + 1e3 * sympy.sin(1e7 * sympy.Symbol('time', real=True)),"},

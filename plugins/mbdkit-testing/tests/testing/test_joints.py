@@ -91,6 +91,11 @@ WRONG: dict[str, tuple[str, str, dict[str, str]]] = {
         "differs from differences",
         {"e * np.sin(s), 1 - e * np.cos(s))\n    left": "e * np.sin(s.plain), 1 - e * np.cos(s))\n    left"},
     ),
+    "curvature": (
+        "derivatives.curvature",
+        "the curvature of the rows of 'mesh' jumps",
+        {LEFT: f"{LEFT} + np.where(pose.x > -0.05, 0.0, (pose.x + 0.05) ** 2)"},
+    ),
     "drawing": (
         "drawing.lines",
         "is drawn on the body 2",
