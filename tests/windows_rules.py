@@ -22,7 +22,7 @@ from mbdkit.base import file_locks, windows_calls
 
 ACCESS_DENIED, SHARING_VIOLATION, LOCK_VIOLATION, FILE_EXISTS, INVALID_PARAMETER = 5, 32, 33, 80, 87
 
-MISSING = ("posix_fallocate", "memfd_create", "O_NOFOLLOW", "O_NONBLOCK", "mkfifo", "sysconf")
+MISSING = ("memfd_create", "O_NOFOLLOW", "O_NONBLOCK", "mkfifo", "sysconf")
 
 
 def refusal(number: int, path: object) -> OSError:

@@ -213,11 +213,6 @@ class Accuracy(HtmlView):
         """Values of the further arrays by name."""
         return {name: column.values for name, column in self.further.items()}
 
-    @property
-    def size_in_bytes(self) -> int:
-        """Size of the arrays."""
-        return sum(values.nbytes for values in (*(getattr(self, name) for name in _VALUES), *self.parts.values()))
-
     def arrays(self, bodies: Sequence[str], joints: Sequence[str]) -> dict[str, np.ndarray]:
         """Return the arrays of the group ``/accuracy`` by path; `bodies` and `joints` are the names in their order."""
         return {

@@ -1,10 +1,9 @@
 """``FILE.h5.part.checkpoint``: the state from which a killed run continues, and the location of its rows in the
 ``.part``; for an interrupted run, ``FILE.h5.checkpoint`` and the archive.
 
-The ``.part`` is the unfinished archive of the run. HDF5 keeps no journal: if a process is killed while HDF5 rearranges
-its tables, HDF5 may be unable to read the file. A checkpoint therefore contains the byte offsets of the rows, and all
-other data that the run needs. HDF5 never moves rows, and rows written after the checkpoint do not change earlier ones.
-The rows before the checkpoint can therefore be read without HDF5.
+The ``.part`` is the unfinished archive of the run. A checkpoint contains the byte offsets of the rows, and all other
+data that the run needs. HDF5 never moves rows, and rows written after the checkpoint do not change earlier ones. The
+rows before the checkpoint can therefore be read without HDF5, even if its tables are damaged.
 
 A checkpoint begins with its SHA-256. Its values are stored as JSON, followed by the contents of its arrays.
 """

@@ -22,9 +22,6 @@ CHUNK_BYTES = (1 << 14, 1 << 17)
 
 FIRST_ROWS = 256
 
-#: Upper bound of the space that HDF5 metadata needs when an array grows [bytes].
-_OVERHEAD_BYTES = 1 << 12
-
 
 class Series:
     """One growing array: its dataset, created with the first rows, and the hash of the rows written."""
@@ -50,13 +47,6 @@ class Series:
         low, high = CHUNK_BYTES
         row = max(1, self.row_bytes)
         return max(1, min(max(first * row, low), high) // row)
-
-    def size_on_disk(self, rows: int, *, more: bool) -> int:
-        """Estimate the bytes by which the file grows with the next `rows` rows, including a partial chunk and HDF5
-        metadata.
-        """
-        begun = self._chunk_rows(rows) * self.row_bytes if more or self.dataset is not None else 0
-        return rows * self.row_bytes + begun + _OVERHEAD_BYTES
 
     def extend(self, values: np.ndarray, start: int) -> None:
         """Write `values`, the rows from row `start` on, except for rows that an interrupted `write` has already
@@ -134,10 +124,6 @@ class Table:
                 buffer[: self.waiting] = self._buffers[key][: self.waiting]
             self._buffers[key] = buffer
         self._capacity = capacity
-
-    def size_on_disk(self, *, more: bool) -> int:
-        """Estimate the bytes that the buffered rows take in the file."""
-        return sum(series.size_on_disk(self.waiting, more=more) for series in self.series)
 
     def taken(self) -> dict[str, np.ndarray]:
         """Return the buffered rows by path, and count them as written.

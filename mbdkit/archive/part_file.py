@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import io
 import os
-import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import h5py
 
 from mbdkit.archive.hdf5_errors import cause, error_number
+from mbdkit.archive.part_stream import PartStream
 from mbdkit.base import file_locks
 from mbdkit.base.errors import MbdkitError, ResourceError, SpecError, file_error
 from mbdkit.base.files import check_not_input, check_output, rename_new, replace_file
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
 
 SUFFIX = ".h5"
 
@@ -30,8 +24,6 @@ PART = ".part"
 #: HDF5 1.8 (2008) is the oldest library that can read an archive. Older object headers limit attributes to 64 KiB,
 #: which `misalignment_max` exceeds from about 8,000 joints on.
 LIBVER = ("v108", "v108")
-
-_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 def part_path(path: Path) -> Path:
@@ -76,45 +68,6 @@ def check_target(path: str | Path, *, overwrite: bool = False, source: str | Pat
     return path
 
 
-class _Stream(io.FileIO):
-    """The open ``.part`` as HDF5 uses it.
-
-    HDF5 does not learn of failed writes: it would repeat them, and crash the interpreter if they fail again when it
-    closes the file. If HDF5 opened the file itself, Windows could not rename it before the end of the run either.
-    """
-
-    _failure: OSError | None = None  #: The first error of writing, after which nothing is written.
-
-    is_discarding = False  #: Whether writes have no effect, so that HDF5 can close the file without changing it.
-
-    def write(self, data: ReadableBuffer) -> int:
-        """Write all bytes, of which the system may take only some at a time."""
-        rest = whole = memoryview(data)
-        try:
-            while rest and not self.is_discarding and self._failure is None:
-                rest = rest[os.write(self.fileno(), rest) :]
-        except OSError as error:
-            self._failure = error
-        return whole.nbytes
-
-    def truncate(self, size: int | None = None) -> int:
-        """Set the size of the file."""
-        try:
-            return 0 if self.is_discarding or self._failure is not None else super().truncate(size)
-        except OSError as error:
-            self._failure = error
-            return 0
-
-    @contextlib.contextmanager
-    def checked(self) -> Iterator[None]:
-        """Raise the error of a failed write at the end of a block, in place of errors of HDF5 that follow from it."""
-        try:
-            yield
-        finally:
-            if self._failure is not None:
-                raise self._failure
-
-
 class Target:
     """An archive being written to `path`: created as ``.part`` immediately, in the end renamed (`publish`) or removed
     (`drop`).
@@ -133,7 +86,7 @@ class Target:
         self.is_kept = False  # whether `drop` leaves the .part in place
         self._handle: int | None = self._create()
         self.file: h5py.File | None = None
-        self._stream: _Stream | None = None
+        self._stream: PartStream | None = None
         try:
             remove_checkpoint(self.part)  # it may have been left by an earlier file of this name
         except OSError as error:
@@ -194,7 +147,7 @@ class Target:
     def open(self) -> h5py.File:
         """Open the .part as an HDF5 file, for a run that writes rows before its end."""
         self._end_if_forked()
-        self._stream = _Stream(self._open_handle(), "r+", closefd=False)
+        self._stream = PartStream(self._open_handle())
         with self._stream.checked():
             self.file = h5py.File(self._stream, "w", libver=LIBVER)
         return self.file
@@ -228,31 +181,18 @@ class Target:
         return self._handle
 
     @contextlib.contextmanager
-    def reserved(self, size: int) -> Iterator[None]:
-        """Reserve disk space for a block that writes about `size` bytes to the file, and flush the file after the
-        block.
+    def committing(self) -> Iterator[None]:
+        """Flush the HDF5 file after a block, so that all changes since the last flush take effect at once.
 
-        A full disk raises OSError before the block starts. If a write failed in the block instead, all data written
-        before would be lost, because HDF5 cannot undo a partial write.
+        Without such a block, or if it raises an exception, the file remains as it is.
         """
         self._end_if_forked()
         assert self.file is not None
         assert self._stream is not None
-        handle = self._open_handle()
-        end = os.fstat(handle).st_size
-        if hasattr(os, "posix_fallocate"):
-            try:
-                os.posix_fallocate(handle, end, size)
-            except OSError as error:
-                os.ftruncate(handle, end)
-                if error.errno in _FULL:
-                    raise
-        elif shutil.disk_usage(self.part.parent).free < size:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         with self._stream.checked():
             yield
             self.file.flush()
-        os.ftruncate(handle, self.file.id.get_filesize())
+        self._stream.commit(self.file.id.get_filesize())
 
     def sync(self) -> None:
         """Wait until the flushed data are on the disk."""
@@ -261,8 +201,10 @@ class Target:
     def write(self, image: bytes) -> None:
         """Write the bytes of an HDF5 file that was created in memory, and wait until they are on the disk."""
         self._end_if_forked()
-        with _Stream(self._open_handle(), "r+", closefd=False) as stream, stream.checked():
-            stream.write(image)
+        with PartStream(self._open_handle()) as stream:
+            with stream.checked():
+                stream.write(image)
+            stream.commit(len(image))
         self.sync()
 
     def end(self) -> None:
@@ -317,7 +259,7 @@ class Target:
         """Close the HDF5 file if it is open, and discard what HDF5 writes: the file has had it since its last flush."""
         if self._stream is None:
             return
-        self._stream.is_discarding = True
+        self._stream.discard()
         if self.file is not None:
             with contextlib.suppress(OSError, RuntimeError):
                 self.file.close()

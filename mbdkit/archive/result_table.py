@@ -103,11 +103,6 @@ class ResultTable:
         """Return the values of a column."""
         return self.columns[name].values
 
-    @property
-    def size_in_bytes(self) -> int:
-        """Estimated size of the arrays."""
-        return sum(1024 + np.asarray(column.values).nbytes for column in self.columns.values())
-
     def write(self, file: h5py.File, name: str) -> Iterator[str]:
         """Write the table to an archive, and yield the lines of its arrays in `data_sha256`.
 

@@ -16,6 +16,7 @@ from mbdkit.archive.fingerprint import is_text
 from mbdkit.archive.hdf5_errors import closed_on_error, reading
 from mbdkit.archive.layout import FORMAT, FORMAT_VERSION
 from mbdkit.archive.part_file import PART, checkpoint_path, part_path
+from mbdkit.archive.part_stream import complete_flush
 from mbdkit.archive.read_only_dict import ReadOnlyDict
 from mbdkit.archive.untrusted_file import open_hdf5
 from mbdkit.base.errors import ArchiveError, FormatVersionError, SpecError
@@ -42,10 +43,12 @@ def open_archive(path: Path) -> h5py.File:
         hint = f"; {left} holds the data of an unfinished run" if left.exists() else hint
         raise SpecError(f"there is no such file{hint}", file=path)
     hint = ""
-    if path.suffix == PART and checkpoint_path(path).exists():
-        hint = f"`mbdkit run --resume {shown(path.name)}` completes the run from its checkpoint"
-    elif path.suffix == PART and not os.path.getsize(path):
-        hint = "the run was killed before it wrote any rows"
+    if path.suffix == PART:
+        complete_flush(path)
+        if checkpoint_path(path).exists():
+            hint = f"`mbdkit run --resume {shown(path.name)}` completes the run from its checkpoint"
+        elif path.is_file() and not h5py.is_hdf5(path):
+            hint = "the run was killed before it wrote any rows"
     file = open_hdf5(path, "run archive", hint=hint)
     with closed_on_error(file):
         _check_format(file, path)

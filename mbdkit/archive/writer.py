@@ -38,9 +38,6 @@ FLUSH_INTERVAL = 1.0
 #: Number of rows that are copied at a time when a run continues.
 _ROWS_COPIED = 1024
 
-#: Disk space reserved for attributes.
-_ATTRIBUTE_BYTES = 1 << 15
-
 
 class ArchiveWriter(RunWriter):
     """Writes one archive: appends rows, flushes them regularly, and finishes or abandons the archive.
@@ -199,9 +196,7 @@ class ArchiveWriter(RunWriter):
         started = time.perf_counter()
         accuracy = ending.accuracy
         with self._storing():
-            more = 0 if accuracy is None else accuracy.size_in_bytes + _ATTRIBUTE_BYTES
-            more += sum(table.size_in_bytes for table in ending.tables.values())
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + 16 * len(ending.misalignment_max) + more):
+            with self._committing():
                 is_begun = self._file is not None
                 file, unread = self._with_all_rows()
                 if accuracy is not None:
@@ -276,17 +271,9 @@ class ArchiveWriter(RunWriter):
     def _begin(self) -> h5py.File:
         if self._file is None:
             self._file = memory_file() if self._target is None else self._target.open()
-            names = self.names
-            text = (
-                len(self.origin.spec_json)
-                + sum(map(len, self.origin.texts.values()))
-                + 16 * len(names.bodies)
-                + 64 * sum(len(array.texts(names)) for array in self.arrays if array.texts)
-            )
-            with self._room(more=False, also=_ATTRIBUTE_BYTES + text):
-                begin_file(self._file, names, self.arrays)
-                self._write_head(self._file, self._root_attributes(None))
-                self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
+            begin_file(self._file, self.names, self.arrays)
+            self._write_head(self._file, self._root_attributes(None))
+            self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         return self._file
 
     def _write_head(self, file: h5py.File, head: Mapping[str, str]) -> None:
@@ -303,12 +290,8 @@ class ArchiveWriter(RunWriter):
 
     def _change_head(self, file: h5py.File) -> None:
         """Change those root attributes of a file begun earlier that depend on how the run has ended."""
-        for name in ("data_sha256", "status_reason"):
-            file.attrs.modify(name, self.head[name])
-        file.flush()
-        # Written after all results, because it marks them as valid; only measures, hash and duration follow.
-        file.attrs.modify("status", self.head["status"])
         for name in ("data_sha256", "status_reason", "status"):
+            file.attrs.modify(name, self.head[name])
             self._known.pop(f"@{name}")
 
     def _root_attributes(self, ending: Ending | None) -> dict[str, str]:
@@ -345,28 +328,18 @@ class ArchiveWriter(RunWriter):
 
     def _write_more(self) -> None:
         file = self._begin()
-        with self._room(more=True):
+        with self._committing():
             self._write_tables(file, more=True)
-            self._mark_rows(file)
+            counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
+            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, np.array(counts, np.int64))
         self._flushed = time.monotonic()
         self._kept = True
 
-    def _mark_rows(self, file: h5py.File) -> None:
-        """Flush the tables, and then store their numbers of rows in an attribute; do nothing for an archive in memory.
-
-        HDF5 writes its metadata in many pieces. If the process is killed in between, arrays may seem to have rows that
-        were never written. The attribute is written in one piece, so that the rows it counts are always complete.
-        """
-        if self._target is not None:
-            file.flush()
-            counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
-            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, np.array(counts, np.int64))
-
-    def _room(self, *, more: bool, also: int = 0) -> contextlib.AbstractContextManager[None]:
-        """Return a context that reserves disk space for the buffered rows and flushes the file on exit."""
+    def _committing(self) -> contextlib.AbstractContextManager[None]:
+        """Return a context on whose exit all changes of the file take effect at once; see `Target.committing`."""
         if self._target is None or self._target.file is None:
             return contextlib.nullcontext()
-        return self._target.reserved(also + sum(table.size_on_disk(more=more) for table in self._tables.values()))
+        return self._target.committing()
 
     @contextlib.contextmanager
     def _storing(self) -> Iterator[None]:

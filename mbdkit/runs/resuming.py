@@ -20,6 +20,7 @@ from mbdkit.archive.checkpoint import Checkpoint
 from mbdkit.archive.hdf5_errors import reading
 from mbdkit.archive.missing_plugins import check_plugins_of
 from mbdkit.archive.part_file import SUFFIX, check_target, checkpoint_path, part_path
+from mbdkit.archive.part_stream import complete_flush
 from mbdkit.archive.reader import load
 from mbdkit.archive.recorded_data import outputs_by_sample
 from mbdkit.archive.run import Run
@@ -95,6 +96,7 @@ def continue_run(
             _check_interrupted(part, overwrite=overwrite)
         check_target(path, overwrite=overwrite)
         _finish_replacement(part)
+        complete_flush(part)
     with _held(part) as stream:
         if (checkpoint := Checkpoint.of(part)) is None:
             with only_known((), allowed=False):
