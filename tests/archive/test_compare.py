@@ -118,7 +118,7 @@ def test_names_and_values_do_not_add_lines() -> None:
 
 def test_crashed_runs_are_never_the_same(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
-    into._begin()
+    into._write_more()
     assert into._target is not None
     into._target.close()
     with load(tmp_path / "run.h5.part") as one, load(tmp_path / "run.h5.part") as two:

@@ -27,7 +27,7 @@ def test_description_is_json_and_complete(archive: Path) -> None:
 
 def test_description_of_what_a_crashed_run_left(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5", quantities=frozenset())
-    into._begin()
+    into._write_more()
     assert into._target is not None
     into._target.close()
     told = describe(tmp_path / "run.h5.part")

@@ -85,7 +85,7 @@ def test_part_that_was_not_begun_says_so(tmp_path: Path) -> None:
 
 def test_part_without_a_row_is_read_as_empty(tmp_path: Path) -> None:
     into = writer(tmp_path / "run.h5")
-    into._begin()
+    into._write_more()
     assert into._target is not None
     into._target.close()  # as a crash during the first flush
     (problem,) = check(tmp_path / "run.h5.part")
