@@ -67,7 +67,9 @@ def checked(evaluator: Evaluator, x: np.ndarray) -> tuple[tuple[str, ...], tuple
         every = gradients(evaluator, x, check=True)
     except MbdkitError:
         return (), ()
-    failed = [(one.check, m) for one in every if one.check is not None for m in np.flatnonzero(~one.check.agrees)]
+    failed = [
+        (one.check, m) for one in every if one.check is not None for m in np.flatnonzero(~one.check.agrees).tolist()
+    ]
     value = np.max(np.abs([one.value for one in every]), axis=0)
     unconfirmed = tuple(_disagreement(check, m) for check, m in failed if not check.is_like_steps[m])
     matters = (
