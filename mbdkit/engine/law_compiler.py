@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, reduce
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from mbdkit.engine.function_program import block
 from mbdkit.engine.kernels.law_programs import OPCODES
 from mbdkit.expressions.recorded import Recorded, Recorder
 from mbdkit.expressions.recorded_derivatives import derivative
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, RecordedExpression, TracedLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, ForceLaw, RecordedExpression, SwitchingLaw, TracedLaw
 
 if TYPE_CHECKING:
     import sympy
@@ -26,20 +26,109 @@ if TYPE_CHECKING:
 @cache
 def program_of(law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float], ...]) -> np.ndarray:
     """Return the program of a law as integers, some of which are the bits of constants."""
-    names, recorder = list(dict(example)), Recorder()
-    length, rate, time = arguments = [recorder.input(name) for name in ARGUMENTS]
-    parameters = {name: recorder.input(f"parameter {name}") for name in names}
-    inputs = [*arguments, *parameters.values()]
+    inputs, results = _recorded(law, example)
+    return block(inputs, results)
+
+
+class Switches(NamedTuple):
+    """Where a law switches: at the zeros of functions of its inputs.
+
+    `program`: the program of these functions. `count`: their number. `inputs`: the inputs on which they depend, by
+    their numbers: length, rate, time and the parameters.
+    """
+
+    program: np.ndarray
+    count: int
+    inputs: frozenset[int]
+
+
+@cache
+def switches_of(law: ForceLaw, example: tuple[tuple[str, float], ...]) -> Switches | None:
+    """Return where a law is not smooth; None if it always is, or if this is unknown, as of a function of a plugin."""
+    if isinstance(law, SwitchingLaw):
+        inputs = _inputs(example)
+        length, rate, _, *parameters = inputs
+        found = [law.switch(length, rate, dict(zip(dict(example), parameters, strict=True)))]
+    elif isinstance(law, ExpressionLaw | TracedLaw):
+        inputs, results = _recorded(law, example)
+        found = _switching_functions(inputs[0].recorder, results[0])
+    else:
+        return None
+    if not found:
+        return None
+    needed = {*inputs[0].recorder.ancestors(found)}
+    return Switches(block(inputs, found), len(found), frozenset(i for i, x in enumerate(inputs) if x.index in needed))
+
+
+def _inputs(example: tuple[tuple[str, float], ...]) -> list[Recorded]:
+    recorder = Recorder()
+    return [*map(recorder.input, ARGUMENTS), *(recorder.input(f"parameter {name}") for name in dict(example))]
+
+
+@cache
+def _recorded(
+    law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float], ...]
+) -> tuple[list[Recorded], list[Recorded]]:
+    """Return the inputs of a law, and its results: the force, its derivatives, and the potential."""
+    names, inputs = list(dict(example)), _inputs(example)
+    length, rate, time, *parameters = inputs
+    recorder = length.recorder
     if isinstance(law, TracedLaw | RecordedExpression):
-        value = recorder.constant(law.function(length, rate, time, parameters))
+        value = recorder.constant(law.function(length, rate, time, dict(zip(names, parameters, strict=True))))
         slopes = [derivative(value, by) for by in (length, rate)] if law.has_derivatives else [0.0, 0.0]
-        return block(inputs, [value, *slopes, 0.0])
+        return inputs, [*map(recorder.constant, (value, *slopes, 0.0))]
     import sympy as sp
 
     from mbdkit.symbolic.symbolic_law import law_results
 
     symbols = (sp.Symbol(name, real=True) for name in (*ARGUMENTS, *names))
-    return block(inputs, _of_sympy(law_results(law, dict(example)), dict(zip(symbols, inputs, strict=True))))
+    return inputs, _of_sympy(law_results(law, dict(example)), dict(zip(symbols, inputs, strict=True)))
+
+
+def _switching_functions(recorder: Recorder, value: Recorded) -> list[Recorded]:
+    """Return functions that change their signs where operations switch on which a value depends."""
+
+    def at(index: int) -> Recorded:
+        return Recorded(recorder, index)
+
+    def margin(index: int) -> Recorded | None:
+        """Return a function that is positive where a condition holds; None for the equality of two numbers."""
+        term = recorder.terms[index]
+        if term.operation in ("and", "or"):
+            a, b = map(margin, term.operands)
+            if a is None or b is None:
+                return a if b is None else b
+            return recorder.apply("minimum" if term.operation == "and" else "maximum", [a, b])
+        if term.operation == "not":
+            inner = margin(term.operands[0])
+            return None if inner is None else -inner
+        if term.operation.startswith(("less", "greater")):
+            a, b = map(at, term.operands)
+            return b - a if term.operation.startswith("less") else a - b
+        return None
+
+    found: dict[int, Recorded] = {}
+    for index in recorder.ancestors([value]):
+        operation, operands, *_ = recorder.terms[index]
+        given = [at(operand) for operand in operands]
+        match operation:
+            case "select":
+                function = margin(operands[0])
+            case "minimum" | "maximum":
+                function = given[0] - given[1]
+            case "abs":
+                function = given[0]
+            case "floor" | "ceil":
+                function = np.sin(np.pi * given[0])
+            case "remainder":
+                function = np.sin(np.pi * (given[0] / given[1]))
+            case "atan2":  # its branch cut
+                function = np.where(given[1] < 0.0, given[0], abs(given[0]))
+            case _:
+                continue
+        if function is not None and recorder.terms[function.index].operation != "constant":
+            found[function.index] = function
+    return [*found.values()]
 
 
 @cache

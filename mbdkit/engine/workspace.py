@@ -355,7 +355,7 @@ def new_scratch(mechanism: CompiledMechanism) -> tuple[Scratch, dict[str, int]]:
 def _new_reacting(size: int, pairs: int) -> Reacting:
     words = ("acts", "add_forces", "engine", "elements", "constrain", "run", "stages", "shows")
     return Reacting(
-        **{name: np.zeros(1 + (name == "add_forces"), dtype=np.int64) for name in words},
+        **{name: np.zeros(1 + 2 * (name == "add_forces"), dtype=np.int64) for name in words},
         **{name: np.zeros(size) for name in ("q", "v", "acc")},
         lam=np.zeros((pairs, 2)),
         power=np.zeros(1),

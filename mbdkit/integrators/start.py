@@ -10,9 +10,11 @@ from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.formulation import FORMULATIONS
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.host.step_host import StepHost
+from mbdkit.integrators.host.steps_to_changes import ToSwitches, with_changes
 from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.run.step_control import Control, unit_of_length
+from mbdkit.integrators.run.switches import switch_bundle
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod
@@ -84,6 +86,9 @@ def start_method(method: Method, workspace: Workspace, timetable: Timetable) -> 
             assert isinstance(own, StepMethod | ExternalMethod)
             treated = own
     if isinstance(treated, StepMethod | ExternalMethod):
-        return StepHost(treated, workspace, timetable)
+        switches = None if treated.tolerances is None else switch_bundle(workspace, timetable.end - timetable.start)
+        if switches is not None:
+            treated = with_changes(treated, ToSwitches(switches))
+        return StepHost(treated, workspace, timetable, switches)
     compiled, control = compiled_method(method, workspace)
     return CompiledStepper(compiled if treated is None else treated(compiled), workspace, timetable, control)

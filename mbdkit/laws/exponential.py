@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from mbdkit.base.strict_model import StrictModel
-from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.force_law import SwitchingLaw
 from mbdkit.mechanism.values import NotNegative, Number, Positive
 
 if TYPE_CHECKING:
@@ -68,4 +71,13 @@ def parameters(options: ExponentialOptions) -> dict[str, float]:
     }
 
 
-LAW = ExpressionLaw(force, potential, passive=True, parameters=parameters)
+def switch(length: Any, rate: Any, p: Mapping[str, Any]) -> Any:
+    """Return a function that is positive where there is a force; see `force`."""
+    stretch = p["side"] * (length - p["free_length"])
+    return np.minimum(
+        (p["scale"] * p["growth"] + p["damping"]) * stretch,
+        p["scale"] * np.exp(p["growth"] * stretch) - p["scale"] + p["damping"] * p["side"] * rate,
+    )
+
+
+LAW = SwitchingLaw(force, potential, passive=True, parameters=parameters, switch=switch)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
 from pydantic import model_validator
 
 from mbdkit.base.errors import SpecError
 from mbdkit.base.strict_model import StrictModel
-from mbdkit.mechanism.force_law import ExpressionLaw
+from mbdkit.mechanism.force_law import SwitchingLaw
 from mbdkit.mechanism.values import NotNegative, Number
 
 if TYPE_CHECKING:
@@ -91,4 +93,13 @@ def parameters(options: OneSidedOptions) -> dict[str, float]:
     }
 
 
-LAW = ExpressionLaw(force, potential, passive=True, parameters=parameters)
+def switch(length: Any, rate: Any, p: Mapping[str, Any]) -> Any:
+    """Return a function that is positive in contact; see `force`."""
+    stretch = p["side"] * (length - p["free_length"])
+    return np.minimum(
+        (p["stiffness"] + p["damping"]) * (stretch - p["begin"]),
+        p["stiffness"] * stretch + p["damping"] * p["side"] * rate,
+    )
+
+
+LAW = SwitchingLaw(force, potential, passive=True, parameters=parameters, switch=switch)

@@ -166,6 +166,20 @@ class RecordedExpression(ExpressionLaw):
     has_derivatives: ClassVar[bool] = False
 
 
+@dataclass(frozen=True, eq=False)
+class SwitchingLaw(ExpressionLaw):
+    """An expression law of which it is known, without SymPy, where it is not smooth.
+
+    Parameters
+    ----------
+    switch
+        Function of length, rate and a mapping with the parameters by name, whose sign changes there. It is recorded,
+        as that of a `TracedLaw`.
+    """
+
+    switch: Any = None
+
+
 ForceLaw = ExpressionLaw | FunctionLaw | TracedLaw
 
 

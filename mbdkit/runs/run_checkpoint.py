@@ -140,7 +140,7 @@ def _stored_stepper(stepper: CompiledStepper) -> StoredState:
     own = stepper.run_state.solver
     return {
         "run": kept(stepper.run_state, STATE, RECORD),
-        "method": stepper.method.kept(STATE, RECORD),
+        "method": stepper.kept_of_method(STATE, RECORD),
         "systems": stepper.method.stored_systems(),
         # the evaluation of an event may have chosen new pivots, which the stepper does not use
         "solver": None if own is stepper.workspace.solver else stored_solver(own),
@@ -158,7 +158,7 @@ def _restore_stepper(stepper: CompiledStepper, state: StoredState) -> None:
         stepper.stop_at(float(stop))
     if stepper.run_state.progress.passed[0] > len(stepper.timetable.stops):
         raise ValueError("it has passed more stops than exist")
-    restore(stepper.method.kept(STATE, RECORD), state["method"])
+    restore(stepper.kept_of_method(STATE, RECORD), state["method"])
     past = getattr(bundle, "past", None)  # methods that extrapolate over several steps have this
     if past is not None and past.known[0] > len(past.acc):
         raise ValueError("it refers to more steps than are stored")

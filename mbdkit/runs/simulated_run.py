@@ -321,6 +321,16 @@ class SimulatedRun:
         if failed:
             yield f"The check of the gradients failed for {listed(failed, 'and')}; `doubts` of the gradients says why."
 
+    def doubtful_switches(self) -> Iterator[str]:
+        """Yield a sentence if forces switched more often than steps can follow."""
+        pinned = getattr(self.inner_stepper, "switches", None)
+        if pinned is not None and (first := float(pinned.bundle.spell.first[0])) < math.inf:
+            yield (
+                f"From t = {first:.6g} s on, a force switches without end, so that steps pass over its jumps: the jump "
+                "holds the motion where it is, as friction given by the sign of a velocity does. Let the force change "
+                "over a small range instead, as `tanh` does, or use the friction of joints or contacts."
+            )
+
     def conclude(self) -> Run | FinishedRun:
         """Conclude the run: finish its archive or its arrays with its status and its verdict."""
         spec, record, stepper, memory = self.spec, self.record, self.stepper, self.memory
@@ -343,7 +353,7 @@ class SimulatedRun:
         ended = EndedRun(
             mechanism=self.workspace.mechanism,
             size=record.setup.size,
-            doubts=doubts._replace(open=(*doubts.open, *self.doubtful_gradients())),
+            doubts=doubts._replace(open=(*doubts.open, *self.doubtful_gradients(), *self.doubtful_switches())),
             warnings=(*map(str, findings), *notes),
             status=status,
             reason=reason,

@@ -52,6 +52,7 @@ def stored_stepper(stepper: StepHost) -> StoredState:
         **_stored_memory(stepper, state.memory),
         "guards": stored(stepper.guards),
         "worst": stepper.worst_pairs,
+        "switches": stepper.spell,
         "counters": dict(vars(stepper.counters)),
         "pivots": stepper.equations.stored_pivots(),
         **stored_impulses(stepper.impacts),
@@ -75,6 +76,7 @@ def restore_stepper(stepper: StepHost, state: StoredState) -> None:
         raise ValueError("it has passed more stops than exist")
     restore({"worst": stepper.worst_pairs}, {"worst": state["worst"]})
     restore(stepper.guards._asdict(), state["guards"])
+    restore(stepper.spell, state["switches"])
     if state["counters"].keys() != vars(stepper.counters).keys():
         raise ValueError("it has other counters")
     vars(stepper.counters).update({name: int(count) for name, count in state["counters"].items()})

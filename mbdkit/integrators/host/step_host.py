@@ -15,6 +15,8 @@ from mbdkit.base.errors import StepError
 from mbdkit.engine.compiled_mechanism import with_ground
 from mbdkit.engine.counters import HostCounters
 from mbdkit.engine.equations_of_motion import EquationsOfMotion
+from mbdkit.engine.kernels.bundle_types import STATE, kept
+from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.singularity import describe_nearness
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators import interface
@@ -51,10 +53,18 @@ class StepHost:
 
     `method`: the method. A library with a loop of its own (`ExternalMethod`) gets a copy for this run. `workspace`: the
     mechanism and its start, with formulation and stabilization. `timetable`: times of the run, and which states are
-    recorded. `rows`: the rows that are recorded; its `HostRows.next_row` belongs to a checkpoint.
+    recorded. `switches`: the switching functions at whose zeros the steps end; None if there are none. `rows`: the rows
+    that are recorded; its `HostRows.next_row` belongs to a checkpoint.
     """
 
-    def __init__(self, method: StepMethod | ExternalMethod, workspace: Workspace, timetable: Timetable):
+    def __init__(
+        self,
+        method: StepMethod | ExternalMethod,
+        workspace: Workspace,
+        timetable: Timetable,
+        switches: PinnedBundle | None = None,
+    ):
+        self.switches = switches
         self.method = copy.copy(method) if isinstance(method, ExternalMethod) else method
         self.workspace, self.timetable = workspace, timetable
         self.counters = HostCounters()
@@ -98,6 +108,11 @@ class StepHost:
     def evidence(self) -> StepEvidence:
         """See `Advancing.evidence`."""
         return self._watch.evidence(self.impacts)
+
+    @property
+    def spell(self) -> dict[str, np.ndarray]:
+        """What the search for switches passes from one step to the next, by name."""
+        return {} if self.switches is None else kept(self.switches.bundle, STATE)
 
     @property
     def guards(self) -> GuardState:

@@ -8,6 +8,7 @@ from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.engine.native.number_arrays import Lanes
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lanes.lane_run import BY_LANE
+from mbdkit.integrators.run.switches import switching_laws
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 
@@ -26,7 +27,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
 
     First-order states are supported with explicit methods only, and `output.interval` with controlled step size only.
     Events, stops, sampled controllers, friction in joints, redundant directions within a pair of rows, and mechanisms
-    that need the pivoted solver are not supported.
+    that need the pivoted solver are not supported, nor are controlled steps that end where forces switch.
     """
     is_fixed = table.interval is None and table.step is not None and table.steps <= table.max_steps
     return (
@@ -40,6 +41,7 @@ def suits_lanes(method: Method, mechanism: CompiledMechanism, table: Timetable) 
         and not mechanism.friction
         and not mechanism.following
         and not mechanism.needs_pivots
+        and not (method.traits.tolerances is not None and switching_laws(mechanism)[0])
         and len(mechanism.topology.spare) == 0
     )
 

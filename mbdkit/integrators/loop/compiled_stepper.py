@@ -48,6 +48,7 @@ from mbdkit.integrators.run.run_state import (
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_control import Control, first_step
+from mbdkit.integrators.run.switches import look_for_switches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -74,6 +75,7 @@ class CompiledStepper:
     - `timetable`: times of the run, and which states are recorded.
     - `control`: step-size control; None: fixed steps.
     - `first_size`: size of the first step [s], if no stop comes earlier.
+    - `switches`: the switching functions at whose zeros controlled steps end; None if there are none.
     - `inserted`: stops that `stop_at` has added to those of the timetable [s].
     - `can_take_back`: whether steps can be taken back by restoring the arrays of the run and of the method.
     """
@@ -93,6 +95,7 @@ class CompiledStepper:
         self.goal = ENDLESS
         self._at_start: list[np.ndarray] = []
         self._unhandled = OK  # status of `takes_steps_to_goal` that `advance` has to handle
+        self.switches: PinnedBundle | None = None
         z0 = states_at_start(workspace)
         rows = max(2, min(MAX_ROWS, MAX_ROW_BYTES // (16 * workspace.mechanism.size)))
         stages = method.stages if timetable.nodes else 0
@@ -101,7 +104,9 @@ class CompiledStepper:
             new_run_state(workspace, rows, z0, own_multipliers=method.carries_multipliers, stages=stages, nodes=nodes)
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
-        self._state = *kept(self.run_state, STATE).values(), *method.kept(STATE).values()
+        if control is not None:
+            self.switches = look_for_switches(method, workspace, timetable.end - timetable.start)
+        self._state = self._kept(STATE)
         self._first_node = 0  # index of the first node of the last step
         self._new_plan()
         self.worst_pairs = self.run_state.worst
@@ -280,8 +285,15 @@ class CompiledStepper:
         return True
 
     def _arrays(self) -> tuple[np.ndarray, ...]:
-        roles = STATE, RECORD
-        return *kept(self.run_state, *roles).values(), *self.method.kept(*roles).values()
+        return self._kept(STATE, RECORD)
+
+    def _kept(self, *roles: str) -> tuple[np.ndarray, ...]:
+        return *kept(self.run_state, *roles).values(), *self.kept_of_method(*roles).values()
+
+    def kept_of_method(self, *roles: str) -> dict[str, np.ndarray]:
+        """Return the arrays of the method and of its search for switches that are declared with these roles."""
+        own = self.method.kept(*roles)
+        return own if self.switches is None else own | kept(self.switches.bundle, *roles)
 
     def _take_first_samples(self) -> None:
         """Let the sampler store the outputs of the first samples; the initial states include the first changes."""

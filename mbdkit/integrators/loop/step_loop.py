@@ -277,16 +277,19 @@ def _try_step(run, method, attempt, plan, path):
     error, planned = 0.0, h
     projected = jumped = False
     at = jump = total = kinetic = rounding = 0.0
+    looks = c.w.reacting.add_forces
     while status == OK and control.controlled[0]:
         error = local_error(plan.control, c, c)
-        if c.w.reacting.add_forces[1] == 0 or not error <= 1.0:
+        # where forces switch, an error that is too large says nothing about the part of the step before
+        if looks[1] == 0 or not (error <= 1.0 or looks[2] != 0):
             break
         # error control sees only the motion: a step that would pass over the begin or end of a contact ends there
-        status, progress.part[0] = call_entry(c.w.reacting.add_forces[1], run, method, t, h, 0.0), 0.0
+        status = call_entry(looks[1], run, method, t, h, error)
         if status != SHORTER:
             break
-        h, at_stop, c.base_state[0] = progress.tried_size[0], False, AT_START_OF_LAST
+        h, at_stop, c.base_state[0], progress.part[0] = progress.tried_size[0], False, AT_START_OF_LAST, 0.0
         status = take(run, method, attempt, t, h, control.controlled[0], plan.projection)
+        h = progress.part[0] if progress.part[0] != 0.0 else h
     # the distance is estimated from the factors of the last solution, at negligible cost
     if status == OK and error <= 1.0:
         distance = 1.0

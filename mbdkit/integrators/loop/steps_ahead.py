@@ -38,7 +38,7 @@ class StepsAhead:
         by_method = tuple(shares) if stepper.has_dense_output else ()
         self._path: PinnedBundle = PinnedBundle(new_path(self.most, by_method, size, states))
         roles = STATE, RECORD
-        arrays = *kept(stepper.run_state, *roles).values(), *stepper.method.kept(*roles).values()
+        arrays = *kept(stepper.run_state, *roles).values(), *stepper.kept_of_method(*roles).values()
         self._memory = *arrays, stepper.run_state.nodes
         self._before: list[np.ndarray] = []
         self._result = OK, 0
