@@ -14,9 +14,10 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
+from mbdkit.plugin import listed
 from mbdkit.plugin.archives import ResultFile, ResultTable, TableColumn
 from mbdkit.plugin.seams import file_problems
-from mbdkit_identify.identification import Doubt, Estimate, Identification, NextExperiment, Profile, Residuals
+from mbdkit_identify.identification import VERDICTS, Doubt, Estimate, Identification, NextExperiment, Profile, Residuals
 
 FILE = ResultFile("mbdkit-identification", 1, "result of an identification", "repeat the identification")
 _TEXTS = ("verdict", "title", "way")
@@ -156,6 +157,8 @@ def _read(file: h5py.File) -> Identification:
         if not isinstance(values[name], kind):
             raise ValueError(f"{name} has another structure")
     values |= {name: str(given[name]) for name in _TEXTS} | {name: float(given[name]) for name in _NUMBERS}
+    if values["verdict"] not in VERDICTS:
+        raise ValueError(f"the verdict should be {listed(VERDICTS, 'or')}")
     values |= {name: tuple(map(str, values[name])) for name in ("combinations", "notes")}
     values["doubts"] = tuple(
         Doubt(str(place), str(text), (_number(statistic), _number(limit)))

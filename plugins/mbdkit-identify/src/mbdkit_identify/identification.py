@@ -10,6 +10,8 @@ import numpy as np
 
 from mbdkit.plugin import HtmlView, SpecError, listed, plus_minus, table
 
+VERDICTS = ("good", "doubtful", "bad")
+
 
 @dataclass(frozen=True)
 class Estimate:

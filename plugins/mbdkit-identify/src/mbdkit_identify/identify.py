@@ -14,6 +14,7 @@ from mbdkit.plugin import MbdkitError, RunError, RunSpec, SpecError, listed
 from mbdkit.plugin.equations import one_thread_of_linear_algebra
 from mbdkit.plugin.specs import parameter_values, put, variable_path
 from mbdkit.plugin.studies import PreparedSensitivities, prepare
+from mbdkit_identify.blocks import BLOCKS, growth_by_blocks
 from mbdkit_identify.estimation import best_fit, covariance_of, factors, failed, fit_at, fit_some
 from mbdkit_identify.identifiability import Identifiability, combinations
 from mbdkit_identify.identification import Doubt, Estimate, Identification, Profile, Residuals
@@ -33,6 +34,7 @@ EXACT, DIFFERENCES = 1e-9, 1e-6  #: Relative errors of exact derivatives and of 
 #: Number of pairs of perturbed inputs by which the bias due to noise of measured inputs is estimated.
 PERTURBATIONS = 8
 DOUBTED = 7.88  #: Largest reduction of the sum of squares beyond an edge, which noise exceeds with probability 0.005.
+FAST = 1e-3  #: Error of a clock whose effect is told.
 MATTERS = 0.1  #: A bias is told if it exceeds this share of the standard deviation.
 
 
@@ -99,7 +101,9 @@ class _Identification:
         if not self.fit.is_settled:
             self.notes.append("the noise of the signals has not settled; its correlation may be close to 1")
         every = np.ones(len(self.fit.x), dtype=bool)
-        self.covariance = self.of_noise = factors(self.fit)[0] * covariance_of(self.fit.jacobian, every)
+        self.plain_covariance = factors(self.fit)[0] * covariance_of(self.fit.jacobian, every)
+        self.growth = self._growth()
+        self.covariance = self.of_noise = self.plain_covariance * np.outer(self.growth, self.growth)
         if spec.loss != "linear":
             self.notes.append("with a robust loss, effects that the model may lack are not tested")
         self.notify("identifiability")
@@ -108,6 +112,8 @@ class _Identification:
         self._find_edges()
         self.bias = self._integration_bias()
         self._note_input_bias()
+        if not spec.kinematic:
+            self._note_clock()
         estimates, profiles = self._estimates()
         residuals = [*self._residuals(problem, self.fit.x, self.covariance, is_hold_out=False), *self._held_out()]
         self._check(residuals)
@@ -161,10 +167,20 @@ class _Identification:
             self.notes.append(f"{text}; this counts as a bound, and intervals end there")
             _, gain = fit.further(fit.free | (np.arange(len(fit.x)) == place))
             if not fit.free[place] and gain > DOUBTED:
-                message = f"{text}, but the data ask for it (statistic {gain:.4g}, limit {DOUBTED:.3g}): another number"
-                self.doubts.append(
-                    Doubt(problem.unknowns[place].name, f"{message} of the model is wrong", (gain, DOUBTED))
+                told = (
+                    f"{text}, but the data ask for it (statistic {gain:.4g}, limit {DOUBTED:.3g}): the model is wrong"
                 )
+                self.doubts.append(Doubt(problem.unknowns[place].name, told, (gain, DOUBTED)))
+
+    def _growth(self) -> np.ndarray:
+        """Return the factors (n,) by which blocks of the data increase deviations of parameters, and note them."""
+        if self.spec.kinematic:
+            return np.ones(len(self.fit.x))
+        growth = growth_by_blocks(self.problem, self.fit, self.spec.intervals.level)
+        if told := [f"{name} by {growth[place]:.2g}" for place, name in enumerate(self.names) if growth[place] > 1.0]:
+            told[-1] += f"; they follow from {BLOCKS} blocks of the data"
+            self.notes.append(f"residuals are not the noise that is assumed, and intervals grow: {listed(told, 'and')}")
+        return growth
 
     # ---- biases ----------------------------------------------------------------------------------------------------
 
@@ -233,6 +249,28 @@ class _Identification:
             else f"noise of the measured inputs biases no parameter by more than {MATTERS:g} standard deviations"
         )
 
+    def _note_clock(self) -> None:
+        """Note by how much a clock that runs slightly fast changes the estimates, which the data may not show."""
+        problem, fit = self.problem, self.fit
+        predicted, change, start = problem.predicted(fit.x), np.zeros(len(problem.measured)), 0
+        for segment, some in zip(problem.segments, problem.valid, strict=True):
+            for time_of in (segment.time[row] for row in some):
+                part, start = slice(start, start + len(time_of)), start + len(time_of)
+                if len(time_of) > 1:
+                    change[part] = -FAST * (time_of - segment.time[0]) * np.gradient(predicted[part], time_of)
+        white, deviation = problem.white(change), np.sqrt(np.diagonal(self.covariance))
+        shift = covariance_of(fit.jacobian, fit.free) @ (fit.jacobian[: len(white)].T @ white)
+        told = [
+            f"{name} by {100 * shift[place] / fit.x[place]:+.2g} %"
+            for place, name in enumerate(self.names)
+            if self.known.identifiable[place] and fit.x[place] and abs(shift[place]) > MATTERS * deviation[place]
+        ]
+        if told:
+            self.notes.append(
+                "the estimates assume that the times of the files, and numbers that the base gives, are right: "
+                f"a clock that is {100 * FAST:g} % fast changes {listed(told, 'and')}"
+            )
+
     # ---- estimates -------------------------------------------------------------------------------------------------
 
     def goals(self) -> list[Goal]:
@@ -286,9 +324,11 @@ class _Identification:
                 estimates[goal.name] = Estimate(goal.name, unit, value, -np.inf, np.inf, np.nan, False)
                 continue
             self.notify(f"interval of {goal.name}")
+            plain = float(slope @ self.plain_covariance @ slope)
             one = interval_of(
-                self.problem, self.fit, goal, self.of_noise, self.spec.intervals.level,
+                self.problem, self.fit, goal, self.plain_covariance, self.spec.intervals.level,
                 is_linear=self.spec.intervals.method == "linear",
+                growth=float(np.sqrt(slope @ self.of_noise @ slope / plain)) if plain > 0.0 else 1.0,
             )  # fmt: skip
             if one.profile is not None:
                 profiles[goal.name] = one.profile
@@ -318,7 +358,8 @@ class _Identification:
             self.notify("samples of the posterior distribution")
             usable = self.spec.loss == "linear" and not failed(self.fit)
             if usable and (found := posterior(self.problem, self.fit, ~lost, self.spec.seed)) is not None:
-                mean, covariance = found[0], found[1] + (self.covariance - self.of_noise)[:count, :count]
+                mean, covariance = found[0], found[1] * np.outer(self.growth[:count], self.growth[:count])
+                covariance += (self.covariance - self.of_noise)[:count, :count]
             else:
                 lost = lost | curved
         covariance = covariance + np.outer(self.bias, self.bias)[:count, :count]
@@ -335,15 +376,12 @@ class _Identification:
         predicted, slopes = problem.predicted(x), problem.slopes(x)
         white = problem.white(predicted - problem.measured)
         of_fit = np.maximum(np.einsum("rk,kl,rl->r", slopes, covariance, slopes), 0.0)
-        time_of = np.concatenate(
-            [segment.time[np.isfinite(signal.values)] for segment in problem.segments for signal in segment.signals]
-        )
         for key, data, piece, noise in zip(problem.signals, problem.data, problem.pieces, problem.noises, strict=True):
             some = piece.places
             band = self.level * np.sqrt(of_fit[some] + noise.deviation**2)
             measured, fitted = problem.measured[some], predicted[some]
             yield Residuals(
-                *key, data.unit, time_of[some], measured, fitted, white[some], noise.deviation, noise.correlation,
+                *key, data.unit, problem.times[some], measured, fitted, white[some], noise.deviation, noise.correlation,
                 is_hold_out, band, float(np.mean(np.abs(measured - fitted) <= band)),
             )  # fmt: skip
 

@@ -73,7 +73,14 @@ class Interval:
 
 
 def interval_of(
-    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float, *, is_linear: bool
+    problem: Problem,
+    fit: Fit,
+    goal: Goal,
+    covariance: np.ndarray,
+    level: float,
+    *,
+    is_linear: bool,
+    growth: float = 1.0,
 ) -> Interval:
     """Return the interval of a goal.
 
@@ -84,14 +91,16 @@ def interval_of(
     ----------
     covariance
         (n, n) covariance of the unknowns without bounds.
+    growth
+        Factor of the interval; see `Blocks.growth`.
     """
     slope, value, sizes = goal.slope(fit.x), goal.value(fit.x), np.sqrt(np.diagonal(covariance))
     deviation = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-    reach = quantile(level, max(len(fit.white) - len(fit.x), 1)) * sizes
+    reach = growth * quantile(level, max(len(fit.white) - len(fit.x), 1)) * sizes
     low, high = problem.bounds
     near = fit.at_low | fit.at_high | (fit.x - reach < low) | (fit.x + reach > high)
     near &= np.abs(covariance @ slope) >= RELATED * sizes * deviation
-    half = quantile(level, freedom_of(problem, fit, slope)) * deviation
+    half = growth * quantile(level, freedom_of(problem, fit, slope)) * deviation
     along = half / deviation**2 * (covariance @ slope) if deviation else np.zeros(len(slope))
     is_plain = is_linear and not np.any(near) and fit.loss in CONVEX
     if is_plain and not any(problem.fails(fit.x + side * along) for side in (-1.0, 1.0)):
@@ -101,7 +110,7 @@ def interval_of(
         ends = [losses(fit.loss, problem.residuals(fit.x + side * along))[0] for side in (-1.0, 1.0)]
         ratios = [float(np.sqrt(max(end - lowest, 0.0) / limit)) for end in ends]
     else:
-        lower, upper, profile = profile_of(problem, fit, goal, covariance, level, is_linear=is_linear)
+        lower, upper, profile = profile_of(problem, fit, goal, covariance, level, is_linear=is_linear, growth=growth)
         ratios = [abs(one - value) / max(half, 1e-300) for one in (lower, upper)]
     why = ""
     if np.any(near):
@@ -109,7 +118,7 @@ def interval_of(
         why = f"the interval of {listed(names, 'and')} reaches a bound"
     elif not all(1.0 / STRAIGHT < ratio < STRAIGHT for ratio in ratios):
         why = "its effect on the data is too nonlinear"
-    return Interval(lower, upper, profile, deviation, why)
+    return Interval(lower, upper, profile, growth * deviation, why)
 
 
 def bounded_share(distance: float, level: float) -> float:
@@ -181,14 +190,16 @@ class Chord:
 
 
 def profile_of(
-    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float, *, is_linear: bool = False
-) -> tuple[float, float, Profile]:
+    problem: Problem, fit: Fit, goal: Goal, covariance: np.ndarray, level: float, *, is_linear: bool = False,
+    growth: float = 1.0,
+) -> tuple[float, float, Profile]:  # fmt: skip
     """Return the limits of the interval of a goal, infinite where there is none, and its profile.
 
     With `is_linear`, the search begins with linear residuals, and goes on with residuals of runs and derivatives at the
     best fit. Derivatives at its last point confirm it; otherwise, the search goes on with derivatives at each point.
     """
-    search = _ProfileSearch(problem, fit, goal, covariance, level)
+    search = _ProfileSearch(problem, fit, goal, growth**2 * covariance, level)
+    search.threshold *= growth**2
     ways: list[Problem | Chord] = [Chord(problem, fit, True), Chord(problem, fit, False)] if is_linear else []
     points: list[tuple[float, float]] = [(search.best, 0.0)]
     limits = []

@@ -137,7 +137,7 @@ class Likelihood:
         e, j = self.piece.white_part(self.residuals, unit), self.piece.white_part(self.jacobian, unit)
         own, total, deviation, freedom = j.T @ j, float(e @ e), self.known or self.first, np.inf
         for _ in range(0 if self.known else 3):
-            used = float(np.trace(_solve(self.others + own / deviation**2, own))) / deviation**2
+            used = float(np.trace(solve(self.others + own / deviation**2, own))) / deviation**2
             freedom = max(len(e) - used, 1.0)
             deviation = max(float(np.sqrt(total / freedom)), self.least)
         matrix = self.others + own / deviation**2
@@ -147,7 +147,7 @@ class Likelihood:
         return noise, 0.5 * total / deviation**2 + logs + 0.5 * (log_det if np.isfinite(log_det) else 0.0)
 
 
-def _solve(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
+def solve(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return ``matrix^-1 other``, also for matrices that are singular in directions in which both vanish."""
     scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
     scaled = matrix / np.outer(scale, scale)

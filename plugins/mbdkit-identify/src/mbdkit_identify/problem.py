@@ -44,6 +44,8 @@ class Problem:
     ----------
     measured
         (R,) measured values of all signals, without gaps.
+    times
+        (R,) their times [s].
     signals, data
         The S signals, and the data of each in its first window.
     pieces
@@ -80,7 +82,7 @@ class Problem:
         """Find the places of the samples of each signal."""
         keys: dict[SignalKey, list[tuple[np.ndarray, np.ndarray]]] = {}
         first: dict[SignalKey, SignalData] = {}
-        measured, self.valid, count = [], [], 0
+        measured, times, self.valid, count = [], [], [], 0
         for segment in self.segments:
             interval = float(np.median(np.diff(segment.time)))
             some = np.array([np.isfinite(signal.values) for signal in segment.signals])
@@ -93,8 +95,9 @@ class Problem:
                 keys.setdefault(key, []).append((count + np.arange(len(known)), gaps))
                 first.setdefault(key, signal)
                 measured.append(signal.values[known])
+                times.append(segment.time[known])
                 count += len(known)
-        self.measured = np.concatenate(measured)
+        self.measured, self.times = np.concatenate(measured), np.concatenate(times)
         self.signals = tuple(keys)
         self.pieces = [Pieces(*map(np.concatenate, zip(*parts, strict=True))) for parts in keys.values()]
         self.data = list(first.values())

@@ -125,6 +125,12 @@ def test_damaged_and_foreign_files_are_refused_in_one_sentence(damage, sentence:
     assert len(str(caught.value).splitlines()) == 1
 
 
+def test_a_file_with_another_word_for_its_verdict_is_refused(tmp_path: Path) -> None:
+    path = write_identification(result(verdict="excellent"), tmp_path / "fit.h5")  # sealed again by who changed it
+    with pytest.raises(ArchiveError, match="this file is damaged"):
+        load_identification(path)
+
+
 def test_missing_and_other_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(SpecError, match=r"no result of an identification of this name"):
         load_identification(tmp_path / "fit.h5")

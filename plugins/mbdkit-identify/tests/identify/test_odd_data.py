@@ -57,6 +57,14 @@ def test_fewer_values_than_unknowns_are_refused(tmp_path: Path) -> None:
         fit(tmp_path, TIMES[:3], np.cos(TIMES[:3]), parameters=unknowns)
 
 
+def test_a_note_says_by_how_much_a_fast_clock_changes_the_estimate(tmp_path: Path) -> None:
+    # the frequency follows from gravity over length alone, so that the length changes by twice the error of the clock
+    with mbdkit.run(BASE) as run:
+        time, angle = run.time, run["rod1"].angle + 1e-3 * np.random.default_rng(2).normal(size=61)
+    notes = fit(tmp_path, time, angle, intervals={"method": "linear"}).notes
+    assert any("a clock that is 0.1 % fast changes model.length by +0.2 %" in note for note in notes)
+
+
 SWING, NOISE = 3.0 * np.cos(3.0 * TIMES), 0.02 * np.random.default_rng(1).normal(size=61)
 
 
