@@ -16,10 +16,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbdkit_predict.jumps import SAMPLES, MotionPath
+from mbdkit_predict.jumps import MotionPath
 from mbdkit_predict.point_functions import OF_STATE
 from mbdkit_predict.transcription import AlongPath, Mesh, Transcription
 
+SAMPLES = 2000  #: Number of samples of a motion at least, between which zeros and extrema are located.
 BISECTIONS, SECTIONS = 50, 40  #: Iterations by which zeros and extrema of operands are located.
 GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 #: Distances from zeros and extrema at which values are examined, in multiples of the distance of samples.

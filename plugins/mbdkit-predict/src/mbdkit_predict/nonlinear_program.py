@@ -230,7 +230,7 @@ class NonlinearProgram:
         )
         gap = _gap(lam_x, x, self._low_x, self._high_x) + _gap(lam, g, self._low, self._high)
         free = None
-        if start.keys().isdisjoint({"lam_g0"}) and status in SUCCESSES:
+        if start.keys().isdisjoint({"lam_g0"}) and status in SUCCESSES and np.any(lam):  # zero without a step
             free = self._flat_direction(solver, x, g, lam)
         is_strict = status in SUCCESSES and count > 0 and found["iterations"]["regularization_size"][-1] == 0.0
         solution = self._iterate(x, g, float(result["f"]))

@@ -16,6 +16,7 @@ from mbdkit_predict.between_points import FEW, NODES, Residual, change_by_held, 
 from mbdkit_predict.jumps import Jump, jumps_along
 from mbdkit_predict.nonlinear_program import LIMITED, MOST_ITERATIONS, STATUSES, Solution
 from mbdkit_predict.point_functions import OF_POINTS
+from mbdkit_predict.pontryagin import MinimumPrinciple, minimum_principle
 from mbdkit_predict.predict_spec import NOTHING, ROUNDING, SAME, PredictSpec
 from mbdkit_predict.processes import Stop, results_of
 from mbdkit_predict.switching import switching_of
@@ -33,6 +34,7 @@ CREDIBLE = 0.25
 LEAST_SHARE = 0.1
 MOST_INTERVALS = 640  #: Largest number of intervals of a refined mesh; every first mesh is refined once.
 ITERATIONS_OF_START = 500  #: Largest number of iterations from a drawn guess.
+VARIATIONS = 5  #: How often a search begins anew with controls that make the Hamiltonian least.
 SWITCHINGS = 3  #: How often phases are made of the jumps that a motion passes.
 HUGE = 1e8  #: Unknowns above this size at the limit of iterations are taken for unbounded ones.
 #: Share of the largest distance of bodies by which joints must not open between collocation points, and how often the
@@ -100,6 +102,8 @@ class Optimum:
         Whether the search began anew, because the first meshes led to different motions.
     flat
         `Solution.undetermined` on the first mesh.
+    principle
+        How far the motion is from the minimum principle; None if that is not known.
     doubt
         Sentence on jumps that are not held; empty without any.
     """
@@ -115,6 +119,7 @@ class Optimum:
     rows: Sequence[SolvedMesh]
     wandered: bool
     flat: Mapping[str, np.ndarray]
+    principle: MinimumPrinciple | None
     doubt: str = ""
 
     @property
@@ -187,6 +192,16 @@ class Optimum:
     def objective(self) -> float:
         """Value of the objective."""
         return _solution(self.mesh).objective
+
+    @property
+    def limit(self) -> float:
+        """Largest error of the objective within `tolerance`."""
+        return self.spec.tolerance * abs(self.objective) + NOTHING * self.mesh.size
+
+    @property
+    def costates(self) -> Mapping[str, np.ndarray]:
+        """Derivatives (T,) of the objective by each state, at the start, the collocation points, and the end."""
+        return self.transcription.costates(self.mesh) if self.is_optimum else {}
 
     @property
     def sensitivities(self) -> dict[str, float]:
@@ -303,8 +318,7 @@ class _MeshSearch:
                 divisions, self.halved = divisions + 1, len(self.meshes)
                 mesh = yield from self._refine(mesh, opens > OPEN, "in which joints open")
                 continue
-            objective, count = abs(_solution(mesh).objective), len(mesh.grid.phase)
-            limit = self.spec.tolerance * objective + NOTHING * mesh.size
+            count, limit = len(mesh.grid.phase), self._limit(mesh)
             limits = limit / HIGHER_ORDER, math.sqrt(self.spec.tolerance)
             violations = violations_between(self.transcription, mesh)
             large_ones = [violation for violation in violations if violation.is_large(*limits)]
@@ -344,8 +358,20 @@ class _MeshSearch:
     ) -> Optimum:  # fmt: skip
         method = self.problems[len(mesh.grid.c)]
         flat = _solution(self.first).undetermined
+        principle = minimum_principle(method, mesh) if meshes and not self.stop.now else None
         return Optimum(
-            method, mesh, meshes, error, reason, jumps, self.starts, self.start, self.rows, self.wandered, flat
+            method,
+            mesh,
+            meshes,
+            error,
+            reason,
+            jumps,
+            self.starts,
+            self.start,
+            self.rows,
+            self.wandered,
+            flat,
+            principle,
         )
 
     def _begin(self, coarser: Mesh | None = None, *, is_brief: bool = False) -> _Solving:
@@ -379,7 +405,28 @@ class _MeshSearch:
         self._note(self.first, why + f", best of {len(meshes)} starts" * (len(meshes) > 1))
         if coarser is not None and not is_credible[start] and _solution(self.first).is_optimum and self._can_begin:
             return (yield from self._begin(self.first))
+        yield from self._vary()
         return self.first
+
+    def _vary(self) -> Generator[list[Problem], list[Mesh], None]:
+        """Solve from the controls that make the Hamiltonian least, as long as this leads to a smaller objective."""
+        for _ in range(VARIATIONS):
+            if self.stop.now or not _solution(self.first).is_optimum:
+                break
+            method, objective = self.transcription, _solution(self.first).objective
+            principle = minimum_principle(method, self.first)
+            if principle is None or principle.gain <= self._limit(self.first):
+                break
+            values = {**self.first.values, "u": principle.controls}
+            guess = replace(self.first, values=values, solution=None, slopes=None)
+            (other,) = yield [(method, guess, ITERATIONS_OF_START)]
+            self._note(other, "from controls that make the Hamiltonian least")
+            if not _solution(other).is_optimum or _solution(other).objective >= objective - self._limit(other):
+                break
+            self.first = other
+
+    def _limit(self, mesh: Mesh) -> float:
+        return self.spec.tolerance * abs(_solution(mesh).objective) + NOTHING * mesh.size
 
     def _cut(self, mesh: Mesh, narrow: Sequence[Violation]) -> _Solving:
         """Solve on a mesh with intervals that end where conditions are exceeded, which begins a new sequence."""

@@ -22,6 +22,8 @@ _OF_RUNS = {
     "sensitivities": "Derivatives of the optimum from the multipliers.",
     "starts": "Objectives on the first mesh from several first guesses.",
     "forward_run": "Differences of a run with the controls from the motion.",
+    "costates": "Derivatives of the objective by the states, as functions of time.",
+    "pontryagin": "Violation of Pontryagin's minimum principle.",
     "gain": "Difference of the optimum from that of another motion.",
 }
 

@@ -182,6 +182,7 @@ def _run_of(
 
 
 def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dict[str, str | int | float]:
+    principle = result.principle
     optimized = dict(zip(result.transcription.system.parameter_names, result.mesh.values["p"].tolist(), strict=True))
     texts = {
         "mesh": [row._asdict() for row in result.rows],
@@ -190,6 +191,14 @@ def _results(result: Optimum, rival: Optimum | None, forward: Difference) -> dic
         "starts": [None if np.isnan(value) else value for value in result.starts],
         "sensitivities": result.sensitivities if result.is_optimum else {},
         "forward_run": vars(forward),
+        "costates": {name: row.tolist() for name, row in result.costates.items()},
+        "pontryagin": None
+        if principle is None
+        else {
+            "violation": principle.gain,
+            "time": principle.time,
+            "starts": principle.starts,
+        },
     }
     numbers = {"objective": result.objective, "objective_error": float(result.error)}
     if rival is not None:
@@ -217,6 +226,12 @@ def _judgement(result: Optimum, rival: Optimum | None, forward: Difference | Non
         doubts.append(SMALL)
     if not result.is_minimum:
         doubts.append(NO_MINIMUM)
+    principle = result.principle
+    if principle is not None and principle.gain > result.limit:
+        doubts.append(
+            f"Pontryagin's minimum principle is violated, most at t = {principle.time:.4g} s: controls with a smaller "
+            f"Hamiltonian would change the objective by {-principle.gain:.2g} to first order."
+        )
     free, moves = result.undetermined
     if moves:
         doubts.append(f"{free}, and so may the motion.")

@@ -91,6 +91,26 @@ def forward_run(run: Run) -> dict[str, float]:
     return dict(_recorded(run, "forward_run"))
 
 
+def costates(run: Run) -> dict[str, np.ndarray]:
+    """Return the costates (T,) by name of the state: derivatives of the objective by the state at each time.
+
+    Names are those of the coordinates that joints leave free, such as ``block.x``, of their velocities, ``block.vx``,
+    and of first-order states. With the integrand L, ``costates' = -dH/dx`` for ``H = L + costates . x'``, which the
+    controls of an optimum minimize. Empty if there is no optimum.
+    """
+    return {name: np.array(values) for name, values in _recorded(run, "costates").items()}
+
+
+def pontryagin(run: Run) -> dict[str, float]:
+    """Return how far the motion is from Pontryagin's minimum principle; empty if that is not known.
+
+    ``violation`` is the integral over time of the Hamiltonian less its minimum over the admissible controls, the
+    first-order change of the objective; ``time`` is when it is largest [s]; ``starts`` is the number of starts of the
+    search for the minimum at each time, 0 if it is exact.
+    """
+    return dict(_recorded(run, "pontryagin") or {})
+
+
 def gain(run: Run) -> Callable[..., PredictedGain]:
     """Return the function of another prediction that returns the gain of this one; see `PredictedGain`.
 
@@ -131,6 +151,11 @@ def lines(run: Run) -> list[tuple[str, str]]:
         result = gain(run)()
         share = f"{100 * result.share:.4g} % of the motion that is compared"
         entries.append(("gain", f"{result.value:.6g} +- {result.error:.2g}, {share}"))
+    if "pontryagin" in run.provenance and (principle := pontryagin(run)):
+        within, count = max(principle["violation"] / (abs(value) or 1.0), 1e-12), principle["starts"]
+        how = f"by {count} start{'s' * (count > 1)} at each time" if count else "exactly"
+        kept = f"satisfies Pontryagin's minimum principle within {within:.1g} of the objective, examined {how}"
+        entries.append(("controls", kept))
     if not math.isnan(forward["end"]):
         at_end, most = (f"{forward[name]:.1e}" for name in ("end", "largest"))
         entries.append(("forward run", f"differs by {at_end} of the range of the motion at the end, {most} at most"))
@@ -156,7 +181,8 @@ def _of_starts(values: list[float]) -> str:
 
 
 for attribute in (
-    objective, objective_error, mesh, parameters, controls, sensitivities, starts, forward_run, gain,
+    objective, objective_error, mesh, parameters, controls, sensitivities, starts, forward_run, costates, pontryagin,
+    gain,
 ):  # fmt: skip
     run_attribute(attribute)  # not as decorators, which would hide the classes of the results
 

@@ -55,6 +55,7 @@ WEIGHT_OF_START = 10.0
 MANY_POINTS = {"radau": 7, "gauss": 5}  #: Collocation points of meshes on which the search begins anew.
 FEWEST = 4  #: Least number of intervals of a part of a phase.
 SHORTEST = 1e-6  #: Shortest part, as a share of the longest duration of its phase.
+OF_BODIES = ("x", "y", "angle"), ("vx", "vy", "angular_velocity")  #: Coordinates and velocities of bodies.
 BETWEEN = 7  #: Times within each interval at which joints are looked at.
 SMALL = 1e-3  #: Smaller objectives are multiplied for the optimizer, which scales large ones itself.
 MOST_UNEVEN = 0.125  #: Largest share of such intervals.
@@ -651,6 +652,16 @@ class Transcription:
         of_motion = slopes[MOTION].reshape(-1, len(mesh.times), order="F") / quadrature
         return by_integrals, of_motion, self._costates(mesh)[self._rows["z"]]
 
+    def costates(self, mesh: Mesh) -> dict[str, np.ndarray]:
+        """Return the derivatives (T,) of the objective by the states, named by coordinates of bodies, by their
+        velocities, and by first-order states: at the start, the collocation points, and the end.
+        """
+        system, s, inside = self.system, len(self.c), self._costates(mesh)
+        ends = [inside[:, :s] @ weights(self.c, 0.0), *[inside[:, -s:] @ weights(self.c, 1.0)] * self.has_nodes]
+        names = [f"{system.bodies[k // 3]}.{kind[k % 3]}" for kind in OF_BODIES for k in system.places.tolist()]
+        rows = np.column_stack([ends[0], inside, *ends[1:]])
+        return dict(zip([*names, *system.state_names], rows, strict=True))
+
     def _costates(self, mesh: Mesh) -> np.ndarray:
         """Return the costates (2 n + Z, N s) at the collocation points: derivatives of the objective by the states."""
         assert mesh.solution is not None
@@ -665,6 +676,11 @@ class Transcription:
         `stage`.
         """
         return self.sides[:, np.repeat(grid.phase, count)]
+
+    def bounds_of_path(self, mesh: Mesh, k: int) -> tuple[float, float]:
+        """Return the bounds of a condition along the path."""
+        path = self._path[k]
+        return path.low, path.high if path.peak is None else float(mesh.values["peak"][path.peak])
 
     def along_path(self, mesh: Mesh) -> list[AlongPath]:
         """Return the conditions along the path, bounds of states among them."""
@@ -744,6 +760,13 @@ class Transcription:
         s, values = len(self.c), mesh.values
         ends = values["nodes"] if self.has_nodes else np.vstack([values[name][:, s - 1 :: s] for name in "qvz"])
         return np.column_stack([values["start"], ends])
+
+    @property
+    def free_controls(self) -> list[int]:
+        """Indices of the controls of the spec that have different bounds."""
+        low, high, _ = self.limits["u"]
+        names = self.system.control_names
+        return [k for k, name in enumerate(names) if name in self.spec.controls and low[k] < high[k]]
 
     @property
     def control_sizes(self) -> np.ndarray:
