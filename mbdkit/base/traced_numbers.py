@@ -203,8 +203,8 @@ class Trace:
         """Return the values of an operation whose result is an array, given by its Python text."""
         if (known := self._known.get(text)) is None:
             self._known[text] = known = TracedNumber(self, f"v{len(self._known)}", math.nan)
-            self._lines.append(f" {known.name} = {text}")
-        return [self.result(f"{known.name}[{index}]", value) for index, value in enumerate(values)]
+            self._lines.append(f" {known.traced_name} = {text}")
+        return [self.result(f"{known.traced_name}[{index}]", value) for index, value in enumerate(values)]
 
     def combine(self, symbol: str, compute: Callable[[Any, Any], Any], a: Any, b: Any) -> Any:
         """Return the result of an operator."""
@@ -250,7 +250,7 @@ class Trace:
         names, count = tuple(map(_text, results)), len(self._lines)
         for number in results:
             if isinstance(number, TracedNumber):
-                self.condition(f"({number.name} != 0.0)", number.value != 0.0)
+                self.condition(f"({number.traced_name} != 0.0)", number.traced_value != 0.0)
         sizes = ", ".join([*(f"abs({name})" for name in dict.fromkeys(names)), ""])
         kept = (*self._lines[count:], f"{_IF_NOT}(sum(({sizes})) < inf){_RETURN}")
         return Formulas(tuple(self._inputs), tuple(self._lines[:count]), kept, names)
@@ -260,16 +260,16 @@ def _text(operand: Any) -> str:
     if isinstance(operand, tuple | list):
         return f"({', '.join([*map(_text, operand), ''])})"
     if isinstance(operand, TracedNumber):
-        return operand.name
+        return operand.traced_name
     value = operand if type(operand) is int else float(operand)
     return f"({value!r})" if value < 0 or math.copysign(1.0, value) < 0 or not math.isfinite(value) else repr(value)
 
 
 class TracedText(str):
-    """An expression with names in place of traced numbers; `value` has their values."""
+    """An expression with names in place of traced numbers; `traced_value` has their values."""
 
-    __slots__ = ("value",)
-    value: str
+    __slots__ = ("traced_value",)
+    traced_value: str
 
 
 def text_with(substitute: Callable[[Callable[[float], str]], str]) -> str:
@@ -283,13 +283,13 @@ def text_with(substitute: Callable[[Callable[[float], str]], str]) -> str:
     def text(number: Any) -> str:
         if not isinstance(number, TracedNumber):
             return repr(number)
-        name = f"traced_{trace.serial}_{number.name}"  # programs of texts are cached
+        name = f"traced_{trace.serial}_{number.traced_name}"  # programs of texts are cached
         trace.named[name] = number
         return name
 
     result = TracedText(substitute(text))
-    result.value = substitute(lambda number: repr(plain(number)))
-    return result if result != result.value else result.value
+    result.traced_value = substitute(lambda number: repr(plain(number)))
+    return result if result != result.traced_value else result.traced_value
 
 
 def named_number(name: str) -> float | None:
@@ -309,10 +309,10 @@ def _binary(symbol: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any]
     compute = _OPERATORS[symbol]
 
     def forward(self: TracedNumber, other: Any) -> Any:
-        return self.trace.combine(symbol, compute, self, other)
+        return self.traced_by.combine(symbol, compute, self, other)
 
     def backward(self: TracedNumber, other: Any) -> Any:
-        return self.trace.combine(symbol, compute, other, self)
+        return self.traced_by.combine(symbol, compute, other, self)
 
     return forward, backward
 
@@ -321,14 +321,14 @@ def _comparison(symbol: str) -> Callable[[Any, Any], Any]:
     compute = _COMPARISONS[symbol]
 
     def compare(self: TracedNumber, other: Any) -> Any:
-        return self.trace.compare(symbol, compute, self, other)
+        return self.traced_by.compare(symbol, compute, self, other)
 
     return compare
 
 
 def _lost(what: str) -> Callable[..., Any]:
     def lose(self: TracedNumber, *_: object) -> Any:
-        raise self.trace.failure(f"a traced number is converted to {what}")
+        raise self.traced_by.failure(f"a traced number is converted to {what}")
 
     return lose
 
@@ -345,13 +345,14 @@ _COMPARISONS: Mapping[str, Callable[[Any, Any], Any]] = {
 class TracedNumber:
     """A number of a `Trace`; `isinstance` takes it for a float.
 
-    `name`: its name in the recorded formulas. `value`: its value while they are recorded.
+    `traced_name`: its name in the recorded formulas. `traced_value`: its value while they are recorded. Other code may
+    ask any object for its `name` or `value`, as for those of enumerations.
     """
 
-    __slots__ = ("name", "trace", "value")
+    __slots__ = ("traced_by", "traced_name", "traced_value")
 
     def __init__(self, trace: Trace, name: str, value: float):
-        self.trace, self.name, self.value = trace, name, value
+        self.traced_by, self.traced_name, self.traced_value = trace, name, value
 
     @property  # type: ignore[misc]
     def __class__(self) -> Any:
@@ -370,30 +371,32 @@ class TracedNumber:
     __hash__ = _lost("a hash")  # type: ignore[assignment]
 
     def __bool__(self) -> bool:
-        return self.trace.condition(f"({self.name} != 0.0)", self.value != 0.0)
+        return self.traced_by.condition(f"({self.traced_name} != 0.0)", self.traced_value != 0.0)
 
     def __neg__(self) -> TracedNumber:
-        return self.trace.result(f"-{self.name}", -self.value)
+        return self.traced_by.result(f"-{self.traced_name}", -self.traced_value)
 
     def __pos__(self) -> TracedNumber:
         return self
 
     def __abs__(self) -> TracedNumber:
-        return self.trace.result(f"abs({self.name})", abs(self.value))
+        return self.traced_by.result(f"abs({self.traced_name})", abs(self.traced_value))
 
     def is_integer(self) -> bool:
         """Return whether the number is an integer."""
-        return self.trace.condition(f"{self.name}.is_integer()", self.value.is_integer())
+        return self.traced_by.condition(f"{self.traced_name}.is_integer()", self.traced_value.is_integer())
 
     def __array_ufunc__(self, ufunc: Any, method: str, *operands: Any, **options: Any) -> Any:
         if method == "__call__" and not options and all(np.ndim(plain(operand)) == 0 for operand in operands):
-            return self.trace.apply(ufunc, operands)
-        raise self.trace.failure(f"{ufunc.__name__} is not recorded")
+            return self.traced_by.apply(ufunc, operands)
+        raise self.traced_by.failure(f"{ufunc.__name__} is not recorded")
 
     def __elementary__(self, function: Any, operands: Sequence[Any]) -> Any:
         if all(np.ndim(plain(operand)) == 0 for operand in operands):
-            return self.trace.result(f"{function.name}({', '.join(map(_text, operands))})", function(*plain(operands)))
-        raise self.trace.failure(f"{function.name} of arrays is not recorded")
+            return self.traced_by.result(
+                f"{function.name}({', '.join(map(_text, operands))})", function(*plain(operands))
+            )
+        raise self.traced_by.failure(f"{function.name} of arrays is not recorded")
 
 
 # Whatever else floats have, as conversions to arrays and pickles use, would take the number out.
@@ -406,7 +409,7 @@ for _name in (
 def plain(value: Any) -> Any:
     """Return plain data, or a number, with values in place of traced numbers."""
     if isinstance(value, TracedNumber | TracedText):
-        return value.value
+        return value.traced_value
     if isinstance(value, Mapping):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

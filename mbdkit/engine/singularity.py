@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbdkit.base.text import listed
 from mbdkit.engine.kernels.singularity_kernels import COLUMNS, L_XX, L_YX, L_YY, independent_jacobian
 from mbdkit.engine.kernels.table_rows import BODIES
 from mbdkit.engine.self_stress import scaled_matrix, smallest_stress
@@ -74,6 +75,8 @@ def nearest_singularity(workspace: Workspace, t: float, q: np.ndarray) -> tuple[
 def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
     """Return a clause stating that a position is nearly singular, and at which joint; empty if it is not.
 
+    It names the angles of drivers, which cannot turn a linkage past a dead centre.
+
     `workspace`: the mechanism. `t`: time [s]. `q`: (3 (B + 1),) position, as in `nearest_singularity`.
     """
     try:
@@ -82,4 +85,13 @@ def describe_nearness(workspace: Workspace, t: float, q: np.ndarray) -> str:
         return ""
     if not joint or distance > NEAR:
         return ""
-    return f"the mechanism is in or near a singular position at joint '{joint}' (distance {distance:.1g})"
+    mechanism = workspace.mechanism
+    angles = [*q[2 : mechanism.size - 3 : 3], 0.0]
+    number = {name: place for place, name in enumerate((*mechanism.bodies, "ground"))}
+    turned = [
+        f"driver '{name}' at {angles[number[b]] - angles[number[a]]:.6g} rad"
+        for name, (a, b), unit in zip(mechanism.joints, mechanism.joint_bodies, mechanism.joint_units, strict=True)
+        if name in mechanism.drivers and unit == "rad"
+    ]
+    at = f", with {listed(turned, 'and')}, as at a dead centre, which no step size passes" if turned else ""
+    return f"the mechanism is in or near a singular position at joint '{joint}' (distance {distance:.1g}){at}"

@@ -31,7 +31,7 @@ def acts_in(item: Registered, mechanism: Mechanism) -> bool:
         case "joint-kind":
             return any(getattr(joint, "type", "") == plugin.name for joint in mechanism.joints.values())
         case "force-law":
-            return any(isinstance(force, Law) and item_of(force) == item for force in mechanism.forces.values())
+            return any(isinstance(force, Law) and item_of(force).id == item.id for force in mechanism.forces.values())
         case "element-kind":
             return bool(mechanism.elements.get(plugin.key_in_model))
         case "quantity":
@@ -56,9 +56,10 @@ def impure_item_of(spec: Any) -> Registered | None:
         plugin: Any = item.plugin
         match item.kind:
             case "model":
-                return item == spec.model_item
+                return item.id == spec.model_item.id
             case "integrator" | "step-control":
-                return item in (spec.integrator_item, spec.step_control_item)
+                chosen = spec.integrator_item, spec.step_control_item
+                return any(own is not None and (own.kind, own.id) == (item.kind, item.id) for own in chosen)
             case "spec-kind":
                 return plugin is spec.spec_kind
             case "model-key":

@@ -32,6 +32,9 @@ from mbdkit.mechanism.values import Motion, Table, curve_of
 #: magnitude over the run.
 JUMP, JUMP_OF_LARGEST = 1e-9, 1e-13
 
+#: A difference between both sides is no jump if it is more than twice as large at this multiple of the margins.
+FARTHER = 1e4
+
 #: Deviations of value, rate and acceleration at the margins of a hidden corner, as multiples of its errors.
 ACCURATE = np.array([10.0, 10.0, 1e-2])
 
@@ -207,15 +210,24 @@ def _described(
     if not (places := sorted(rows)):
         return ()
     times, margins = (np.array(column) for column in zip(*places, strict=True))
-    before, after = (jet_of(motion, times + side * margins).derivatives for side in (-1.0, 1.0))
+
+    def sides(margins: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the motion on both sides, and by how much it differs; the next derivative explains what arises over
+        the two margins.
+        """
+        before, after = (jet_of(motion, times + side * margins).derivatives for side in (-1.0, 1.0))
+        difference = after - before
+        slopes = (before + after)[:, 1:]
+        difference[:, :2] -= margins[:, None] * np.where(np.isfinite(slopes), slopes, 0.0)
+        return before, after, np.abs(difference)
+
     with np.errstate(all="ignore"):
         over = np.abs(jet_of(motion, np.linspace(start, end, 201)).derivatives)
         largest = np.max(np.where(np.isfinite(over), over, 0.0), axis=0)
-        difference = after - before
-        # The next derivative explains the part of the difference that arises over the two margins.
-        difference[:, :2] -= margins[:, None] * (before + after)[:, 1:]
+        before, after, difference = sides(margins)
         floor = JUMP * np.maximum(np.abs(before), np.abs(after)) + JUMP_OF_LARGEST * largest
-        jumps = ~(np.abs(difference) <= floor)
+        # powers such as (t - 1)**0.5 have no jump, but grow at once
+        jumps = ~(difference <= floor) & ~(difference < 0.5 * sides(FARTHER * margins)[2])
     corners: list[Corner] = []
     columns = (x.tolist() for x in (times, margins, before, after, jumps))
     for time, margin, left, right, differs in zip(*columns, strict=True):

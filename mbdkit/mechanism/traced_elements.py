@@ -38,11 +38,11 @@ def with_numbers(validated: Any, given: Any) -> Any:
     if not is_traced(given):
         return validated
     if isinstance(given, TracedNumber):
-        if type(validated) is not float or validated != given.value:
-            raise given.trace.failure("a traced number is changed by validation")
+        if type(validated) is not float or validated != given.traced_value:
+            raise given.traced_by.failure("a traced number is changed by validation")
         return given
     if isinstance(given, TracedText):
-        if validated != given.value:
+        if validated != given.traced_value:
             raise UntraceableError("a text with traced numbers is changed by validation")
         return given
     if isinstance(validated, BaseModel) and isinstance(given, Mapping):

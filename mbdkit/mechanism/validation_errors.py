@@ -124,6 +124,8 @@ def _complaint(details: ErrorDetails, path: Path, owner: type[BaseModel] | None,
         return inner.message
     match kind:
         case "extra_forbidden":
+            if len(path) > 2 and path[-2] in {section for section, _ in ELEMENTS.values()} - {"", path[-3]}:
+                return f"'{path[-2]}' is indented too deep, as an element of '{path[-3]}'; indent both alike"
             return _unknown_key(str(path[-1]), owner, plugins)
         case "missing":
             return f"is missing{_purpose(owner, str(path[-1]))}"

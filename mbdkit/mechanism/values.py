@@ -38,7 +38,8 @@ def pair(wanted: str) -> Callable[[object], Any]:
             plain = tuple(plain)
         if not isinstance(plain, tuple):
             is_number = isinstance(plain, str | int | float) and re.match(r"[-+]?\.?\d", str(plain)) is not None
-            example = f", such as [0, {plain}], where y points up" if is_number and wanted.endswith("[x, y]") else ""
+            down = f"-{str(plain).lstrip('+-')}"  # a single number is mostly that of gravity
+            example = f", such as [0, {down}], where y points up" if is_number and wanted.endswith("[x, y]") else ""
             raise SpecError(f"should be {wanted}{example}, not {_shown(plain)}")
         if len(plain) != 2:
             raise SpecError(f"should be {wanted}, not {len(plain)} item{'s' * (len(plain) != 1)}")

@@ -45,6 +45,8 @@ AT_REST = 1e-9  #: A motion is at rest if its rate is at most this share of its 
 #: Rotations from rest to rest by a larger number of radians are not taken for degrees; they may be those of a motor.
 MOST_DEGREES = 360.0
 
+RATE = 45.0  #: Multiples of this rate [rad/s], as in ``90*t``, are taken for degrees per second.
+
 _ANGLE = re.compile(r"\[(m or )?rad\]")
 
 
@@ -109,26 +111,36 @@ def motions_in_degrees(spec: RunSpec) -> Iterator[str]:
             yield from _column_in_degrees(f"the table of driver '{name}'", driver.motion.table[1])
         elif isinstance(driver.motion, str):
             written = spec.written.get(("model", "joints", name, "motion"), driver.motion)
-            swing = _swing(driver.motion, spec.time.start, spec.time.final)
+            swing = _swing(driver.motion, spec.time.start, spec.time.final, rates=written == driver.motion)
             if swing > 0.0 and not _is_in_radians(written, spec.parameters):
                 yield (
-                    f"the motion of driver '{name}', {written}, swings by {swing:.4g} rad, which is more than a full "
+                    f"the motion of driver '{name}', {written}, turns by {swing:.4g} rad, which is more than a full "
                     f"rotation; if its angles are in degrees, write them as in degrees(45), otherwise as multiples of "
                     f"pi, as in 14.3*pi"
                 )
 
 
-def _swing(motion: str, start: float, end: float) -> float:
+def _swing(motion: str, start: float, end: float, *, rates: bool) -> float:
     """Return the angle by which a motion oscillates, or turns from rest to rest, if it is more than a full rotation
     and improbable in radians; otherwise 0.
 
-    Rotations from rest to rest may be those of a motor. They are improbable only up to `MOST_DEGREES`, with few
-    decimals.
+    Rotations from rest to rest, or at a constant rate, may be those of a motor. They are improbable only up to
+    `MOST_DEGREES` with few decimals, or if the rate is a multiple of `RATE` and `rates` are looked at: names of
+    parameters may say that they are those of a motor.
     """
     oscillation = _oscillation(Expression.parse(motion).program, np.linspace(start, end, TIMES))
     if 2.0 * math.pi < oscillation < math.inf and not _is_whole(math.degrees(oscillation)):
         return oscillation
     jet = jet_of(motion, np.linspace(start, end, SAMPLES))
+    rate = float(jet.rate[0])
+    if (
+        rates
+        and rate
+        and np.ptp(jet.rate) == 0.0
+        and rate % RATE == 0.0
+        and (turned := abs(rate) * (end - start)) > 2.0 * math.pi
+    ):
+        return turned
     rests = jet.value[np.abs(jet.rate) <= AT_REST * np.max(np.abs(jet.rate))]
     turned = float(np.max(np.abs(np.diff(rests)), initial=0.0))
     is_round = abs(turned - round(turned, TABLE_DIGITS)) <= AT_REST * turned

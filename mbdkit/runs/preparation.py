@@ -272,9 +272,9 @@ class RunSetup:
         """Return a stepper at the start, with another timetable if one is given; for errors, see `start_method`."""
         return start_method(self.method, self.workspace, table or self.timetable())
 
-    def findings(self) -> list[Finding]:
-        """Return what is doubtful or worth a note in the spec and at the start."""
-        return [*findings("spec", self.spec, ()), *findings("start", self.spec, self.start)]
+    def findings(self, measures: Sequence[str] = ()) -> list[Finding]:
+        """Return what is doubtful or worth a note in the spec and at the start; for `measures`, see `caution`."""
+        return [*findings("spec", self.spec, measures), *findings("start", self.spec, self.start)]
 
     def require_support(self) -> None:
         """Check before a run that its method supports the formulation and the mechanism.

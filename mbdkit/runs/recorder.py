@@ -180,7 +180,7 @@ class Recorder:
         """
         mechanism = self.workspace.mechanism
         joint, names = mechanism.joints[self._joints.joint[pair]], mechanism.redundancy.not_unique
-        others = listed([name for name in names if name != joint], "and")
+        others = listed([name for name in names if name != joint], "and") or "other joints"
         what = f"joint '{joint}' is misaligned by {gap}, and numerical error does not explain it: it constrains the "
         if not mechanism.drivers & set(names):
             return Failure(

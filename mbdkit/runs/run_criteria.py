@@ -75,9 +75,12 @@ def unstable_baumgarte(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator
 
 
 @spec_criterion
-def model_notes(spec: RunSpec, _measures: Sequence[str] = ()) -> tuple[str, ...]:
-    """Return what the model says about its mechanism."""
-    return spec.mechanism().warnings
+def model_notes(spec: RunSpec, _measures: Sequence[str] = ()) -> Iterator[str]:
+    """Yield what the model says about its mechanism, and a remark on gravity that points up."""
+    yield from spec.mechanism().warnings
+    x, y = spec.mechanism().gravity
+    if x == 0.0 and y > 0.0:
+        yield f"gravity [0, {y:g}] points up, because y does; bodies fall with [0, -{y:g}]"
 
 
 @spec_criterion

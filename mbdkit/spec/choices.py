@@ -226,7 +226,7 @@ class RegistryLookup:
                 keys = [*given.model_fields, *getattr(given, "further_keys", list)()]
                 others += [f"'{other.name}'"] * (key in keys)
         if item is None or not others:
-            return f"unknown key: '{key}' belongs under 'model'" if others else ""
+            return f"unknown key: '{key}' belongs under 'model', one level deeper" if others else ""
         message = f"'{key}' belongs to {listed(others, 'and')}, not to the {item.plugin.label()} '{item.name}'"
         if item.kind == "integrator":
             return f"{message} (to change the method, replace the whole section by `{{name: {item.name}}}`)"

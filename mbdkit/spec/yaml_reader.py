@@ -188,6 +188,15 @@ class _Reader:
                 raise self._error(f"the key '{key}' occurs twice (first on line {first[key]})", event, (*path, key))
             first[key] = line
             self._place((*path, key), event)
+            if (
+                re.match(r"\d+( |$)", key)
+                and type(next(reversed(result.values()), None)) is int
+                and self._after(event) in ",}"
+            ):
+                message = (
+                    f"YAML ends a value at a comma and takes '{key}' for a key; write numbers with a decimal point"
+                )
+                raise self._error(message, event, path)
             result[key] = self.value(self.next(), (*path, key))
         return merged | result
 
@@ -215,9 +224,16 @@ class _Reader:
         text = str(event.value)
         self._add(0, len(text), event, path)
         if not event.style and (event.tag is None or event.tag.removeprefix(CORE) in IMPLICIT):
+            if text.count("(") > text.count(")") and self._after(event) == ",":
+                message = f"YAML ends this value at its comma, after '{text}'; put an expression with commas in quotes"
+                raise self._error(message, event, path)
             return self._resolved(text, event, path)
         self._expect(event, "str", path)
         return text
+
+    def _after(self, event: Event) -> str:
+        """Return the character after an event; empty at the end."""
+        return self.text[event.end_mark.index : event.end_mark.index + 1]
 
     def _resolved(self, text: str, event: Event, path: Path) -> object:
         data = resolved(text)

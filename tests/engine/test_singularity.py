@@ -180,3 +180,32 @@ def test_nearness_names_a_joint_of_the_loop_that_is_singular_and_keeps_quiet_els
     assert distance == pytest.approx(singular_values(p, 0.0, q.ravel())[-1], rel=1e-6)
     assert joint.endswith("1")
     assert f"joint '{joint}'" in describe_nearness(p._workspace, 0.0, q.ravel())
+
+
+@pytest.mark.parametrize("method", ["gauss", "dopri5", "scipy-radau"])
+def test_a_dead_centre_is_named_by_the_angle_of_its_driver_and_not_blamed_on_the_step(method: str) -> None:
+    # expected: coupler and rocker, 0.9 m each, are in line where the end of the crank of 1 m is 1.8 m from the pin at
+    # 2 m: cos(angle) = (1 + 4 - 1.8^2) / 4
+    dead = math.acos((1.0 + 4.0 - 1.8**2) / 4.0)
+    link = {"mass": 1.0, "inertia": 0.1}
+    places = {"a": [0.5, 0], "b": [1.2, 0.4], "c": [1.7, 0.4]}
+    bodies = {name: {**link, "position": place} for name, place in places.items()}
+    pins = {"A": ("ground", "a", [0, 0], [-0.5, 0]), "B": ("a", "b", [0.5, 0], [-0.45, 0]),
+            "C": ("b", "c", [0.45, 0], [-0.45, 0]), "D": ("ground", "c", [2, 0], [0.45, 0])}  # fmt: skip
+    joints: dict[str, Any] = {
+        name: {"type": "revolute", "bodies": [a, b], "points": [p, q]} for name, (a, b, p, q) in pins.items()
+    }
+    joints["M"] = {"type": "driver", "bodies": ["ground", "a"], "coordinate": "angle", "motion": "0.5*t"}
+    options = {"dopri5": {"adaptive": True}, "gauss": {"stages": 2}}.get(method, {})
+    run = mbdkit.run(
+        {
+            "mbdkit": 1,
+            "model": {"name": "mechanism", "gravity": [0, 0], "bodies": bodies, "joints": joints},
+            "integrator": {"name": method, **options},
+            "time": {"end": 6.0, "step": 0.01},
+        }
+    )
+    assert run.status == "failed"
+    assert "may help" not in run.status_reason
+    angle = float(run.status_reason.partition("driver 'M' at ")[2].partition(" rad")[0])
+    assert angle == pytest.approx(dead, abs=2 * 0.5 * 0.01)  # two steps

@@ -45,6 +45,7 @@ def test_corners_are_found_where_they_are(motion: str, start: float, end: float,
         ("3*abs(t - 1)", (0.0, -3.0, 0.0), (0.0, 3.0, 0.0), (False, True, False)),
         ("max(0, t - 1)**2", (0.0, 0.0, 0.0), (0.0, 0.0, 2.0), (False, False, True)),
         ("max(0, t - 1)**3", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (False, False, False)),
+        ("max(0, t - 1)**2.5", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (False, False, False)),
         ("abs(t - 1)/(t - 1)", (-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (True, False, False)),
     ],
 )
@@ -55,7 +56,13 @@ def test_the_jumps_are_those_of_both_sides(
     assert corner.time == pytest.approx(1.0, abs=1e-15)
     assert corner.jumps == jumps
     assert corner.before == pytest.approx(before, abs=1e-12)
-    assert corner.after == pytest.approx(after, abs=1e-12)
+    assert corner.after == pytest.approx(after, abs=1e-6 if "2.5" in motion else 1e-12)
+
+
+@pytest.mark.parametrize(("power", "jumps"), [(1.1, False), (1.5, False), (1.9, False), (1.0, True)])
+def test_the_rate_of_a_power_above_one_has_no_jump_where_it_begins(power: float, jumps: bool) -> None:
+    (corner,) = corners_of(f"max(0, t - 0.5)**{power}", 0.0, 1.0)
+    assert corner.jumps[:2] == (False, jumps)
 
 
 def test_an_atan2_that_wraps_jumps_by_two_pi() -> None:

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
-import sympy
 from pydantic import BaseModel
 
 import mbdkit
@@ -52,6 +51,7 @@ IMPURE: dict[str, Number] = {
     "objects": lambda size: np.array([size, *(0.1 * k for k in range(1, 11))], dtype=object).sum() / 5,
     "text": lambda size: 0.5 + float(f"{size:.1f}") / 4,
     "caught": remembered,
+    "member": lambda size: 0.5 + 0.3 * getattr(size, "value", 1.0 + size),
     "sine": lambda size: 1.2 + np.sin(size) / 2,
 }
 READING: Number = lambda size: float(FILE[0].read_text()) + 0.0 * size  # noqa: E731
@@ -152,17 +152,6 @@ def joint(function: Number, *, pure: bool) -> tuple[object, dict[str, Any], str]
     return item, {**block(), "joints": joints}, "model.joints.s.size"
 
 
-def law(function: Number, *, pure: bool) -> tuple[object, dict[str, Any], str]:
-    length, k = sympy.symbols("length k", real=True)
-    spring = mbdkit.ExpressionLaw(force=k * length, parameters=lambda options: {"k": 50.0 * function(options.size)})
-    pathway = {"type": "coordinate", "coordinate": "x", "bodies": ["ground", "b"], "points": [[0, 0], [0, 0]]}
-    forces = {"s": {"type": "law", "law": "drawn", "pathway": pathway}}
-    item = mbdkit.ForceLawPlugin("drawn", "x.", Options, spring, pure=pure)
-    data = {**block(), "forces": forces}
-    data["bodies"]["b"]["position"] = [0.3, 0.0]
-    return item, data, "model.forces.s.size"
-
-
 CHECKED: list[Number] = []
 
 
@@ -195,7 +184,7 @@ def block() -> dict[str, Any]:
     }
 
 
-KINDS_OF_CODE = {"model": model, "joint": joint, "law": law, "criterion": criterion, "method": method}
+KINDS_OF_CODE = {"model": model, "joint": joint, "criterion": criterion, "method": method}
 
 
 def spec_of(kind: str, data: dict[str, Any], key: str, size: float) -> dict[str, Any]:
@@ -212,49 +201,65 @@ def outcome(run: mbdkit.Run) -> tuple[object, ...]:
     return run.data_sha256, run.run_id, str(run.verdict), run.warnings, run.status
 
 
-@pytest.mark.parametrize("kind", KINDS_OF_CODE)
-def test_runs_with_code_of_others_equal_ordinary_ones_or_are_not_recorded(
-    kind: str, installed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+CASES = [(kind, True, name) for kind in KINDS_OF_CODE for name in PURE]
+CASES += [
+    (kind, pure, name)
+    for kind in KINDS_OF_CODE
+    for pure in (True, False)  # a wrong permission, which recorded numbers refuse, and none
+    for name in random.Random(f"{kind} {pure}").sample(sorted(IMPURE), 2)
+]
+CASES += [(kind, False, "file") for kind in KINDS_OF_CODE]
+
+
+@pytest.mark.parametrize(("kind", "pure", "name"), CASES)
+def test_runs_with_code_of_others_equal_ordinary_ones(
+    kind: str,
+    pure: bool,
+    name: str,
+    installed: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     FILE[:] = [tmp_path / "number.txt"]
-    rightly = [(True, PURE[name]) for name in PURE]
-    wrongly = [(True, IMPURE[name]) for name in random.Random(len(kind)).sample(sorted(IMPURE), 3)]
-    for pure, function in [*rightly, *wrongly, *((False, IMPURE[name]) for name in IMPURE), (False, READING)]:
-        item, data, key = KINDS_OF_CODE[kind](function, pure=pure)
-        installed(acme=[item])
-        monkeypatch.setattr(repeated_runs, "_KNOWN", {})
-        prepared = mbdkit.prepare(spec_of(kind, data, key, SIZES[0]))
-        for number, size in enumerate(SIZES):
-            FILE[0].write_text(str(0.8 if number < 4 else 1.2))
-            own = spec_of(kind, data, key, size)
-            expected = outcome(simulation.simulate(load_spec(own)))
-            assert outcome(mbdkit.run(own)) == expected
-            assert outcome(prepared.run({key: size})) == expected
+    FILE[0].write_text("0.8")
+    item, data, key = KINDS_OF_CODE[kind]({**PURE, **IMPURE, "file": READING}[name], pure=pure)
+    installed(acme=[item])
+    monkeypatch.setattr(repeated_runs, "_KNOWN", {})
+    prepared = mbdkit.prepare(spec_of(kind, data, key, SIZES[0]))
+    for number, size in enumerate(SIZES):
+        FILE[0].write_text(str(0.8 if number < 4 else 1.2))
+        own = spec_of(kind, data, key, size)
+        expected = outcome(simulation.simulate(load_spec(own)))
+        assert outcome(mbdkit.run(own)) == expected
+        assert outcome(prepared.run({key: size})) == expected
 
 
 @pytest.mark.parametrize("kind", KINDS_OF_CODE)
+@pytest.mark.parametrize("pure", [True, False])
 def test_code_that_says_that_it_is_pure_is_recorded_and_other_code_is_not(
-    kind: str, installed: Callable[..., Any]
+    kind: str, pure: bool, installed: Callable[..., Any]
 ) -> None:
-    for pure in (True, False):
-        item, data, key = KINDS_OF_CODE[kind](PURE["branch"], pure=pure)
-        installed(acme=[item])
-        spec, path = load_spec(spec_of(kind, data, key, 1.1)), tuple(key.split("."))
-        if pure:
-            assert Variant.of(spec, [path]).formulas(1.2) is not None
-        else:
-            with pytest.raises(UntraceableError, match="acme:drawn is not pure"):
-                Variant.of(spec, [path])
+    item, data, key = KINDS_OF_CODE[kind](PURE["branch"], pure=pure)
+    installed(acme=[item])
+    spec, path = load_spec(spec_of(kind, data, key, 1.1)), tuple(key.split("."))
+    if pure:
+        assert Variant.of(spec, [path]).formulas(1.2) is not None
+    else:
+        with pytest.raises(UntraceableError, match="acme:drawn is not pure"):
+            Variant.of(spec, [path])
 
 
-def test_an_ensemble_says_which_code_is_not_pure(installed: Callable[..., Any], capfd: Any) -> None:
-    measured = {"measures": {"x": "final(b.x)"}}
-    for pure in (True, False):
-        item, data, key = model(IMPURE["table"], pure=pure)
-        installed(acme=[item])
-        runs = mbdkit.ensemble(spec_of("model", data, key, 1.1) | measured, {key: [1.1, 1.5, 2.0]}, workers=1)
-        right = [0.04**2 / 2 / TABLE.get(size, 0.9) for size in (1.1, 1.5, 2.0)]
-        assert runs.to_frame()["x"].to_numpy() == pytest.approx(right, rel=1e-9)
+@pytest.mark.parametrize("pure", [True, False])
+def test_an_ensemble_of_a_model_that_looks_up_numbers_has_the_right_motions(
+    pure: bool, installed: Callable[..., Any]
+) -> None:
+    # expected: a mass at rest moves by F t^2 / (2 m)
+    item, data, key = model(IMPURE["table"], pure=pure)
+    installed(acme=[item])
+    spec = spec_of("model", data, key, 1.1) | {"measures": {"x": "final(b.x)"}}
+    runs = mbdkit.ensemble(spec, {key: [1.1, 1.5, 2.0]}, workers=1)
+    right = [0.04**2 / 2 / TABLE.get(size, 0.9) for size in (1.1, 1.5, 2.0)]
+    assert runs.to_frame()["x"].to_numpy() == pytest.approx(right, rel=1e-9)
 
 
 def test_every_kind_of_item_takes_the_permission_and_checks_it() -> None:

@@ -277,8 +277,10 @@ class StepHost:
             except StepError as error:
                 where = f"in step {before.done + 1} from t = {before.time:.6g} s"
                 near = describe_nearness(self.workspace, before.time, with_ground(before.state.q))
-                near = f"; {near}" if near and error.code in ("singular", "step-too-small") else ""
-                self.failure = Failure(error.code, f"{error} {where}{near}; {self.method.advice}.")
+                clauses = [near] if near and error.code in ("singular", "step-too-small") else []
+                if not (clauses and self.workspace.mechanism.drivers):
+                    clauses.append(self.method.advice)
+                self.failure = Failure(error.code, f"{error} {where}; {'; '.join(clauses)}.")
                 break
             if table.single or self.at_goal or time.perf_counter() > until:
                 break

@@ -116,7 +116,10 @@ class FailedSteps:
         near = self._obstacle(t, self._state.q + self._size_tried() * self._state.v)
         if not near and failure.code != "not-finite":
             near = describe_nearness(self.workspace, t, self._state.q)
-        return replace(failure, sentence=f"{failure.sentence.rstrip('.')}; {near}.") if near else failure
+        sentence = failure.sentence.rstrip(".")
+        if near and self.workspace.mechanism.drivers:
+            sentence = sentence.removesuffix(f"; {method.hint}")
+        return replace(failure, sentence=f"{sentence}; {near}.") if near else failure
 
     def _renew(self, status: int) -> bool:
         """Choose new pivots after `status`; return whether another attempt at the step can succeed.

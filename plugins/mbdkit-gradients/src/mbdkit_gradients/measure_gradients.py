@@ -228,7 +228,7 @@ def gradient(
         problem.mode = mode
         found = problem.gradient(chosen, check=check)
     spec = problem.spec
-    of_spec = RunSetup.of(spec, problem.starts).findings()
+    of_spec = RunSetup.of(spec, problem.starts).findings([one.text for one in problem.expressions.values()])
     of_run = Doubts.of(of_spec, spec.accept).open
     notes = [text for text in map(str, of_spec) if text not in of_run]
     known = {measure.expression for measure in spec.defined_measures()}

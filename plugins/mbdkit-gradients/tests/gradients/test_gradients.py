@@ -50,6 +50,16 @@ def test_values_of_parameters_may_be_given_with_their_names() -> None:
     assert spec.parameters["k"] == 1.0
 
 
+def test_a_parameter_that_only_a_measure_contains_is_used() -> None:
+    # expected: the angle of a free rotor grows at its rate, so that d angle(tau)/d tau is this rate
+    rotor = {"name": "mechanism", "bodies": {"rotor": {"mass": 2.0, "inertia": 0.3, "angular_velocity": 0.7}}}
+    spec = {"mbdkit": 1, "parameters": {"tau": 0.3, "idle": 1.0}, "model": rotor, **PENDULUM}
+    found = mbdkit.gradient(spec, ["at(rotor.angle, tau)"], ["tau"])
+    assert found.jacobian[0, 0] == pytest.approx(0.7, rel=1e-9)
+    unused = [remark for remark in found.remarks if "is not used" in remark]
+    assert unused == ["the parameter at parameters.idle is not used"]
+
+
 def test_gradient_by_an_initial_angle_is_that_of_a_free_rotation() -> None:
     # expected: a balanced rotor turns by its initial rate, so that d(angle)/d(angle) = 1 and d(angle)/d(rate) = T
     rotor = {

@@ -1,5 +1,7 @@
 """Many runs of a prepared spec at once: their results are those of single runs, and their derivatives of gradients."""
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -111,3 +113,9 @@ def test_measures_of_the_spec_are_among_all_and_a_folder_keeps_the_study(prepare
 def test_wrong_arguments_are_refused_with_their_reason(prepared: Any, arguments: Any, message: str) -> None:
     with pytest.raises(SpecError, match=message):
         prepared.run_many(*arguments)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_a_prepared_run_says_that_it_cannot_be_copied(prepared: Any, duplicate: Any) -> None:
+    with pytest.raises(TypeError, match="a prepared run cannot be copied or pickled"):
+        duplicate(prepared)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Unpack
+from typing import TYPE_CHECKING, Never, Unpack
 
 import numpy as np
 
@@ -76,6 +76,11 @@ class PreparedRun:
         self._is_long = False
         self._given: tuple[RunSpec, GivenStart] | None = None
         self.in_use = UseLock("another thread is using this prepared run; give each thread its own `mbdkit.prepare`")
+
+    def __reduce_ex__(self, protocol: object) -> Never:
+        raise TypeError(
+            "a prepared run cannot be copied or pickled; prepare another one by `mbdkit.prepare(prepared.spec)`"
+        )
 
     @one_thread_at_a_time
     def spec_with(self, parameters: Numbers | None = None, initial: Numbers | None = None) -> RunSpec:
