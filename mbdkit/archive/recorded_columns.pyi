@@ -218,7 +218,7 @@ class Knees(View, of="knees"):
     lateral_force: np.ndarray
     """force in the lateral compartment; nan if frontal moments are not known, (T,), N"""
     compression: np.ndarray
-    """force along the shank; with error bars, the median of its distribution; nan if not computed, (T,), N"""
+    """force along the shank, by recruitment; nan if not computed, (T,), N"""
     compression_lower: np.ndarray
     """how far the true compression may lie below, with a probability of 97.5 %; nan where unknown, (T,), N"""
     compression_upper: np.ndarray
