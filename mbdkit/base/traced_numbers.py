@@ -328,6 +328,7 @@ def _comparison(symbol: str) -> Callable[[Any, Any], Any]:
 
 def _lost(what: str) -> Callable[..., Any]:
     def lose(self: TracedNumber, *_: object) -> Any:
+        """Raise UntraceableError."""
         raise self.traced_by.failure(f"a traced number is converted to {what}")
 
     return lose

@@ -170,7 +170,7 @@ def test_verify_reports_the_kind_of_specs(folder: Path, monkeypatch: pytest.Monk
     for number, verified in ((0, True), (9, False)):
         items = Registry(registered(folder, number, monkeypatch).values())
         report = verify("spec-kind", "jump", installed=items)
-        assert report.verified is verified
+        assert report.verified is verified, report.text()
         assert ("returns str, not dict" in report.text()) is not verified
 
 
