@@ -139,7 +139,7 @@ def _write(handle: int, place: int, data: bytes | memoryview) -> None:
 
 def _apply(handle: int, pages: Mapping[int, bytes | bytearray], size: int) -> None:
     for number, page in pages.items():
-        _write(handle, number * PAGE, page)
+        _write(handle, number * PAGE, memoryview(page))
     os.ftruncate(handle, size)
 
 

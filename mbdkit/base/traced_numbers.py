@@ -369,7 +369,7 @@ class TracedNumber:
     __lt__, __le__, __gt__, __ge__ = (_comparison(symbol) for symbol in ("<", "<=", ">", ">="))
     __eq__, __ne__ = (_comparison(symbol) for symbol in ("==", "!="))
     __repr__, __str__, __format__, __reduce__, __reduce_ex__ = (_lost("text") for _ in range(5))
-    __hash__ = _lost("a hash")  # type: ignore[assignment]
+    __hash__ = _lost("a hash")
 
     def __bool__(self) -> bool:
         return self.traced_by.condition(f"({self.traced_name} != 0.0)", self.traced_value != 0.0)

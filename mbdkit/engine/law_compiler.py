@@ -33,12 +33,12 @@ def program_of(law: ExpressionLaw | TracedLaw, example: tuple[tuple[str, float],
 class Switches(NamedTuple):
     """Where a law switches: at the zeros of functions of its inputs.
 
-    `program`: the program of these functions. `count`: their number. `inputs`: the inputs on which they depend, by
-    their numbers: length, rate, time and the parameters.
+    `program`: the program of these functions. `number`: how many these are. `inputs`: the inputs on which they depend,
+    by their numbers: length, rate, time and the parameters.
     """
 
     program: np.ndarray
-    count: int
+    number: int
     inputs: frozenset[int]
 
 
@@ -123,7 +123,7 @@ def _switching_functions(recorder: Recorder, value: Recorded) -> list[Recorded]:
             case "remainder":
                 function = np.sin(np.pi * (given[0] / given[1]))
             case "atan2":  # its branch cut
-                function = np.where(given[1] < 0.0, given[0], abs(given[0]))
+                function = recorder.apply("select", [given[1] < 0.0, given[0], abs(given[0])])
             case _:
                 continue
         if function is not None and recorder.terms[function.index].operation != "constant":

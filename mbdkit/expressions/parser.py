@@ -224,8 +224,8 @@ class Compiler:
             self.refuse("the expression is too deeply nested", node)
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                if "_" in (number := self.segment(node)):
-                    self.refuse(f"numbers have no underscores: write {number.replace('_', '')}", node)
+                if "_" in (text := self.segment(node)):
+                    self.refuse(f"numbers have no underscores: write {text.replace('_', '')}", node)
                 return self.constant(lambda: float(value), node)
             case ast.Name(id=name) if name == self.variable:
                 return [("t", 0.0)]

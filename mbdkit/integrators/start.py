@@ -13,8 +13,8 @@ from mbdkit.integrators.host.step_host import StepHost
 from mbdkit.integrators.host.steps_to_changes import ToSwitches, with_changes
 from mbdkit.integrators.interface import Stepper, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.loop.switches import switch_bundle
 from mbdkit.integrators.run.step_control import Control, unit_of_length
-from mbdkit.integrators.run.switches import switch_bundle
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
 from mbdkit.methods.kinds import Method, Traits
 from mbdkit.methods.step_methods import ExternalMethod, StepMethod

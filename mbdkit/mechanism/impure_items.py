@@ -56,7 +56,7 @@ def impure_item_of(spec: Any) -> Registered | None:
         plugin: Any = item.plugin
         match item.kind:
             case "model":
-                return item.id == spec.model_item.id
+                return bool(item.id == spec.model_item.id)
             case "integrator" | "step-control":
                 chosen = spec.integrator_item, spec.step_control_item
                 return any(own is not None and (own.kind, own.id) == (item.kind, item.id) for own in chosen)
@@ -65,7 +65,7 @@ def impure_item_of(spec: Any) -> Registered | None:
             case "model-key":
                 return bool(getattr(spec.model, plugin.name, None))
             case "criterion":
-                return "run" in plugin.of and plugin.examines(spec.mechanism().elements)
+                return "run" in plugin.of and bool(plugin.examines(spec.mechanism().elements))
         return item.kind not in _OF_RESULTS and acts_in(item, spec.mechanism())
 
     return next((item for item in registry().impure if takes_part(item)), None)

@@ -103,7 +103,7 @@ def test_conditions_of_sympy_and_of_expressions_become_switching_functions():
     law = ExpressionLaw(sp.Piecewise((a * length, sp.And(length > a, rate > 0)), (sp.Abs(rate), True)), parameters=dict)
     switches = switches_of(law, (("a", 0.5),))
     assert switches is not None
-    assert switches.count == 2
+    assert switches.number == 2
     assert {0, 1, 3} <= switches.inputs  # length, rate and the parameter
     smooth = ExpressionLaw(a * length**3, parameters=dict)
     assert switches_of(smooth, (("a", 0.5),)) is None

@@ -8,7 +8,7 @@ from mbdkit.engine.native.machine_code import IN_PYTHON
 from mbdkit.engine.native.number_arrays import Lanes
 from mbdkit.integrators.interface import Timetable
 from mbdkit.integrators.lanes.lane_run import BY_LANE
-from mbdkit.integrators.run.switches import switching_laws
+from mbdkit.integrators.loop.switches import switching_laws
 from mbdkit.methods.kinds import Method
 from mbdkit.quantities.names import archive_names
 

@@ -32,6 +32,7 @@ from mbdkit.integrators.interface import (
 from mbdkit.integrators.loop import step_loop
 from mbdkit.integrators.loop.failed_steps import FailedSteps
 from mbdkit.integrators.loop.step_watch import guard_evidence
+from mbdkit.integrators.loop.switches import look_for_switches
 from mbdkit.integrators.run.impulse import DriverImpulse, impulse
 from mbdkit.integrators.run.run_plan import SYMMETRIC, RunPlan, guard_limits, new_plan, projection_mode, single_step
 from mbdkit.integrators.run.run_state import (
@@ -48,7 +49,6 @@ from mbdkit.integrators.run.run_state import (
 from mbdkit.integrators.run.sampled_control import Sampler, states_at_start
 from mbdkit.integrators.run.splitting import margin_of_stops
 from mbdkit.integrators.run.step_control import Control, first_step
-from mbdkit.integrators.run.switches import look_for_switches
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -105,7 +105,8 @@ class CompiledStepper:
         )
         self.run_state.nodes[0] = method.keep.address if timetable.nodes else 0
         if control is not None:
-            self.switches = look_for_switches(method, workspace, timetable.end - timetable.start)
+            dense = method.dense.address if method.dense is not None and method.has_dense_output else 0
+            self.switches = look_for_switches(dense, workspace, timetable.end - timetable.start)
         self._state = self._kept(STATE)
         self._first_node = 0  # index of the first node of the last step
         self._new_plan()

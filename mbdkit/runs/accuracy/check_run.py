@@ -151,7 +151,7 @@ def _pushes(mechanism: CompiledMechanism, rows: ObservedRows) -> np.ndarray:
     pushes = np.zeros(bodies)
     for own in ends.T:
         np.maximum.at(pushes, part[own], np.maximum(force / top.mass[own, 0], torque / top.mass[own, 2]))
-    return pushes[part]
+    return np.asarray(pushes[part])
 
 
 def as_accuracy(rows: ObservedRows, errors: ErrorEstimate, method: str, begin: float, unknown: str = "") -> Accuracy:

@@ -184,7 +184,7 @@ class Problem:
             if self.fails(np.where(np.arange(len(x)) == place, outside, inside)):
                 unknown, value, is_low = self.unknowns[place], float(inside[place]), beyond[place] < x[place]
                 told = value if abs(value) > SAME * self.sizes[place] else 0.0
-                self.unknowns[place] = replace(unknown, **{"low" if is_low else "high": value})
+                self.unknowns[place] = replace(unknown, low=value) if is_low else replace(unknown, high=value)
                 self.bounds[0 if is_low else 1][place] = value
                 self.edges[place] = f"runs fail if {unknown.name} is {'less' if is_low else 'more'} than {told:.6g}"
                 return inside

@@ -46,7 +46,7 @@ class Violation(NamedTuple):
     @property
     def cuts(self) -> list[float]:
         """Times at which intervals should end [s]."""
-        return (self.time + self.half * CUTS).tolist()
+        return [float(x) for x in self.time + self.half * CUTS]
 
     def is_large(self, change: float, share: float) -> bool:
         """Return whether the change of the objective or the share is above its limit."""

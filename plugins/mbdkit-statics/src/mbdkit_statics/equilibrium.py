@@ -246,7 +246,7 @@ def motions_in_words(motions: np.ndarray, bodies: Sequence[str], q: np.ndarray, 
     for motion in np.linalg.solve(motions[pivots].T, motions.T):
         parts = []
         sizes = np.linalg.norm(motion.reshape(-1, 3), axis=1)
-        for k in np.flatnonzero(sizes > LEFT_OUT * np.max(sizes)):
+        for k in np.flatnonzero(sizes > LEFT_OUT * np.max(sizes)).tolist():
             x, y, turn = motion[3 * k : 3 * k + 3]
             if abs(turn) > LEFT_OUT * sizes[k]:
                 verb, where = "turns about", q[3 * k : 3 * k + 2] + np.array([-y, x]) * length / turn

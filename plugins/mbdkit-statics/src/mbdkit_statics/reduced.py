@@ -183,7 +183,7 @@ def _blur(stiffness: np.ndarray, mass: np.ndarray) -> np.ndarray:
     own = np.abs(np.diag(stiffness)).reshape(-1, 3)
     firm = np.repeat(np.max(own[:, :2], axis=1), 3).reshape(-1, 3)
     firm[:, 2] = np.maximum(own[:, 2], firm[:, 2] * (mass[2::3] / mass[::3]))
-    return NEUTRAL * np.abs(stiffness) + NOISE * np.diag(firm.ravel())
+    return np.asarray(NEUTRAL * np.abs(stiffness) + NOISE * np.diag(firm.ravel()))
 
 
 def _refuse_side_forces_that_work(

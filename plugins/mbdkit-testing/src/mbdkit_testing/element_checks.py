@@ -171,7 +171,7 @@ def balanced(kind: ElementUnderTest) -> Result:
         def force(t: float, x: np.ndarray, u: np.ndarray, both: Any = (rest, whole)) -> np.ndarray:
             no = np.zeros(x.size), np.zeros(both[0].m)
             without, acting = (one.residual(t, x.ravel(), u.ravel(), *no) for one in both)
-            return (without - acting).reshape(-1, 3)
+            return np.asarray(without - acting).reshape(-1, 3)
 
         times, q, v, _ = kind.rows
         states = (rows.reshape(len(rows), -1, 3)[:, order] for rows in (q, v))
@@ -191,7 +191,8 @@ def balanced(kind: ElementUnderTest) -> Result:
 def _turned(x: np.ndarray, *by: float) -> np.ndarray:
     """Return vectors, in the first two columns, turned by `TURN`, and with `by` added to all columns."""
     c, s = math.cos(TURN), math.sin(TURN)
-    return np.column_stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1], x[:, 2]]) + np.array(by or 0.0)
+    turned = np.column_stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1], x[:, 2]])
+    return np.asarray(turned + np.array(by or 0.0))
 
 
 def _equations(kind: ElementUnderTest, name: str = "", one: Element | None = None) -> EquationsOfMotion:

@@ -142,7 +142,7 @@ class Pair:
     def curvature_at(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return the second derivatives of the rows along `v`, (m,), relative to their units; NaN if not finite."""
         try:
-            return self.equations.gamma(self.time, q, v) / self.units
+            return np.asarray(self.equations.gamma(self.time, q, v) / self.units)
         except StepError:
             return np.full(self.equations.m, np.nan)
 

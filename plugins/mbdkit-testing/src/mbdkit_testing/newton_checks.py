@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ def tolerance(integrator: IntegratorUnderTest) -> Result:
     if integrator.claims.adaptive:
         raise Skip("it is adaptive")
     own, has_option = integrator.method(), "tolerance" in integrator.plugin.options.model_fields
-    works = list[dict[str, Any]]()
+    works = list[Mapping[str, Any]]()
     for size in SIZES:
         with integrator.run(FORCED_PENDULUM, {"end": FEW * size, "step": size}) as run:
             require_complete(run)

@@ -10,7 +10,6 @@ from mbdkit.engine.kernels.table_rows import INPUT, LAW_ROW, LOAD_VALUE, MULTIPL
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.loop.steps_to_switches import MOST_SAMPLES, Spell, SwitchBundle, look
-from mbdkit.integrators.stages.compiled_method import CompiledMethod
 
 
 def switching_laws(mechanism: CompiledMechanism) -> tuple[list[tuple[int, int, int, int, int]], int]:
@@ -31,7 +30,7 @@ def switching_laws(mechanism: CompiledMechanism) -> tuple[list[tuple[int, int, i
         switches = switches_of(compiled.law, compiled.parameters)
         if switches is not None and any(i < 3 or begin + i - 2 in varying for i in switches.inputs):
             rows.append((law, segments[law], count, run_program.address, switches.program.ctypes.data))
-            count += switches.count
+            count += switches.number
     return rows, count
 
 
@@ -56,14 +55,17 @@ def switch_bundle(workspace: Workspace, span: float) -> PinnedBundle | None:
     )  # fmt: skip
 
 
-def look_for_switches(method: CompiledMethod, workspace: Workspace, span: float) -> PinnedBundle | None:
-    """Let the controlled steps of a method end where forces switch; return the switching functions, if any."""
+def look_for_switches(dense: int, workspace: Workspace, span: float) -> PinnedBundle | None:
+    """Let controlled steps end where forces switch; return the switching functions, if any.
+
+    `dense`: address of the dense output of the method; 0 for the cubic through both ends.
+    """
     pinned = switch_bundle(workspace, span)
     if pinned is None:
         return None
     looks = workspace.scratch.reacting.add_forces
     if looks[1] != look.address:
         pinned.bundle.other_look[0] = looks[1]
-    pinned.bundle.dense[0] = method.dense.address if method.dense is not None and method.has_dense_output else 0
+    pinned.bundle.dense[0] = dense
     looks[1:] = look.address, pinned.address
     return pinned
