@@ -46,7 +46,7 @@ class Violation(NamedTuple):
     @property
     def cuts(self) -> list[float]:
         """Times at which intervals should end [s]."""
-        return [float(x) for x in self.time + self.half * CUTS]
+        return [self.time + self.half * cut for cut in CUTS.tolist()]
 
     def is_large(self, change: float, share: float) -> bool:
         """Return whether the change of the objective or the share is above its limit."""
@@ -82,20 +82,28 @@ def _zeros_and_extrema(path: MotionPath, function: ca.Function, times: np.ndarra
     def at(rows: np.ndarray, times: np.ndarray) -> np.ndarray:
         return np.asarray(path.along(function, times)[rows, np.arange(len(rows))])
 
-    rows, first = np.nonzero(np.sign(values[:, :-1]) * np.sign(values[:, 1:]) < 0.0)
-    low, high, side = times[first], times[first + 1], np.sign(values[rows, first])
+    rows, first, last, side = _changes(np.sign(values))
+    low, high = times[first], times[last]
     for _ in range(BISECTIONS * bool(len(rows))):
         middle = 0.5 * (low + high)
         is_before = np.sign(at(rows, middle)) == side
         low, high = np.where(is_before, middle, low), np.where(is_before, high, middle)
     zeros = 0.5 * (low + high)
-    rows, first = np.nonzero(np.sign(steps[:, :-1]) * np.sign(steps[:, 1:]) < 0.0)
-    low, high, side = times[first], times[first + 2], np.sign(steps[rows, first])
+    rows, first, last, side = _changes(np.sign(steps))
+    low, high = times[first], times[last + 1]
     for _ in range(SECTIONS * bool(len(rows))):
         left, right = low + GOLDEN * (high - low), high - GOLDEN * (high - low)
         rises = side * at(rows, left) < side * at(rows, right)
         low, high = np.where(rises, left, low), np.where(rises, high, right)
     return np.unique(np.concatenate([zeros, 0.5 * (low + high)]))
+
+
+def _changes(signs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return rows, columns before and after, and signs before all changes of signs (K, T), with zeros in between."""
+    before = np.maximum.accumulate(np.where(signs == 0.0, 0, np.arange(signs.shape[1])), axis=1)
+    filled = np.take_along_axis(signs, before, axis=1)
+    rows, first = np.nonzero(filled[:, :-1] * filled[:, 1:] < 0.0)
+    return rows, before[rows, first], first + 1, filled[rows, first]
 
 
 def _violations(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
 import mbdkit
@@ -191,6 +192,20 @@ def test_a_narrow_condition_holds_between_the_points(
     near = np.linspace(-1.0, 1.0, 4001) * width
     heights = 0.9 * (np.maximum(0.0, 1.0 - abs(near) / width) if is_table else np.exp(-((near / width) ** 2)))
     exact = max(by_way_of(x, at + s) for x, s in zip(heights, near, strict=True))
+    assert_within(run.objective - exact, run.objective_error)
+
+
+def test_what_is_exceeded_within_the_tolerance_is_part_of_the_error() -> None:
+    # the touching point is 3e-8 s beside the nearest collocation point, and finer meshes move neither
+    width, at, inner = 0.00012611585657113306, 0.3585103665305121, np.linspace(-4.0, 4.0, 33)
+    times = [0.0, 0.5 * (at - 4.0 * width), *(at + width * inner).tolist(), 0.5 * (1.0 + at + 4.0 * width), 1.0]
+    values = [0.0, 0.0, *(0.5589730948495801 * np.exp(-(inner**2))).tolist(), 0.0, 0.0]
+    sections: dict[str, Any] = {"measured": {"bar": {"table": [times, values]}}, "collocation": {"intervals": 16}}
+    sections |= {"controls": {PUSH: {"bounds": [-500, 500]}}}
+    run = mbdkit.predict(block(subject_to={"gate": {"value": "block.x - measured.bar", "min": 0}}, **sections))
+    bar = CubicSpline(times, values)
+    exact = max(by_way_of(float(bar(at + s)), at + s) for s in 1e-3 * width * np.linspace(-1.0, 1.0, 2001))
+    assert run.verdict == "good", run.verdict_reasons
     assert_within(run.objective - exact, run.objective_error)
 
 
