@@ -109,7 +109,7 @@ def imports(under_test: ItemUnderTest[Any]) -> Result:
     because all others may change at any time. Imports by `importlib` are not looked at.
     """
     origin = under_test.item.origin
-    roots = {code_of(origin), *code_of_distribution(origin.distribution)}
+    roots = {code_of(origin), *code_of_distribution(origin.distribution)} - {Path()}  # of an item without entry point
     files = [file for root in roots for file in (root.rglob("*.py") if root.is_dir() else [root]) if file.is_file()]
     if not files:
         return skipped("its package has no files")
