@@ -154,6 +154,13 @@ recorded and parabolas through them exceed it by less than 1e-5 of it. Errors at
   derivatives is discontinuous. An adaptive method can miss a smooth pulse that is shorter than its step; `max_step`
   prevents this. The comparison runs of a check take at least {looks} steps, and can miss a pulse that is shorter than
   these steps.
+- **Narrow forces.** Adaptive steps end where expressions of the state and laws switch (`max`, `min`, `abs`, `atan2`,
+  conditions of laws in SymPy, one-sided springs), so that they see a stop or a barrier of any width. They can pass over
+  a *smooth* force that acts on a way shorter than a step, such as `exp(-((b.x - 1)/1e-5)**2)`, over an interval of a
+  table that is as short, and over what a law written as a Python function does; so can comparison runs. Set `max_step`
+  to a fraction of this way divided by the largest speed.
+- **Forces that hold a motion at their own jump**, such as friction given by `-b.vx/abs(b.vx)`: the force switches without
+  end. Steps then pass over its jumps, and the run is doubtful.
 - **Impacts of drivers.** A driver with a discontinuous velocity is refused unless `impacts: allow` is set; the driver
   then applies an impulse.
 - **Singular positions.** If several motions are possible in a singular position, the equations do not determine which
