@@ -90,9 +90,10 @@ def choose_companions(setup: RunSetup, times: np.ndarray, steps: int) -> Chosen:
     first, second = companions
     guards = []
     is_treated = guards_of_treatment(spec, setup.method) is not None
-    # Rows at stops may show the state on either side of the stop; with impacts, these states differ.
-    is_dense = is_fixed and steps >= LOOKS and not within.impacts
-    for run in other_runs(setup, within.end, is_dense=is_dense):
+    # Rows at intervals are computed in machine code. Rows at stops may show the state on either side of the stop; with
+    # impacts, these states differ.
+    is_dense = is_fixed and not within.impacts
+    for run in other_runs(setup, within.end, is_limited=not is_dense or steps < LOOKS):
         if is_treated:
             table = finer(plan, times, run.factor) if is_fixed else within
             guards.append(Companion(run, table, within_steps=not is_fixed))
@@ -160,7 +161,7 @@ def has_tolerances(setup: RunSetup) -> bool:
     return "rtol" in type(setup.spec.integrator).model_fields and setup.method.traits.tableau is not None
 
 
-def other_runs(setup: RunSetup, end: float, *, is_dense: bool = False) -> list[Comparison]:
+def other_runs(setup: RunSetup, end: float, *, is_limited: bool = True) -> list[Comparison]:
     """Return runs up to `end` [s] with other methods than the run: explicit first, then implicit.
 
     They solve the index-1 equations and are projected onto the constraints, so that they also differ in drift, and pass
@@ -168,8 +169,8 @@ def other_runs(setup: RunSetup, end: float, *, is_dense: bool = False) -> list[C
     index-2 equations: index-1 accelerations of stiff beams are dominated by round-off, which would make adaptive steps
     ever smaller. This run may be of the same family as the method of the run, but has another order.
 
-    If the run determines reactions of elements, the runs have fixed steps if the run has. With `is_dense`, the run by
-    DOP853 has rows at intervals, and its steps are not limited.
+    If the run determines reactions of elements, the runs have fixed steps if the run has. `is_limited`: whether steps
+    by DOP853 have the largest size that `LOOKS` says.
     """
     spec, method = setup.spec, setup.method
     adaptive: dict[str, Any] = {"adaptive": True, "rtol": GUARD_TOLERANCE}
@@ -185,7 +186,7 @@ def other_runs(setup: RunSetup, end: float, *, is_dense: bool = False) -> list[C
     runs = [
         Comparison.of_other(name, f"adaptive {description}", "index-1", projected, **options)
         for name, description, options in (
-            ("dop853", "dop853", adaptive | {"max_step": None if is_dense else longest}),
+            ("dop853", "dop853", adaptive | {"max_step": longest if is_limited else None}),
             ("radau-iia", "radau-iia of order 9", loose),
             ("gauss", "gauss of order 10", loose),
         )
