@@ -45,6 +45,8 @@ class Switches(NamedTuple):
 @cache
 def switches_of(law: ForceLaw, example: tuple[tuple[str, float], ...]) -> Switches | None:
     """Return where a law is not smooth; None if it always is, or if this is unknown, as of a function of a plugin."""
+    if isinstance(law, SwitchingLaw) and law.switch is None:
+        return None
     if isinstance(law, SwitchingLaw):
         inputs = _inputs(example)
         length, rate, _, *parameters = inputs

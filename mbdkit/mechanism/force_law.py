@@ -174,7 +174,7 @@ class SwitchingLaw(ExpressionLaw):
     ----------
     switch
         Function of length, rate and a mapping with the parameters by name, whose sign changes there. It is recorded,
-        as that of a `TracedLaw`.
+        as that of a `TracedLaw`. None for a law that is smooth in the steps that use it.
     """
 
     switch: Any = None

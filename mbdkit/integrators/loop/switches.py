@@ -60,10 +60,11 @@ def look_for_switches(dense: int, workspace: Workspace, span: float) -> PinnedBu
 
     `dense`: address of the dense output of the method; 0 for the cubic through both ends.
     """
-    pinned = switch_bundle(workspace, span)
+    pinned, looks = switch_bundle(workspace, span), workspace.scratch.reacting.add_forces
     if pinned is None:
+        if looks[1] == look.address:  # of an earlier run in the same workspace
+            looks[1:] = 0
         return None
-    looks = workspace.scratch.reacting.add_forces
     if looks[1] != look.address:
         pinned.bundle.other_look[0] = looks[1]
     pinned.bundle.dense[0] = dense

@@ -98,7 +98,7 @@ def choose_companions(setup: RunSetup, times: np.ndarray, steps: int) -> Chosen:
             table = finer(plan, times, run.factor) if is_fixed else within
             guards.append(Companion(run, table, within_steps=not is_fixed))
         elif is_dense and run.item.name == "dop853":
-            most = GUARD_STEPS[0] + GUARD_STEPS[1] * steps
+            most = most_steps(steps) if steps < LOOKS else GUARD_STEPS[0] + GUARD_STEPS[1] * steps
             table = replace(within, every=1, interval=row_interval(plan), single=False, max_steps=most)
             guards.append(Companion(run, table, within_steps=False))
         else:

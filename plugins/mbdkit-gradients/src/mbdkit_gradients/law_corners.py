@@ -25,7 +25,7 @@ from mbdkit.engine.kernels.observe import Observed
 from mbdkit.engine.kernels.table_rows import LAW_ROW, STATE_ROW
 from mbdkit.engine.law_conditions import LawCondition, gradient_doubts, law_sides
 from mbdkit.integrators.duals.dual_run import Seeds
-from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw, TracedLaw
+from mbdkit.mechanism.force_law import ARGUMENTS, ExpressionLaw, FunctionLaw, SwitchingLaw, TracedLaw
 from mbdkit_gradients.gradient_parameters import refused
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def _sided(law: object, names: tuple[str, ...]) -> SidedLaw | None:
         sp.lambdify(variables, [g, *(sp.diff(g, variable) for variable in variables)], modules="math") for g in found
     )
     own_potential = None if law.potential is None else potential.xreplace(replaced)
-    own = ExpressionLaw(force.xreplace(replaced), own_potential, passive=law.passive, parameters=_as_given)
+    own = SwitchingLaw(force.xreplace(replaced), own_potential, passive=law.passive, parameters=_as_given)
     return SidedLaw(own, functions)
 
 

@@ -37,6 +37,7 @@ SAME = 1e-9
 #: Time after a corner, as a share of the step, at which the new sides of force laws are determined.
 AHEAD = 1e-6
 ROUNDED = 1e-6  #: Share of a step of given size that counts as round-off of its end.
+ROUNDINGS = 2e-14  #: Share of its time that does so too: steps that end where a force switches may be this short.
 MOST_AT_ONCE = 8  #: Largest number of corners at the same time; if there are more, the run fails.
 
 
@@ -126,7 +127,7 @@ class SidedStepper(DifferentiatedStepper):
     ):
         super().__init__(method, workspace, replace(timetable, single=True), seeds=seeds, **more)
         self._ends = timetable.start + np.cumsum(self.given_sizes or ())
-        self._near_ends = self._ends - ROUNDED * np.array(self.given_sizes or ())
+        self._near_ends = self._ends - np.maximum(ROUNDED * np.array(self.given_sizes or ()), ROUNDINGS * self._ends)
         self.conditions = conditions
         self.history: list[Sides] = []
         self.corners: list[LawCorner] = []
