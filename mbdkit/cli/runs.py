@@ -53,7 +53,7 @@ def run(
     assignments: Set = None,
     overwrite: Overwrite = False,
     check: Annotated[
-        bool, typer.Option("--check", help="Estimate errors by comparison runs; takes 10 to 20 times as long, or more.")
+        bool, typer.Option("--check", help="Estimate errors by comparison runs; takes 4 to 15 times as long, or more.")
     ] = False,
     accuracy: Annotated[
         float | None,

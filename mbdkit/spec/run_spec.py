@@ -154,7 +154,7 @@ class RunSpec(ModelSpec):
     limits: Limits = Limits()
     """Limits that stop the run early."""
     check: bool = False
-    """Estimate the errors of the recorded results by comparison runs. This usually takes 10 to 20 times as long as
+    """Estimate the errors of the recorded results by comparison runs. This usually takes 4 to 15 times as long as
     the run (30 to 80 times with beams or controllers, 60 to 140 times with time-stepping methods)."""
     accuracy: Annotated[float, Field(ge=SMALLEST_ACCURACY, le=LARGEST_ACCURACY)] | None = None
     """Accuracy of positions over the whole run, as a share of the mechanism's size. Trial runs (pilot runs) choose the

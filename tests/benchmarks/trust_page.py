@@ -95,7 +95,7 @@ these are the doubts of `left-out`. Plugins may add criteria ([items](plugins.md
   contains them. A force may have its peak between two recorded times: a check determines the largest forces and
   torques there as well, and [states these](#one-number-one-bar). By how much they exceed the recorded ones counts in
   the verdict, except for a joint whose largest force is a measure; smaller steps, or more recorded ones, reduce it. A
-  check usually takes 10 to 20 times as long as the run, and longer with beams, controllers or time-stepping methods
+  check usually takes 4 to 15 times as long as the run, and longer with beams, controllers or time-stepping methods
   ([performance](performance.md#a-single-run)).
 - **`check: true` with estimated parameters** (`parameters: {{from: fit.h5}}`) states the errors by the estimates as
   well, by 2 K more runs for K parameters: bounds of 95 % at each time for normally distributed estimates, to first

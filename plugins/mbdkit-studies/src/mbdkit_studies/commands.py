@@ -194,7 +194,7 @@ def study(
 
     --set changes the base of every run, like the overrides of the study; keys that an
     axis or a sample varies cannot be set. --set check=true estimates the errors of
-    every run, which takes 10 to 20 times as long, or more.
+    every run, which takes 4 to 15 times as long, or more.
 
     --with adds a method to a study that compares methods, with its own formulation; an
     adaptive one has tolerances where the others have steps. The report shows it beside

@@ -60,7 +60,7 @@ def _use(study: Study) -> Iterator[tuple[str, str]]:
             yield "errors", f"those of the runs do not include {MESH_ERROR}"
     elif "unknown" in study.verdicts():
         advice = "--set check=true, with another folder (-o), estimates those of the runs"
-        yield "errors", f"not estimated; {advice}, which takes 10 to 20 times as long, or more"
+        yield "errors", f"not estimated; {advice}, which takes 4 to 15 times as long, or more"
 
 
 def _evidence(study: Study) -> Iterator[tuple[str, str]]:
