@@ -264,6 +264,7 @@ class Sampled:
         middle = min(max(float(minimum.x), begin + around), end - around)
         angles = np.pi * (np.arange(PEAK_POINTS)[::-1] + 0.5) / PEAK_POINTS
         values = sign * self.at(middle + around * elementary.cos(angles))
+        values = values - values[0]  # small, unlike the values, whose sums would be rounded
         # the polynomial through the values, in Chebyshev polynomials; a fit would use LAPACK, which rounds differently
         # on other processors
         powers = [float(sum(values * elementary.cos(k * angles))) for k in range(PEAK_POINTS)]
@@ -272,10 +273,10 @@ class Sampled:
         with np.errstate(all="ignore"):
             for _ in range(4):
                 share -= float(rate(share) / bend(share))
-        at_root = sign * float(self.at(np.array([middle + around * share]))[0]) if abs(share) <= 1.0 else -np.inf
-        if at_root < -float(minimum.fun):
-            return float(minimum.x), -float(minimum.fun)
-        return middle + around * share, at_root
+        root, value = middle + around * share, -float(minimum.fun)
+        at_root = sign * float(self.at(np.array([root]))[0]) if abs(share) <= 1.0 else -np.inf
+        # near the extremum, values differ by rounding errors only, and do not tell which time is more accurate
+        return root if at_root >= value - SAME * abs(value) else float(minimum.x), max(at_root, value)
 
 
 def sampled(

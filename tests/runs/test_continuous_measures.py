@@ -176,3 +176,18 @@ def test_a_run_that_stops_before_its_first_row_has_no_remark_on_its_measures() -
         assert run.status_reason.startswith("fell-apart")
         assert len(run.time) == 0
         assert not run.measures.remarks
+
+
+def test_the_time_of_a_peak_just_after_the_start_has_no_errors_of_summed_positions() -> None:
+    """A ball thrown up from y = 1 m with a speed v of some um/s peaks at v/g, which is also the derivative by v."""
+    speeds = np.geomspace(1e-6, 1e-4, 8)
+    names = [f"v{i}" for i in range(len(speeds))]
+    bodies = {f"b{i}": {"mass": 1, "position": [i, 1], "velocity": [0, name]} for i, name in enumerate(names)}
+    spec = {
+        "mbdkit": 1, "parameters": dict(zip(names, speeds.tolist(), strict=True)),
+        "model": {"name": "mechanism", "gravity": [0, -10], "bodies": bodies},
+        "integrator": {"name": "gauss", "stages": 2}, "time": {"end": 0.004, "step": 0.002},
+    }  # fmt: skip
+    gradient = mbdkit.gradient(spec, [f"max({name}.y)" for name in bodies], names, check=False)
+    # positions are rounded to 1e-16 m and differ by up to 5e-12 m where the peak is located, which moves it by 1e-11 s
+    np.testing.assert_allclose(np.diag(gradient.jacobian), speeds / 10, rtol=0.0, atol=1e-10)
