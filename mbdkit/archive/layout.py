@@ -16,9 +16,6 @@ from mbdkit.quantities.table import KINDS
 FORMAT = "mbdkit-run"
 FORMAT_VERSION = "1.0"
 
-#: Attribute of the group ``trajectory`` while the run is in progress: numbers of rows of the tables at the last flush.
-ROWS_FLUSHED = "rows_flushed"
-
 
 STATUSES = ("running", "complete", "failed", "interrupted")
 

@@ -337,9 +337,8 @@ class Run(RecordedData, HtmlView):
         >>> tree["joints"]["reaction_force"].dims
         ('time', 'joint', 'axis')
         """
-        rows = self._contents.whole_rows if self.status == "running" else {}
         with reading("its contents", self.path):
-            return cast("xarray.DataTree", higher_layers.run_datatree(self.file, rows))
+            return cast("xarray.DataTree", higher_layers.run_datatree(self.file))
 
     def to_frame(self, group: str) -> pandas.DataFrame:
         """Return a group of the archive as a table with one row for each time in the group.

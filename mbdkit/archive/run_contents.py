@@ -16,7 +16,7 @@ import numpy as np
 
 from mbdkit.archive import layout, run_header
 from mbdkit.archive.accuracy import Accuracy
-from mbdkit.archive.fingerprint import StoredHashes, is_text
+from mbdkit.archive.fingerprint import StoredHashes
 from mbdkit.archive.finished_run import FinishedRun
 from mbdkit.archive.hdf5 import set_text
 from mbdkit.archive.hdf5_errors import closed_on_error, reading
@@ -36,7 +36,7 @@ from mbdkit.base.errors import MbdkitError, UnknownNameError
 from mbdkit.base.files_read import FileRead, read_files
 from mbdkit.base.frozen import dataclass, field, replace
 from mbdkit.base.plain_data import json_data
-from mbdkit.quantities.array import FLOAT, GROWING, Array, Kind
+from mbdkit.quantities.array import FLOAT, Kind
 from mbdkit.quantities.registered_kinds import array_at, kinds
 from mbdkit.spec import RunSpec
 
@@ -86,7 +86,6 @@ class RunContents(ABC):
     - `path`: path of the archive; None without a file.
     - `run_spec`: the validated spec; None if it has to be read from `header`.
     - `cause`: the exception of a plugin that ended the run in this process.
-    - `whole_rows`: for a crashed run, the number of complete rows along each growing axis, by name of the axis.
     - `measures`: values of the measures in the spec.
     - `integrals`: integrals over time and extrema by their expressions.
     - `gradients`: gradients of the measures; see `Run.gradients`.
@@ -100,7 +99,6 @@ class RunContents(ABC):
     path: Path | None = None
     run_spec: RunSpec | None = None
     cause: BaseException | None = None
-    whole_rows: Mapping[str, int] = MappingProxyType({})
     kinds: Mapping[str, Kind]
     measures: MeasuredValues
     integrals: Integrals
@@ -227,43 +225,18 @@ class ArchiveContents(RunContents):
             redundancy,
         )
 
-    @cached_property
-    def whole_rows(self) -> Mapping[str, int]:  # type: ignore[override]
-        """See `RunContents`."""
-        if (noted := self._file["trajectory"].attrs.get(layout.ROWS_FLUSHED)) is not None:
-            return dict.fromkeys(GROWING, 0) | {dim: int(rows) for dim, rows in zip(GROWING, noted, strict=False)}
-        lengths: dict[str, list[int]] = {dim: [0] for dim in GROWING}  # of a run that was killed while it ended
-        for array in (array for kind in self.kinds.values() for array in kind.arrays):
-            if array.grows and array.path in self._file:
-                lengths[array.dims[0]].append(len(self._file[array.path]))
-        return {dim: min(counts[1:], default=0) for dim, counts in lengths.items()}
-
     def dataset(self, path: str) -> h5py.Dataset | np.ndarray:
         """Return an array; see `Run.dataset`."""
         file = self.file
         kind = self.kinds.get(path.partition("/")[0])
         array = array_at(path) if kind is None else kind.by_path.get(path)
         with reading(path, self.path):
-            if array is not None and array.grows and self.header.attributes["status"] == "running":
-                return self._crashed(array)
             if path in file:
                 self.verify(path)
                 return file[path]
         if array is None:
             raise UnknownNameError("array", path, [array.path for array in layout.every_array()])
         raise NotRecordedError(path)
-
-    def _crashed(self, array: Array) -> h5py.Dataset | np.ndarray:
-        is_flushed = self.whole_rows["time"] > 0  # arrays are created with their first rows
-        if is_flushed and array.path in self.file:
-            dataset, rows = self.file[array.path], self.whole_rows[array.dims[0]]
-            if len(dataset) == rows:
-                return dataset
-            return np.asarray((dataset.asstr() if is_text(dataset) else dataset)[:rows])
-        group = self.file.get(array.group)
-        if is_flushed or array.optional or group is None:
-            raise NotRecordedError(array.path)
-        return np.empty((0, *(len(group[dim]) for dim in array.dims[1:])), array.dtype)
 
     @cached_property
     def measures(self) -> MeasuredValues:  # type: ignore[override]

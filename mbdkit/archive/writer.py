@@ -234,7 +234,6 @@ class ArchiveWriter(RunWriter):
         if self._file is not None:
             self._write_tables(self._file, more=False)
             self._file.flush()
-            del self._file["trajectory"].attrs[layout.ROWS_FLUSHED]  # all rows have been written
             return self._file, {}
         rows = tuple((dim, table.rows) for dim, table in self._tables.items())
         skeleton = skeleton_of(self.names, self.arrays, rows, self.origin.provenance)
@@ -273,7 +272,6 @@ class ArchiveWriter(RunWriter):
             self._file = memory_file() if self._target is None else self._target.open()
             begin_file(self._file, self.names, self.arrays)
             self._write_head(self._file, self._root_attributes(None))
-            self._file["trajectory"].attrs[layout.ROWS_FLUSHED] = np.zeros(len(GROWING), np.int64)
         return self._file
 
     def _write_head(self, file: h5py.File, head: Mapping[str, str]) -> None:
@@ -330,8 +328,6 @@ class ArchiveWriter(RunWriter):
         file = self._begin()
         with self._committing():
             self._write_tables(file, more=True)
-            counts = [self._tables[dim].written if dim in self._tables else 0 for dim in GROWING]
-            file["trajectory"].attrs.modify(layout.ROWS_FLUSHED, np.array(counts, np.int64))
         self._flushed = time.monotonic()
         self._kept = True
 

@@ -97,33 +97,6 @@ def test_part_is_flushed_when_a_second_has_passed(tmp_path: Path, monkeypatch: p
     into.abandon()
 
 
-@pytest.mark.parametrize(("written", "unwritten"), [(1, 0), (5, 0), (12, 0), (5, 12), (0, 2), (20, 0)])
-def test_run_killed_in_the_middle_of_a_flush_has_whole_rows_of_the_flush_before(
-    tmp_path: Path, written: int, unwritten: int
-) -> None:
-    into = writer(tmp_path / "run.h5")
-    fill(into, 30)
-    into._write_more()
-    into.append(rows(10, names(), 30))
-    table, file = into._tables["time"], into._file
-    for series in table.series[:written]:  # as if the process were killed before the others
-        series.extend(table._buffers[series.array.key][: table.waiting], table.written)
-    for series in table.series[written : written + unwritten]:  # HDF5 has written their lengths, and no more
-        series.dataset.resize(30 + 2 * series.dataset.chunks[0], axis=0)
-    file.flush()
-    left = tmp_path / "killed.h5.part"
-    left.write_bytes((tmp_path / "run.h5.part").read_bytes())
-    into.abandon()
-    with load(left) as run:
-        assert run.status == "running"
-        for array in every_array():
-            if array.grows and not array.optional:
-                assert len(run.array(array.path)) == (30 if array.dims[0] == "time" else 29), array.path
-                assert len(run.dataset(array.path)) == len(run.array(array.path))
-        np.testing.assert_array_equal(run["rod1"].position, rows(30, names())["trajectory/position"][:, 0, :2])
-        assert len(run.to_xarray()["trajectory"]["time"]) == 30
-
-
 @pytest.mark.parametrize("moment", ["_write_end", "_write_verdict", "flush", "sync"])
 def test_run_killed_while_it_ends_is_running_or_valid(tmp_path: Path, monkeypatch: Any, moment: str) -> None:
     into = writer(tmp_path / "run.h5")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import h5py
@@ -19,19 +18,13 @@ if TYPE_CHECKING:
 OF_SCALES = frozenset({"CLASS", "NAME", "REFERENCE_LIST", "DIMENSION_LIST"})
 
 
-def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
+def to_datatree(file: h5py.File) -> xarray.DataTree:
     """Load an open archive into an xarray DataTree.
-
-    Parameters
-    ----------
-    rows
-        Number of rows to load, by the name of the first axis; arrays with other first axes are loaded completely.
-        Empty to load all rows.
 
     Returns
     -------
     xarray.DataTree
-        Equal to the result of `xarray.open_datatree(path, engine="h5netcdf")` if all rows are loaded.
+        Equal to the result of `xarray.open_datatree(path, engine="h5netcdf")`.
 
     Raises
     ------
@@ -51,7 +44,7 @@ def to_datatree(file: h5py.File, rows: Mapping[str, int]) -> xarray.DataTree:
         variables = {
             name: xarray.Variable(
                 dims(dataset),
-                (dataset.asstr() if is_text(dataset) else dataset)[: rows.get(dims(dataset)[0])],
+                (dataset.asstr() if is_text(dataset) else dataset)[:],
                 _attributes(dataset),
             )
             for name, dataset in datasets.items()
