@@ -44,6 +44,9 @@ from mbdkit_contact.polylines import reaching_segments
 #: shapes overlap too much.
 HEAVY = 10.0
 
+#: Number of rounding errors of the largest position up to which distances are uncertain.
+ROUNDED = 16.0
+
 #: First-order states that store the force and mode of a rigid contact during a step, and their units; they have no
 #: rates.
 HELD = {"normal_force": "N", "friction_force": "N", "mode": "1"}
@@ -267,14 +270,19 @@ def lower_contacts(
     return tuple(rigid)
 
 
+def position_error(q: np.ndarray) -> float:
+    """Return how much rounding errors of positions and angles (..., 3) may change distances [m]."""
+    return float(ROUNDED * np.finfo(float).eps * np.max(np.abs(q[..., :2])))
+
+
 @start_values
 def check_start(
     contacts: Sequence[ActingContact], mechanism: Mechanism, _t0: float, q: np.ndarray
 ) -> Mapping[int, float]:
     """Raise SpecError for the first contact whose shapes overlap too much at the start.
 
-    The shapes of any contact may overlap by `assembly.tolerance`. Those of a compliant contact may overlap more if its
-    force at rest is at most `HEAVY` times the weight.
+    The shapes of any contact may overlap by `assembly.tolerance` and the rounding errors of positions. Those of a
+    compliant contact may overlap more if its force at rest is at most `HEAVY` times the weight.
 
     Parameters
     ----------
@@ -286,7 +294,7 @@ def check_start(
     dict
         Nothing: the initial values of states do not depend on the positions.
     """
-    tolerance = mechanism.assembly.tolerance
+    tolerance = mechanism.assembly.tolerance + position_error(q)
     weight = sum(body.mass for body in mechanism.bodies.values()) * elementary.hypot(*mechanism.gravity)
     row = with_ground(q)[None]
     values = contact_values(contacts, row, np.zeros_like(row), np.zeros((1, held_states(contacts).stop)))

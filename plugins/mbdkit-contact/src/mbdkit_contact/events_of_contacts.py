@@ -17,6 +17,7 @@ from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.loop.step_loop import PAUSED
 from mbdkit.integrators.run.impulse import ElementImpact
+from mbdkit_contact.acting_contacts import position_error
 from mbdkit_contact.contact_section import ContactTreatment
 from mbdkit_contact.contact_state import ContactState
 from mbdkit_contact.kernels.contact_forces import new_closed_contacts
@@ -153,8 +154,9 @@ class ContactEvents:
         return events
 
     def use(self, treatment: ContactTreatment) -> None:
-        """Use the law of impact of a treatment, and its limit of energies."""
-        self.bundle.law[0], self.bundle.limits[0] = LAWS.index(treatment.impact_law), treatment.rest_energy
+        """Use the law of impact of a treatment, and its limit of energies, or that of bounces that rounding hides."""
+        hidden = position_error(self.workspace.q0.reshape(-1, 3)) / self.p.length
+        self.bundle.law[0], self.bundle.limits[0] = LAWS.index(treatment.impact_law), max(treatment.rest_energy, hidden)
 
     def _take_up_addresses(self) -> None:
         """Take up the addresses of all arrays, which may have changed."""

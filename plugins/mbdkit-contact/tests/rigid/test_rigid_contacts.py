@@ -38,6 +38,30 @@ def test_a_ball_comes_to_rest_when_its_impacts_accumulate(e: float, end: float) 
     assert found.verdict == "unknown"
 
 
+@pytest.mark.parametrize("height", [0.0, 0.2])
+@pytest.mark.parametrize("method", [{"name": "gauss"}, {"name": "dopri5", "adaptive": True, "rtol": 1e-8}])
+def test_a_ball_rests_and_rolls_where_rounding_errors_of_positions_hide_its_last_bounces(
+    method: dict[str, object], height: float
+) -> None:
+    # expected: the speed of rolling after sliding, v / (1 + I / (m r^2)), 1000 km above the origin
+    far, radius, inertia = 1e6, 0.1, 0.004
+    ground = {"line": {"point": [0.0, far], "normal": [0.0, 1.0]}}
+    floor = {"bodies": ["ground", "ball"], "shapes": [ground, {"circle": {"radius": radius}}]}
+    start = {"position": [0.0, far + radius + height], "velocity": [0.5, 0.0]}
+    model = {
+        "name": "mechanism",
+        "bodies": {"ball": {"mass": 1.0, "inertia": inertia, **start}},
+        "contacts": {"floor": {**floor, "friction": 0.3, "restitution": 0.5}},
+    }
+    time = {"end": 1.0} if method.get("adaptive") else {"end": 1.0, "step": 0.005}
+    spec = {"mbdkit": 1, "model": model, "contact": {"treatment": "event-driven"}, "integrator": method, "time": time}
+    with mbdkit.run(spec) as found:
+        assert found.status == "complete"
+        rolling = 0.5 / (1.0 + inertia / radius**2)
+        np.testing.assert_allclose(found["ball"].velocity[-1], [rolling, 0.0], atol=1e-9)
+        assert found["ball"].position[-1, 1] - far == pytest.approx(radius, abs=1e-9)
+
+
 def test_a_journal_that_falls_in_its_bearing_comes_to_rest_at_the_bottom() -> None:
     # expected: closed form of a ball that falls by the clearance, from the middle of the bearing
     clearance, e = 5e-4, 0.5
