@@ -325,10 +325,12 @@ class SimulatedRun:
         """Yield a sentence if forces switched more often than steps can follow."""
         pinned = getattr(self.inner_stepper, "switches", None)
         if pinned is not None and (first := float(pinned.bundle.spell.first[0])) < math.inf:
+            names = [self.workspace.mechanism.laws[law][0] for law in pinned.bundle.laws[:, 0]]
             yield (
-                f"From t = {first:.6g} s on, a force switches without end, so that steps pass over its jumps: the jump "
-                "holds the motion where it is, as friction given by the sign of a velocity does. Let the force change "
-                "over a small range instead, as `tanh` does, or use the friction of joints or contacts."
+                f"From t = {first:.6g} s on, {listed(self.spec.written_forces(names), 'or')} switches without end, so "
+                "that steps pass over its jumps: the jump holds the motion where it is, as friction given by the sign "
+                "of a velocity does. Let the force change over a small range instead, as `tanh` does, or use the "
+                "friction of joints or contacts."
             )
 
     def conclude(self) -> Run | FinishedRun:

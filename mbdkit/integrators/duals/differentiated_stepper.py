@@ -25,6 +25,8 @@ from mbdkit.integrators.duals.dual_loop import drive_explicit_duals
 from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_states, new_dual_run
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
+from mbdkit.integrators.loop.steps_to_switches import AT_ZERO, ROUNDINGS, first_place, next_place
+from mbdkit.integrators.loop.switches import switch_bundle
 from mbdkit.integrators.run.run_state import PROJECTIONS
 from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
@@ -37,6 +39,13 @@ _CAUSES = {DIVERGED: "the iteration for the derivatives does not converge", NOT_
 NODES = ("node_time", "node_weight", "node_q", "node_v")
 
 ANY_ERROR = 1e30  #: Factor applied to the error tolerances, so large that every step is accepted.
+
+#: Distances of ends of steps before and after a time at which a force switches, as shares of the shorter step beside.
+#:
+#: Stages of explicit methods, whose errors are of a low order, stay on one side in steps that approach it gradually.
+BEFORE_SWITCH, AFTER_SWITCH = (3e-2, 1e-3, 1e-9), 1e-9
+#: Share of a step of given size that counts as round-off of its end.
+ROUNDED = 1e-6
 
 
 def dual_laws(workspace: Workspace) -> np.ndarray:
@@ -52,6 +61,18 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
         for_duals = law_for_duals(law, name)
         laws[row, LAW_ROW.address], laws[row, LAW_ROW.program] = for_duals.address, for_duals.program
     return laws
+
+
+def _switching_functions(workspace: Workspace, switches: PinnedBundle, rows: Any) -> np.ndarray:
+    """Return the switching functions (T, G) of the forces in T states, which may have derivatives."""
+    bundle, values = switches.bundle, []
+    z = np.zeros((len(rows.time), 0)) if rows.z is None else rows.z
+    q, v, z = (np.asarray(x) if x.ndim == 2 else np.asarray(x)[..., 0] for x in (rows.q, rows.v, z))
+    for k, t in enumerate(rows.time.tolist()):
+        bundle.q[:], bundle.v[:], bundle.z[:] = q[k], v[k], z[k]
+        next_place(workspace.engine, switches.address, t, 1.0, first_place(switches.address, t, 1.0))
+        values.append(bundle.samples[0].copy())
+    return np.array(values).reshape(-1, len(bundle.value))
 
 
 class GivenDuals:
@@ -311,12 +332,48 @@ class DifferentiatedStepper(CompiledStepper):
         if control is not None and self.given_sizes is not None and not are_limits:
             control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
+        given = np.array(self.given_sizes or ())
+        self._ends = timetable.start + np.cumsum(given)
+        self._near_ends = self._ends - np.maximum(ROUNDED * given, ROUNDINGS * np.abs(self._ends))
         known = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
         rows = known + len(self.run_state.row_time)  # room for as many as one stretch may record after the last
         self._steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
         self._dual_sampler = DifferentiatedSampler(self.steps, self.sampler)
         self._dual_sampler.passed(timetable.start, self.run_state.z)
         self.z0 = np.copy(self.steps.run.z)
+
+    @staticmethod
+    def sizes_across_switches(stepper: Any) -> list[float] | None:
+        """Return the sizes of the steps of a run, with tiny steps across the times at which forces switch; None if its
+        forces have no switching functions, or if the run fails.
+
+        Controlled steps end just behind such a time (`mbdkit.integrators.loop.steps_to_switches`). A stage at the end
+        of the step would have the derivatives of the other side.
+        """
+        if stepper.switches is None:
+            return None
+        ends, values = [stepper.workspace.t0], [np.full((1, len(stepper.switches.bundle.value)), np.inf)]
+        while not (stepper.finished or stepper.failure):
+            rows = stepper.advance()
+            ends += rows.time.tolist()
+            values.append(_switching_functions(stepper.workspace, stepper.switches, rows))
+        time, near, ends = np.array(ends), np.abs(np.concatenate(values)), ends[:1]
+        size = np.diff(time)
+        for k in range(1, len(time)):
+            is_zero = k < len(size) and np.any(near[k] < AT_ZERO * np.minimum(near[k - 1], near[k + 1]))
+            shares = [-share for share in BEFORE_SWITCH] + [AFTER_SWITCH] if is_zero else [0.0]
+            ends += [float(time[k] + share * np.min(size[k - 1 : k + 1])) for share in shares]
+        return None if stepper.failure else np.diff(ends).tolist()
+
+    @staticmethod
+    def forces_that_switch(workspace: Workspace, rows: Any) -> list[str]:
+        """Return the names of the forces whose switching functions change their sign between recorded states."""
+        pinned = switch_bundle(workspace, float(np.ptp(rows.time)))
+        if pinned is None:
+            return []
+        is_positive, laws = _switching_functions(workspace, pinned, rows) > 0.0, pinned.bundle.laws
+        changes = np.logical_or.reduceat(np.any(is_positive[1:] != is_positive[:-1], axis=0), laws[:, 2])
+        return [workspace.mechanism.laws[law][0] for law in laws[changes, 0]]
 
     @property
     def steps(self) -> DifferentiatedSteps:
@@ -343,9 +400,13 @@ class DifferentiatedStepper(CompiledStepper):
         self.recorded, self.sizes_taken, self.given_sizes = recorded, taken, sizes
         return done
 
-    def given_size(self, sizes: Sequence[float], number: int) -> float:
-        """Return the size of step `number`, given those of all steps [s]."""
-        return sizes[min(number, len(sizes) - 1)]
+    def _given_size(self, time: float) -> float:
+        """Return the size of the step from a time on, up to the end of a step of a given size [s].
+
+        The rest of a step that ended before, where a force switches, is one step.
+        """
+        number = int(np.searchsorted(self._near_ends, time, side="right"))
+        return float(self._ends[number]) - time if number < len(self._ends) else float(np.diff(self._ends)[-1])
 
     def within(self, theta: float) -> Moment:
         """See `Stepper.within`."""
@@ -405,7 +466,7 @@ class DifferentiatedStepper(CompiledStepper):
         while True:
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
             if self.given_sizes is not None and progress.retrying[0] == 0:
-                size, most = self.given_size(self.given_sizes, before), progress.next_size[0]
+                size, most = self._given_size(float(progress.time[0])), progress.next_size[0]
                 progress.next_size[0] = min(size, most) if self._are_limits else size
             status, written = super().drive(plan, 1, path)
             if int(progress.accepted[0]) > before:

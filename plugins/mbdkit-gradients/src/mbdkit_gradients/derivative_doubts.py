@@ -21,6 +21,10 @@ from mbdkit_gradients.gradient_parameters import Parameter
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
 
 AT_ZERO = 1e-9  #: Operands below this share of the quantities from which they were computed count as zero.
+#: Advice about functions without a derivative.
+SMOOTH = (
+    "a smooth function has one, as sqrt(x**2 + c**2) for abs(x), or (x + y + sqrt((x - y)**2 + c**2))/2 for max(x, y)"
+)
 #: Number of values from which the limit on one side of a point is extrapolated.
 #:
 #: For a motion with eight steps per period, the relative error of rates is below 1e-9.
@@ -70,11 +74,13 @@ class DoubtedMeasure:
         size = max(size, self.size) if operation in ("abs", "norm") else size
         if np.max(np.abs(argument.value)) <= AT_ZERO * size:
             is_size = operation in ("abs", "norm")
-            self._note_sides("the operand of 'abs' is zero" if is_size else f"the operands of '{operation}' are equal")
+            what = "the operand of 'abs' is zero" if is_size else f"the operands of '{operation}' are equal"
+            self._note_sides(what, SMOOTH)
 
-    def _note_sides(self, what: str) -> None:
+    def _note_sides(self, what: str, advice: str) -> None:
         self.doubts.append(
-            f"{what} in '{self.expression.text}', so that it has different derivatives on both sides and none there"
+            f"{what} in '{self.expression.text}', so that it has different derivatives on both sides and none there; "
+            f"{advice}"
         )
 
     def _note_rest(self, switches: Sequence[DerivedValue], time: np.ndarray) -> None:
@@ -90,7 +96,7 @@ class DoubtedMeasure:
             if np.sum(rests) > len(time) // 100 + LIMIT_POINTS:
                 self.doubts.append(
                     f"an operand in '{self.expression.text}' is zero over some time, from t = "
-                    f"{time[np.argmax(rests)]:.6g} s, where 'abs', 'min' or 'max' has no derivative"
+                    f"{time[np.argmax(rests)]:.6g} s, where 'abs', 'min' or 'max' has no derivative; {SMOOTH}"
                 )
                 return
 

@@ -16,7 +16,7 @@ from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.integrators.interface import Moment, Stepper
+from mbdkit.integrators.interface import Moment
 from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
@@ -224,10 +224,12 @@ def differentiated_stepper(
         own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
         compiled, control = compiled_method(method, own)
         more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
+        every = replace(table, every=1)
         if sided is None:
+            if control is not None and sizes is None:
+                more["sizes"] = DifferentiatedStepper.sizes_across_switches(setup.stepper(every))
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         if control is not None and sizes is None:
-            every = replace(table, every=1)
             most = np.diff(_ends(setup.stepper(every))).tolist() or None
             limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
             first = SidedStepper(compiled_method(method, own)[0], own, every, NO_SEEDS, sided.conditions, **limited)
@@ -433,12 +435,9 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
     RunError
         If the run stops early.
     """
-    stepper: Stepper
     setup = RunSetup.of(spec)
-    workspace = setup.workspace
-    if sizes is None and with_sides(workspace.mechanism) is None:
-        stepper = setup.stepper()
-    else:
+    workspace, stepper = setup.workspace, setup.stepper()
+    if sizes or with_sides(workspace.mechanism) or getattr(stepper, "switches", None):
         stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
         workspace = stepper.workspace
     watch = watch_events(spec, workspace, stepper)

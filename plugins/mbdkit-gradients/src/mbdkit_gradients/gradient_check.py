@@ -79,6 +79,8 @@ Measured = Callable[[Settings], Sequence[float]]
 
 DIGITS = 10  #: Largest number of printed digits of an entry.
 
+ADVICE = "use smaller steps or a smaller tolerance"  #: Advice about inaccurate derivatives of smooth runs.
+
 MOST_NAMED = 3  #: Largest number of parameters that a doubt about a measure names.
 
 
@@ -280,8 +282,11 @@ def _is_like_steps(
     return np.asarray(np.abs(derivative - extrapolated) <= allowed)
 
 
-def check_doubts(check: GradientCheck) -> list[str]:
-    """Return a warning for each measure whose check fails, or whose errors are unknown."""
+def check_doubts(check: GradientCheck, advice: Callable[[], str] = str) -> list[str]:
+    """Return a warning for each measure whose check fails, or whose errors are unknown.
+
+    `advice`: function that returns a clause about a run that is not smooth; empty if it is.
+    """
     of_steps = np.abs(check.derivative - check.extrapolated)
     is_alike = check.is_like_steps
     doubts = []
@@ -299,19 +304,19 @@ def check_doubts(check: GradientCheck) -> list[str]:
             share = f"{100.0 * of_steps[m] / scale:.2g} %" if scale > 0.0 else "more than 100 %"
             doubts.append(
                 f"the derivative of '{name}' fails its check: in a random direction, it is {own}, but {other} by "
-                f"differences of runs, {share} of its scale away"
+                f"differences of runs, {share} of its scale away{(why := advice()) and ': '}{why}"
             )
         elif not check.is_accurate[m].all():
-            doubts.append(inaccurate_entries(check, m))
+            doubts.append(inaccurate_entries(check, m, advice() or ADVICE))
         elif np.isnan(check.entry_error[m]).any():
             doubts.append(
                 f"the errors of the derivatives of '{name}' are unknown: no run by another, more accurate method could "
-                "be differentiated"
+                f"be differentiated{(why := advice()) and ': '}{why}"
             )
     return doubts
 
 
-def inaccurate_entries(check: GradientCheck, m: int) -> str:
+def inaccurate_entries(check: GradientCheck, m: int, advice: str = ADVICE) -> str:
     """Return a clause about the entries of a measure whose errors are too large, the largest relative errors first."""
     size = np.maximum(np.abs(check.entry[m]), np.finfo(float).tiny)
     worst_first = np.argsort(-check.entry_error[m] / size, kind="stable").tolist()
@@ -319,7 +324,4 @@ def inaccurate_entries(check: GradientCheck, m: int) -> str:
     texts = [plus_minus(check.entry[m, k], check.entry_error[m, k], digits=DIGITS) for k in found[:MOST_NAMED]]
     named = [f"'{check.parameters[k]}', {text}" for k, text in zip(found, texts, strict=False)]
     others = f"; and to {counted(len(found) - MOST_NAMED, 'other parameter')}" if len(found) > MOST_NAMED else ""
-    return (
-        f"the derivative of '{check.names[m]}' is inaccurate with respect to {'; '.join(named)}{others}: use smaller "
-        f"steps or a smaller tolerance"
-    )
+    return f"the derivative of '{check.names[m]}' is inaccurate with respect to {'; '.join(named)}{others}: {advice}"

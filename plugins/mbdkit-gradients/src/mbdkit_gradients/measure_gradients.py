@@ -16,8 +16,9 @@ from mbdkit.base.errors import MbdkitError, RunError, SpecError
 from mbdkit.base.html_view import HtmlView
 from mbdkit.base.one_thread import one_thread_of_linear_algebra
 from mbdkit.base.plain_data import path_text
-from mbdkit.base.text import plus_minus
+from mbdkit.base.text import listed, plus_minus
 from mbdkit.engine.consistent_start import Starts
+from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
@@ -48,6 +49,7 @@ from mbdkit_gradients.gradient_check import (
     check_gradient,
 )
 from mbdkit_gradients.gradient_parameters import Names, Parameter, read_names, resolved
+from mbdkit_gradients.law_corners import with_sides
 from mbdkit_gradients.measured_derivatives import DerivedMeasure, derived_measures, needs_of
 from mbdkit_gradients.other_method import Reference, measured_values
 from mbdkit_gradients.parameter_differences import PreparedDerivatives
@@ -375,6 +377,10 @@ class GradientProblem(ABC, Generic[S]):
         """Return the measures by another, more accurate method; None if the computation has no steps."""
         return None
 
+    def advice(self, run: DifferentiatedRun) -> str:
+        """Return a clause that names forces that are not smooth in the run, and says what helps; empty for none."""
+        return ""
+
     def gradient(self, parameters: Sequence[Parameter], *, check: bool) -> Gradient:
         """Return the gradient with respect to parameters, with its check unless `check` is false."""
         prepared = self.prepared(parameters)
@@ -388,7 +394,7 @@ class GradientProblem(ABC, Generic[S]):
             by_another = (None, None) if reference is None else (reference.values, reference.jacobian)
             direction, sizes = Direction.random(parameters, prepared), self._sizes(run, derived)
             checked = check_gradient(direction, partial(self.measured, run), sizes, value, jacobian, *by_another)
-            doubts += check_doubts(checked)
+            doubts += check_doubts(checked, partial(self.advice, run))
         return Gradient(
             measures=tuple(self.expressions),
             units=tuple(expression.unit.text for expression in self.expressions.values()),
@@ -470,6 +476,18 @@ class _RunProblem(GradientProblem[RunSpec]):
         except RunError:
             return unknown
         return [measure.value for measure in derived_measures(other, expressions, NO_SEEDS).values()]
+
+    def advice(self, run: DifferentiatedRun | AdjointRun) -> str:
+        workspace = RunSetup.of(self.spec).workspace
+        sided = with_sides(workspace.mechanism)
+        known = [] if sided is None else [condition.force for condition in sided.conditions]
+        names = [name for name in DifferentiatedStepper.forces_that_switch(workspace, run.rows) if name not in known]
+        if not names:
+            return ""
+        what = f"{listed(self.spec.written_forces(names), 'or')} is not smooth at a state that the run passes"
+        if not self.spec.claims.adaptive:
+            return f"{what}, and fixed steps do not end there; use a method with `adaptive: true`, whose steps do"
+        return f"{what}; if a force jumps there, let it change over a small range instead, as `tanh` does"
 
     def reference(self, run: DifferentiatedRun | AdjointRun, prepared: PreparedDerivatives) -> Reference:
         return Reference(self.spec, self.expressions, prepared, self._needs, isinstance(run, AdjointRun))

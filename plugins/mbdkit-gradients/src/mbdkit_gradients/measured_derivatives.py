@@ -25,7 +25,7 @@ from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.measures.reductions import Functional
 from mbdkit.quantities.quantity import Quantity
 from mbdkit.runs.continuous_motion import EQUAL, Peak, Sampled, sampled
-from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, DoubtedMeasure, switch_of
+from mbdkit_gradients.derivative_doubts import AT_ZERO, LIMIT_POINTS, SMOOTH, DoubtedMeasure, switch_of
 from mbdkit_gradients.derived_values import DerivedValue, of_operands
 from mbdkit_gradients.differentiated_expressions import slopes_of
 from mbdkit_gradients.differentiated_motion import DifferentiatedMotion, MotionStates
@@ -215,7 +215,7 @@ class MeasureEvaluation(DoubtedMeasure):
             return of_operands("sqrt", 0.0, mean)
         if not rows.slope.any():
             return DerivedValue.constant(mean.value, self.count)
-        self._note_sides("the operand of 'rms' is zero over the whole run")
+        self._note_sides("the operand of 'rms' is zero over the whole run", "use mean(x**2), which has one")
         return DerivedValue(mean.value, np.full_like(mean.slope, np.nan))
 
     def _of_operand(
@@ -346,7 +346,7 @@ class MeasureEvaluation(DoubtedMeasure):
             is_at_zero = bool(np.all(np.abs(switch.value) <= AT_ZERO * np.abs(here.value)))
             if place != peak.switch and switch.slope.any() and is_at_zero:
                 self._note_sides(
-                    "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum"
+                    "the operand of 'abs' is zero, or the operands of 'min' or 'max' are equal, at an extremum", SMOOTH
                 )
         begin, end = part.span
         moved, side = np.zeros(self.count), -1.0
@@ -432,7 +432,7 @@ class MeasureEvaluation(DoubtedMeasure):
             return
         one, other = (self._on_part(number, at, index, moved).slope for number in (before, after))
         if not np.allclose(one, other, rtol=1e-6, atol=1e-9 * self.size):
-            self._note_sides("the time in 'at' or 'after' is the time of a discontinuity")
+            self._note_sides("the time in 'at' or 'after' is the time of a discontinuity", "choose another time")
 
     def _on_part(self, number: int, at: float, index: int, moved: np.ndarray) -> DerivedValue:
         """Return an operand at the time `at` in a part of the motion; `moved` (K,) has the derivatives of the time."""

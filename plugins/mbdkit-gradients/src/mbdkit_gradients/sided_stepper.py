@@ -36,8 +36,6 @@ PLACES = (0.25, 0.5, 0.75, 1.0)  #: Shares of a step at which conditions are eva
 SAME = 1e-9
 #: Time after a corner, as a share of the step, at which the new sides of force laws are determined.
 AHEAD = 1e-6
-ROUNDED = 1e-6  #: Share of a step of given size that counts as round-off of its end.
-ROUNDINGS = 2e-14  #: Share of its time that does so too: steps that end where a force switches may be this short.
 MOST_AT_ONCE = 8  #: Largest number of corners at the same time; if there are more, the run fails.
 
 
@@ -126,8 +124,6 @@ class SidedStepper(DifferentiatedStepper):
         **more: Any,
     ):
         super().__init__(method, workspace, replace(timetable, single=True), seeds=seeds, **more)
-        self._ends = timetable.start + np.cumsum(self.given_sizes or ())
-        self._near_ends = self._ends - np.maximum(ROUNDED * np.array(self.given_sizes or ()), ROUNDINGS * self._ends)
         self.conditions = conditions
         self.history: list[Sides] = []
         self.corners: list[LawCorner] = []
@@ -193,11 +189,6 @@ class SidedStepper(DifferentiatedStepper):
             )
         self.reached = number
         return stretch if theta > SAME else self.advance()
-
-    def given_size(self, sizes: Sequence[float], number: int) -> float:
-        """See `DifferentiatedStepper.given_size`: the rest of a step behind a corner is one step."""
-        number = int(np.searchsorted(self._near_ends, self.time, side="right"))
-        return float(self._ends[number]) - self.time if number < len(sizes) else sizes[-1]
 
     def _first_crossing(self, step: StepTaken) -> tuple[float, int] | None:
         """Return the share of a step at which the first condition changes, and the index of the condition.
