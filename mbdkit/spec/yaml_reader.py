@@ -318,7 +318,7 @@ def write_yaml(data: object) -> str:
 
 
 class _Dumper(_DUMPER):  # type: ignore[misc]
-    """Dumper without aliases that puts text in quotes if it would otherwise be read as another type."""
+    """Dumper without aliases that puts text in quotes if it would otherwise be refused, or read as another type."""
 
     def ignore_aliases(self, data: object) -> bool:
         """Write repeated values in full instead of as aliases."""
@@ -326,7 +326,8 @@ class _Dumper(_DUMPER):  # type: ignore[misc]
 
 
 def _text(dumper: yaml.SafeDumper, data: str) -> yaml.ScalarNode:
-    style = None if isinstance(resolved(data), str) else '"'
+    is_plain = isinstance(resolved(data), str) and data.count("(") <= data.count(")")
+    style = None if is_plain else '"'
     return dumper.represent_scalar(f"{CORE}str", data, style=style)
 
 

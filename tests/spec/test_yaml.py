@@ -103,7 +103,26 @@ def test_what_is_no_plain_data_is_refused_with_its_line(case):
 
 LETTERS = st.characters(exclude_categories=["Cc", "Cs"])
 WORDS = st.sampled_from(
-    ["yes", "1e5", "0x1F", "1_000", "~", "null", "", "5", ".nan", "a: b", "- a", "#", "<<", "=", "a\nb", ":0", "?x"]
+    [
+        "yes",
+        "1e5",
+        "0x1F",
+        "1_000",
+        "~",
+        "null",
+        "",
+        "5",
+        ".nan",
+        "a: b",
+        "- a",
+        "#",
+        "<<",
+        "=",
+        "a\nb",
+        ":0",
+        "?x",
+        "(",
+    ]
 )
 SCALARS = st.one_of(
     st.none(), st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text(LETTERS), WORDS
