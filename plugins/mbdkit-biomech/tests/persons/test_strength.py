@@ -55,7 +55,7 @@ def test_only_muscles_of_the_replaced_knee_are_weaker(symmetric):
 def test_strength_after_a_replacement_is_a_source_of_the_bars():
     subject = {**SIZE, "age": 70, "sex": "female", "replacement": {"right": "knee"}}
     model = MUSCLES | {"symmetric_muscles": True}
-    spec = person_spec(subject=subject, model=model, recruitment={"reserves": 1.0}, uncertainty={"samples": 40})
+    spec = person_spec(subject=subject, model=model, recruitment={"reserves": 1.0}, uncertainty={"samples": 20})
     spec["motion"]["errors"] = {"samples": 20}
     with mbdkit.inverse(spec) as run:
         assert "strength after replacement of knee" in str(run.contributions("knee"))
