@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbdkit.base.errors import RunError, StepError
+from mbdkit.engine.compiled_mechanism import CompiledMechanism
 from mbdkit.engine.elimination_order import SingularSystemError
 from mbdkit.engine.force_laws import law_for_duals
 from mbdkit.engine.kernels.bundle_types import STATE, kept
@@ -26,7 +27,7 @@ from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_st
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
 from mbdkit.integrators.loop.steps_to_switches import AT_ZERO, ROUNDINGS, first_place, next_place
-from mbdkit.integrators.loop.switches import switch_bundle
+from mbdkit.integrators.loop.switches import switch_bundle, switching_laws
 from mbdkit.integrators.run.run_state import PROJECTIONS
 from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
@@ -63,8 +64,10 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
     return laws
 
 
-def _switching_functions(workspace: Workspace, switches: PinnedBundle, rows: Any) -> np.ndarray:
+def _switching_functions(workspace: Workspace, switches: PinnedBundle | None, rows: Any) -> np.ndarray:
     """Return the switching functions (T, G) of the forces in T states, which may have derivatives."""
+    if switches is None:
+        return np.zeros((len(rows.time), 0))
     bundle, values = switches.bundle, []
     z = np.zeros((len(rows.time), 0)) if rows.z is None else rows.z
     q, v, z = (np.asarray(x) if x.ndim == 2 else np.asarray(x)[..., 0] for x in (rows.q, rows.v, z))
@@ -343,16 +346,19 @@ class DifferentiatedStepper(CompiledStepper):
         self.z0 = np.copy(self.steps.run.z)
 
     @staticmethod
-    def sizes_across_switches(stepper: Any) -> list[float] | None:
-        """Return the sizes of the steps of a run, with tiny steps across the times at which forces switch; None if its
-        forces have no switching functions, or if the run fails.
+    def sizes_across_switches(mechanism: CompiledMechanism, begin: Callable[[], Any]) -> list[float] | None:
+        """Return the sizes of the steps of a run that a function begins, with tiny steps across the times at which laws
+        switch; None if all forces of the mechanism are smooth, or if the run fails.
 
         Controlled steps end just behind such a time (`mbdkit.integrators.loop.steps_to_switches`). A stage at the end
-        of the step would have the derivatives of the other side.
+        of the step would have the derivatives of the other side. Compliant contacts, whose steps end where shapes begin
+        or cease to touch, have the same derivatives on both sides.
         """
-        if stepper.switches is None:
+        number = switching_laws(mechanism)[1]
+        if not number and not mechanism.treatments:
             return None
-        ends, values = [stepper.workspace.t0], [np.full((1, len(stepper.switches.bundle.value)), np.inf)]
+        stepper = begin()
+        ends, values = [stepper.workspace.t0], [np.full((1, number), np.inf)]
         while not (stepper.finished or stepper.failure):
             rows = stepper.advance()
             ends += rows.time.tolist()

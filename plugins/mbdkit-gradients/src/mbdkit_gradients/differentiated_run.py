@@ -16,7 +16,7 @@ from mbdkit.engine.native.arithmetic import DIRECTIONS
 from mbdkit.events.event_expression import RunExpression
 from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedStepper
 from mbdkit.integrators.duals.dual_run import NO_SEEDS, Seeds, constants
-from mbdkit.integrators.interface import Moment
+from mbdkit.integrators.interface import Moment, Stepper
 from mbdkit.integrators.start import compiled_method
 from mbdkit.methods.kinds import Method
 from mbdkit.runs.preparation import RunSetup, make_method
@@ -227,7 +227,9 @@ def differentiated_stepper(
         every = replace(table, every=1)
         if sided is None:
             if control is not None and sizes is None:
-                more["sizes"] = DifferentiatedStepper.sizes_across_switches(setup.stepper(every))
+                more["sizes"] = DifferentiatedStepper.sizes_across_switches(
+                    workspace.mechanism, lambda: RunSetup.of(spec).stepper(every)
+                )
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         if control is not None and sizes is None:
             most = np.diff(_ends(setup.stepper(every))).tolist() or None
@@ -436,10 +438,9 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
         If the run stops early.
     """
     setup = RunSetup.of(spec)
-    workspace, stepper = setup.workspace, setup.stepper()
-    if sizes or with_sides(workspace.mechanism) or getattr(stepper, "switches", None):
-        stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
-        workspace = stepper.workspace
+    is_plain = sizes is None and with_sides(setup.workspace.mechanism) is None
+    stepper: Stepper = setup.stepper() if is_plain else differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
+    workspace = setup.workspace if is_plain else stepper.workspace
     watch = watch_events(spec, workspace, stepper)
     crossings = []
     while not (watch.finished or watch.failure):

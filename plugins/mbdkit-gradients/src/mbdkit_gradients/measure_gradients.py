@@ -482,9 +482,12 @@ class _RunProblem(GradientProblem[RunSpec]):
         sided = with_sides(workspace.mechanism)
         known = [] if sided is None else [condition.force for condition in sided.conditions]
         names = [name for name in DifferentiatedStepper.forces_that_switch(workspace, run.rows) if name not in known]
-        if not names:
+        texts = self.spec.written_forces(names)
+        if workspace.mechanism.treatments and not self.spec.claims.adaptive:
+            texts.append("a contact that begins or ends")
+        if not texts:
             return ""
-        what = f"{listed(self.spec.written_forces(names), 'or')} is not smooth at a state that the run passes"
+        what = f"{listed(texts, 'or')} is not smooth at a state that the run passes"
         if not self.spec.claims.adaptive:
             return f"{what}, and fixed steps do not end there; use a method with `adaptive: true`, whose steps do"
         return f"{what}; if a force jumps there, let it change over a small range instead, as `tanh` does"

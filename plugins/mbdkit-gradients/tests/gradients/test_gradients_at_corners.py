@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from tests.gradients.bouncing_ball import GAUSS, GRAVITY, HEIGHT, MEASURES, PAD, STIFFNESS, ball, bounce, expected
 from tests.gradients.checks import assert_passed
 
@@ -189,3 +190,51 @@ def test_a_doubt_about_a_kink_names_the_expression_and_what_helps(law, method, t
     (doubt,) = found.doubts
     assert f"model.forces.load.value, ['{law}', 0.0], is not smooth at a state that the run passes" in doubt
     assert doubt.endswith(advice)
+
+
+def bounce_of_a_ball(stiffness: float, height: float) -> float:
+    """Return the position at 0.35 s of a ball of 1 kg that falls on a half-space with the law of Hunt and Crossley."""
+
+    def rates(_t: float, y: np.ndarray) -> list[float]:
+        return [y[1], -9.81 - stiffness * np.sign(y[0]) * abs(y[0]) ** 1.5 * (1.0 - 1.5 * 0.3 * y[1])]
+
+    def separates(_t: float, y: np.ndarray) -> float:
+        return float(y[0])
+
+    separates.terminal, separates.direction = True, 1.0  # type: ignore[attr-defined]
+    begin = np.sqrt(2.0 * height / 9.81)
+    start = [-1e-300, -9.81 * begin]
+    touch = solve_ivp(rates, (begin, 0.35), start, method="DOP853", rtol=1e-12, atol=1e-15, events=separates)
+    rest = 0.35 - touch.t[-1]
+    return float(touch.y[1, -1] * rest - 9.81 * rest**2 / 2.0 + 0.1)
+
+
+def ball_on_the_ground(integrator: dict[str, object], **time: float) -> dict[str, object]:
+    shapes = [{"line": {"normal": [0, 1]}}, {"circle": {"radius": 0.1}}]
+    compliance = {"law": "hunt-crossley", "stiffness": "k", "dissipation": 0.3}
+    contact = {"bodies": ["ground", "b"], "shapes": shapes, "compliance": compliance}
+    body = {"mass": 1.0, "inertia": 0.01, "position": [0, "0.1 + h"]}
+    return {
+        "mbdkit": 1, "parameters": {"k": 1e5, "h": 0.2}, "integrator": integrator, "time": {"end": 0.35, **time},
+        "model": {"name": "mechanism", "bodies": {"b": body}, "contacts": {"c": contact}},
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("method", [{"name": "dopri5", "adaptive": True, "rtol": 1e-8}, *CONTROLLED[::2]])
+def test_gradients_across_an_impact_by_the_law_of_hunt_and_crossley(method: dict[str, object]) -> None:
+    # expected: differences of the motion by DOP853 from the begin of contact to its end
+    right = [
+        (bounce_of_a_ball(1e5 + 10.0, 0.2) - bounce_of_a_ball(1e5 - 10.0, 0.2)) / 20.0,
+        (bounce_of_a_ball(1e5, 0.2 + 2e-5) - bounce_of_a_ball(1e5, 0.2 - 2e-5)) / 4e-5,
+    ]
+    found = mbdkit.gradient(ball_on_the_ground(method), "final(b.y)", ["k", "h"])
+    np.testing.assert_allclose(found.jacobian[0], right, rtol=3e-3)  # 1e-2 in steps that pass over the begin
+    assert np.all(np.abs(found.jacobian[0] - right) <= 2.0 * found.error[0])
+    assert_passed(found)
+
+
+def test_a_doubt_about_fixed_steps_through_a_contact_says_what_helps() -> None:
+    spec = ball_on_the_ground({"name": "rk4"}, step=5e-4)
+    (doubt,) = mbdkit.gradient(spec, "final(b.y)", ["k", "h"]).doubts
+    assert "a contact that begins or ends is not smooth" in doubt
+    assert "use a method with `adaptive: true`" in doubt
