@@ -224,32 +224,15 @@ def differentiated_stepper(
         own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
         compiled, control = compiled_method(method, own)
         more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
-        every = replace(table, every=1)
-        if sided is None:
-            if control is not None and sizes is None:
-                more["sizes"] = DifferentiatedStepper.sizes_across_switches(
-                    workspace.mechanism, lambda: RunSetup.of(spec).stepper(every)
-                )
-            return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         if control is not None and sizes is None:
-            most = np.diff(_ends(setup.stepper(every))).tolist() or None
-            limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
-            first = SidedStepper(compiled_method(method, own)[0], own, every, NO_SEEDS, sided.conditions, **limited)
-            more["sizes"] = np.diff(_ends(first)).tolist() or None
+            plain = lambda: RunSetup.of(spec).stepper(replace(table, every=1))  # noqa: E731
+            more["sizes"] = DifferentiatedStepper.sizes_across_switches(workspace.mechanism, plain, sided is not None)
+        if sided is None:
+            return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
-
-
-def _ends(stepper: Any) -> list[float]:
-    """Take all steps of a run, as far as it goes; return the times of their ends, and of the start, without corners."""
-    time = [stepper.workspace.t0]
-    while not (stepper.finished or stepper.failure):
-        rows = stepper.advance().time
-        if getattr(stepper, "reached", None) is None:
-            time.extend(rows.tolist())
-    return time
 
 
 @dataclass(frozen=True)
