@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -220,13 +221,13 @@ def differentiated_stepper(
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     sided = with_sides(workspace.mechanism)
+    if sizes is None and method.traits.tolerances is not None:
+        plain = partial(setup.stepper, replace(table, every=1))
+        sizes = DifferentiatedStepper.sizes_across_switches(workspace.mechanism, plain, sided is not None)
     try:
-        own = workspace if sided is None else replace(workspace, mechanism=sided.mechanism)
+        own = replace(workspace, mechanism=workspace.mechanism if sided is None else sided.mechanism)
         compiled, control = compiled_method(method, own)
         more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
-        if control is not None and sizes is None:
-            plain = lambda: RunSetup.of(spec).stepper(replace(table, every=1))  # noqa: E731
-            more["sizes"] = DifferentiatedStepper.sizes_across_switches(workspace.mechanism, plain, sided is not None)
         if sided is None:
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
