@@ -310,6 +310,8 @@ class DifferentiatedStepper(CompiledStepper):
         Whether stages are stored as quadrature nodes.
     sizes
         Sizes of the steps [s], if given; the error estimate then rejects no step. Ignored without step-size control.
+    are_limits
+        Whether `sizes` are only the largest ones.
     """
 
     can_take_back: ClassVar[bool] = False
@@ -324,12 +326,13 @@ class DifferentiatedStepper(CompiledStepper):
         *,
         with_nodes: bool,
         sizes: Sequence[float] | None = None,
+        are_limits: bool = False,
     ):
         self._steps: DifferentiatedSteps | None = None  # until the run has its start
         self.recorded = 0
         self.sizes_taken: list[float] = []
-        self.given_sizes = sizes if control is not None else None
-        if control is not None and self.given_sizes is not None:
+        self.given_sizes, self._are_limits = sizes if control is not None else None, are_limits
+        if control is not None and self.given_sizes is not None and not are_limits:
             control = replace(control, scale=ANY_ERROR)
         super().__init__(method, workspace, timetable, control)
         given = np.array(self.given_sizes or ())
@@ -343,9 +346,7 @@ class DifferentiatedStepper(CompiledStepper):
         self.z0 = np.copy(self.steps.run.z)
 
     @staticmethod
-    def sizes_across_switches(
-        mechanism: CompiledMechanism, begin: Callable[[], Any], has_sides: bool
-    ) -> list[float] | None:
+    def sizes_across_switches(mechanism: CompiledMechanism, begin: Callable[[], Any]) -> list[float] | None:
         """Return the sizes of the steps of a run that a function begins, with tiny steps across the times at which laws
         switch; None if all forces of the mechanism are smooth, or if the run fails.
 
@@ -354,7 +355,7 @@ class DifferentiatedStepper(CompiledStepper):
         or cease to touch, have the same derivatives on both sides.
         """
         number = switching_laws(mechanism)[1]
-        if not (number or has_sides or mechanism.treatments):
+        if not (number or mechanism.treatments):
             return None
         stepper = begin()
         ends, values = [stepper.workspace.t0], [np.full((1, number), np.inf)]
@@ -471,7 +472,8 @@ class DifferentiatedStepper(CompiledStepper):
         while True:
             before, projections = int(progress.accepted[0]), int(c.counts[PROJECTIONS])
             if self.given_sizes is not None and progress.retrying[0] == 0:
-                progress.next_size[0] = self._given_size(float(progress.time[0]))
+                size, most = self._given_size(float(progress.time[0])), progress.next_size[0]
+                progress.next_size[0] = min(size, most) if self._are_limits else size
             status, written = super().drive(plan, 1, path)
             if int(progress.accepted[0]) > before:
                 step = float(progress.tried_begin[0]), float(progress.last_size[0])

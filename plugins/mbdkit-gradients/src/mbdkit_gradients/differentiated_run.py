@@ -221,19 +221,35 @@ def differentiated_stepper(
     if table.impacts:
         raise SpecError("runs with impacts of drivers have no derivatives", key="impacts")
     sided = with_sides(workspace.mechanism)
-    if sizes is None and method.traits.tolerances is not None:
-        plain = partial(setup.stepper, replace(table, every=1))
-        sizes = DifferentiatedStepper.sizes_across_switches(workspace.mechanism, plain, sided is not None)
+    every = replace(table, every=1)
+    if sided is None and sizes is None and method.traits.tolerances is not None:
+        sizes = DifferentiatedStepper.sizes_across_switches(workspace.mechanism, partial(setup.stepper, every))
     try:
-        own = replace(workspace, mechanism=workspace.mechanism if sided is None else sided.mechanism)
+        mechanism = workspace.mechanism if sided is None else sided.mechanism
+        own = workspace if sided is None and sizes is None else replace(workspace, mechanism=mechanism)
         compiled, control = compiled_method(method, own)
         more: dict[str, Any] = {"control": control, "with_nodes": needs.nodes, "sizes": sizes}
         if sided is None:
             return DifferentiatedStepper(compiled, own, table, seeds=seeds, **more)
+        if control is not None and sizes is None:
+            most = np.diff(_ends(setup.stepper(every))).tolist() or None
+            limited: dict[str, Any] = {"control": control, "with_nodes": False, "sizes": most, "are_limits": True}
+            first = SidedStepper(compiled_method(method, own)[0], own, every, NO_SEEDS, sided.conditions, **limited)
+            more["sizes"] = np.diff(_ends(first)).tolist() or None
         return SidedStepper(compiled, own, table, sided.seeds(seeds), sided.conditions, **more)
     except SingularSystemError as error:
         name = workspace.mechanism.unknown_name(error.index)
         raise RunError(f"the stage equations are singular at the start, near {name}") from None
+
+
+def _ends(stepper: Any) -> list[float]:
+    """Take all steps of a run, as far as it goes; return the times of their ends, and of the start, without corners."""
+    time = [stepper.workspace.t0]
+    while not (stepper.finished or stepper.failure):
+        rows = stepper.advance().time
+        if getattr(stepper, "reached", None) is None:
+            time.extend(rows.tolist())
+    return time
 
 
 @dataclass(frozen=True)
@@ -421,10 +437,14 @@ def events_of(spec: RunSpec, sizes: Sequence[float] | None) -> list[PassedEvent]
     RunError
         If the run stops early.
     """
+    stepper: Stepper
     setup = RunSetup.of(spec)
-    is_plain = sizes is None and with_sides(setup.workspace.mechanism) is None
-    stepper: Stepper = setup.stepper() if is_plain else differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
-    workspace = setup.workspace if is_plain else stepper.workspace
+    workspace = setup.workspace
+    if sizes is None and with_sides(workspace.mechanism) is None:
+        stepper = setup.stepper()
+    else:
+        stepper = differentiated_stepper(spec, NO_SEEDS, Needs(), sizes)
+        workspace = stepper.workspace
     watch = watch_events(spec, workspace, stepper)
     crossings = []
     while not (watch.finished or watch.failure):
