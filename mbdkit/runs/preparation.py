@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from mbdkit.archive.layout import CORRECTIONS, EVENTS, FRICTION, IMPACTS, SAMPLE
 from mbdkit.base.called_functions import function_at, may_call, returned_before
 from mbdkit.base.errors import PluginError, SpecError, StepError, blaming, with_place
 from mbdkit.base.frozen import dataclass, replace
-from mbdkit.base.plain_data import quoted
+from mbdkit.base.plain_data import canonical, quoted
 from mbdkit.base.text import listed
 from mbdkit.engine.assembly import AssembledState
 from mbdkit.engine.compiled_mechanism import CompiledMechanism
@@ -321,3 +321,10 @@ def plugin_failure(spec: RunSpec, error: BaseException) -> Failure:
     if item.origin.distribution == "mbdkit":
         raise error
     return Failure("plugin-error", f"integrator {item.id} raised {with_place(error)}.")
+
+
+def written_forces(spec: RunSpec, names: Iterable[str]) -> list[str]:
+    """Return the keys of forces with these names, with the loads that are expressions of the state."""
+    forces = canonical(spec.sections()["model"]).get("forces", {})
+    values = {f"model.forces.{quoted(name)}": forces.get(name, {}).get("value") for name in names}
+    return [key if value is None else f"{key}.value, {value}," for key, value in values.items()]

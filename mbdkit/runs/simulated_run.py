@@ -28,7 +28,7 @@ from mbdkit.integrators.run.impulse import ReactingMemory, reacting_memory
 from mbdkit.runs.coarse_steps import coarse_step
 from mbdkit.runs.conclusion import NO_STEPS, EndedRun, conclude, log_end
 from mbdkit.runs.finish import finish
-from mbdkit.runs.preparation import plugin_failure
+from mbdkit.runs.preparation import plugin_failure, written_forces
 from mbdkit.runs.run_checkpoint import Checkpoints, Parts, why_without
 from mbdkit.runs.run_criteria import step_advice
 from mbdkit.runs.run_record import TIMES, Continuation, RunRecord, Taken
@@ -327,7 +327,7 @@ class SimulatedRun:
         if pinned is not None and (first := float(pinned.bundle.spell.first[0])) < math.inf:
             names = [self.workspace.mechanism.laws[law][0] for law in pinned.bundle.laws[:, 0]]
             yield (
-                f"From t = {first:.6g} s on, {listed(self.spec.written_forces(names), 'or')} switches without end, so "
+                f"From t = {first:.6g} s on, {listed(written_forces(self.spec, names), 'or')} switches without end, so "
                 "that steps pass over its jumps: the jump holds the motion where it is, as friction given by the sign "
                 "of a velocity does. Let the force change over a small range instead, as `tanh` does, or use the "
                 "friction of joints or contacts."

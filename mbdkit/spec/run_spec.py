@@ -420,12 +420,6 @@ class RunSpec(ModelSpec):
         self.mechanism()
         return cast("dict[str, RunExpression]", self._watched)
 
-    def written_forces(self, names: Iterable[str]) -> list[str]:
-        """Return the keys of forces with these names, with the loads that are expressions of the state."""
-        forces = canonical(self.sections()["model"]).get("forces", {})
-        values = {f"model.forces.{quoted(name)}": forces.get(name, {}).get("value") for name in names}
-        return [key if value is None else f"{key}.value, {value}," for key, value in values.items()]
-
     def defined_measures(self) -> tuple[DefinedMeasure, ...]:
         """Return the measures of the run."""
         return tuple(defined(self.measures, ("measures",)))

@@ -22,7 +22,7 @@ from mbdkit.integrators.duals.differentiated_stepper import DifferentiatedSteppe
 from mbdkit.integrators.duals.dual_run import NO_SEEDS
 from mbdkit.measures.measure_expression import MeasureExpression
 from mbdkit.methods.kinds import Method
-from mbdkit.runs.preparation import RunSetup, make_method
+from mbdkit.runs.preparation import RunSetup, make_method, written_forces
 from mbdkit.runs.run_criteria import zero_reactions_in
 from mbdkit.spec.loading import RunSource, load_spec
 from mbdkit.spec.model_spec import ModelSpec
@@ -482,7 +482,7 @@ class _RunProblem(GradientProblem[RunSpec]):
         sided = with_sides(workspace.mechanism)
         known = [] if sided is None else [condition.force for condition in sided.conditions]
         names = [name for name in DifferentiatedStepper.forces_that_switch(workspace, run.rows) if name not in known]
-        texts = self.spec.written_forces(names)
+        texts = written_forces(self.spec, names)
         if workspace.mechanism.treatments and not self.spec.claims.adaptive:
             texts.append("a contact that begins or ends")
         if not texts:
