@@ -337,7 +337,7 @@ class DifferentiatedStepper(CompiledStepper):
         super().__init__(method, workspace, timetable, control)
         given = np.array(self.given_sizes or ())
         self._ends = timetable.start + np.cumsum(given)
-        self._near_ends = self._ends - np.maximum(ROUNDED * given, ROUNDINGS * np.abs(self._ends))
+        self._near_ends = self._ends - np.maximum(ROUNDED * given, ROUNDINGS * abs(timetable.end))
         known = timetable.steps // timetable.every + 2 if timetable.step is not None else 64
         rows = known + len(self.run_state.row_time)  # room for as many as one stretch may record after the last
         self._steps = DifferentiatedSteps(method, workspace, seeds, rows, int(with_nodes))
