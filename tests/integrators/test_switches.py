@@ -39,15 +39,24 @@ def test_a_stop_returns_a_mass_at_its_own_speed(method):
     assert r["b"].position[-1, 0] == pytest.approx(1.0 - speed * back, rel=1e-4)
 
 
+#: In the second case, DOP853 meets the stop only with stages that count neither in its result nor in its error, and its
+#: dense output ends up kilometres away.
+PRELOADED = {
+    "near": (1e5, 0.004, 2.0, 0.5, 0.4),
+    "far": (25755.92713, 2.5244516e-3, 1.25149804, 2.96460306, 4.34310043),
+}
+
+
+@pytest.mark.parametrize("case", PRELOADED)
 @pytest.mark.parametrize("method", METHODS[4:8], ids=lambda x: x["name"])
-def test_a_preloaded_stop_acts_from_where_it_engages(method):
-    stiffness, stretch, speed, distance = 1e5, 0.004, 2.0, 0.5
+def test_a_preloaded_stop_acts_from_where_it_engages(method, case):
+    stiffness, stretch, speed, distance, end = PRELOADED[case]
     pathway = {"type": "two-points", "bodies": ["ground", "b"], "points": [[distance + 1.0, 0], [0, 0]]}
     law = {"type": "law", "law": "one-sided", "acts": "compression", "pathway": pathway, "stiffness": stiffness}
-    r = run(law | {"free_length": 1.0 + stretch, "engages_at": 1.0}, speed, 0.4, method)
+    r = run(law | {"free_length": 1.0 + stretch, "engages_at": 1.0}, speed, end, method)
     rate = math.sqrt(stiffness)
-    back = 0.4 - distance / speed - (math.pi - 2.0 * math.atan2(rate * stretch, speed)) / rate
-    assert r["b"].position[-1, 0] == pytest.approx(distance - speed * back, rel=1e-4)
+    back = end - distance / speed - (math.pi - 2.0 * math.atan2(rate * stretch, speed)) / rate
+    assert r["b"].position[-1, 0] == pytest.approx(distance - speed * back, abs=1e-4 * distance)
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda x: f"{x['name']}{x.get('stages', '')}")

@@ -21,6 +21,8 @@ from mbdkit.integrators.interface import SAME_INSTANT
 from mbdkit.integrators.loop.steps_to_switches import PARTS, first_place, is_clear, next_place
 from mbdkit.methods.step_methods import ExternalMethod, Step, StepMethod, StepState, Why
 
+#: Dense output is not believed if it deviates from the cubic through both ends by this many times the way of the step.
+ASTRAY = 10.0
 MOST_CUTS = 20  #: Largest number of times that a library is opened again in one step.
 
 #: Function of the equations, start and state of a step, the step, and its end; it returns the share of the step at
@@ -154,12 +156,15 @@ class ToSwitches:
         h, last, dense, bundle = end - t, made.state, made.dense, self.pinned.bundle
 
         def state(x: float) -> tuple[np.ndarray, ...]:
-            if dense is not None and not by_cubic and 0.0 < x < 1.0:
-                return dense(x)
+            nonlocal astray
             q, v = hermite(x, h, begin.q, last.q - begin.q, begin.v, last.v)
+            if dense is not None and not by_cubic and 0.0 < x < 1.0:
+                between = dense(x)
+                astray = max(astray, float(np.max(np.abs(between[0] - q))))
+                return between
             return q, v, begin.z + x * (last.z - begin.z)
 
-        place, count, by_cubic = float(first_place(switches, t, h)), 0, dense is not None
+        place, count, by_cubic, astray = float(first_place(switches, t, h)), 0, dense is not None, 0.0
         while place >= 0.0:
             q, v, z, *_ = state(place)
             bundle.q[:], bundle.v[:], bundle.z[:] = with_ground(q), with_ground(v), z
@@ -168,4 +173,10 @@ class ToSwitches:
                 if is_clear(switches):
                     return 1.0
                 place, by_cubic = float(first_place(switches, t, h)), False
-        return -1.0 - place if place < -1.0 else 1.0
+        share = -1.0 - place
+        if 0.0 < share < 1.0:
+            return share
+        ways = np.abs(last.q - begin.q) + h * (np.abs(begin.v) + np.abs(last.v))
+        if astray > ASTRAY * float(np.max(ways)):  # stages behind the zero make it useless
+            return self(equations, t, begin, replace(made, dense=None), end)
+        return 1.0
