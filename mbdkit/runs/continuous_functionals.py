@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mbdkit.archive.measured_values import Integrals
 from mbdkit.engine.observed_states import StateObserver
 from mbdkit.engine.workspace import Workspace
 from mbdkit.integrators.interface import SAME_TIME, ConsecutiveSteps, Timetable
+from mbdkit.integrators.loop.switches import PREVIOUS, ends_at_switches, switch_bundle, switching_functions
 from mbdkit.integrators.run.sampled_control import states_at_start
 from mbdkit.measures.reductions import EventTimes, Functional
 from mbdkit.quantities.names import archive_names
@@ -26,6 +28,12 @@ from mbdkit.runs.step_interpolation import NODES_WITHOUT_ACCELERATIONS, StepEnds
 #: Number of steps in a block; they are evaluated together. The number is fixed for the reason given in
 #: `integrals.BLOCK`.
 BLOCK = 256
+#: Share of the step that ends where a force switches at which its acceleration is that before.
+BEFORE_SWITCH = 1e-9
+#: Steps before a switch below this share of the step before them are no nodes of polynomials.
+BESIDE_SWITCH = 1e-3
+#: Steps beside a switch below this share of the run are no nodes either: differences of their ends are rounding errors.
+SHORTEST = 1e-9
 #: Number of step ends before and after a block that its polynomials use.
 BESIDE = NODES_WITHOUT_ACCELERATIONS // 2
 
@@ -44,12 +52,27 @@ class _Ends:
     begin: float = -math.inf  #: Earliest time at which motions and loads are evaluated [s].
     end: float = math.inf
     done: int = 0  #: Number of steps that have been evaluated.
+    ends_at_switch: bool = False  #: Whether a force switches just before the last end.
 
     def add(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the states (T, ...) at times (T,)."""
         self.time += time.tolist()
         for own, given in ((self.q, q), (self.v, v), (self.z, z)):
             own.extend(np.array(given))
+
+    @property
+    def states(self) -> tuple[list[Any], ...]:
+        """Times, positions, velocities and first-order states."""
+        return self.time, self.q, self.v, self.z
+
+    def end_at_switch(self, shortest: float) -> None:
+        """Note that a force switches before the last end. Ends within `shortest` [s], or much closer to it than to the
+        end before, are discarded.
+        """
+        self.ends_at_switch, time = True, self.time
+        while len(time) > 2 and time[-1] - time[-2] < max(shortest, BESIDE_SWITCH * (time[-2] - time[-3])):
+            for values in self.states:
+                del values[-2]
 
     def drop(self, count: int) -> None:
         """Discard the first `count` ends, which are not needed any more."""
@@ -66,6 +89,7 @@ class ContinuousFunctionals:
       others, as in ``rms(x - mean(x))``.
     - `timetable`: the times of the run.
     - `uses_accelerations`: whether the polynomials between the ends of steps use accelerations; see `StepEnds`.
+    - `is_controlled`: whether steps end where forces switch. Polynomials do not go beyond these ends.
     """
 
     def __init__(
@@ -75,6 +99,7 @@ class ContinuousFunctionals:
         timetable: Timetable,
         *,
         uses_accelerations: bool = True,
+        is_controlled: bool = False,
     ):
         self._workspace, self._table, self._uses_accelerations = workspace, timetable, uses_accelerations
         self._observer = StateObserver(workspace.with_own_pivots())
@@ -84,6 +109,9 @@ class ContinuousFunctionals:
         self._ends = self._new_part(workspace.t0, workspace.q0, workspace.v0, states_at_start(workspace))
         self._parts: list[_Ends] = [self._ends] if self._keeps else []
         self._begun = False
+        span = timetable.end - timetable.start
+        self._shortest = SHORTEST * span
+        self._switches = switch_bundle(self._observer.workspace, span) if is_controlled else None
 
     def _new_part(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> _Ends:
         part = _Ends(begin=self._beside_stop(time, 1.0))
@@ -102,8 +130,31 @@ class ContinuousFunctionals:
     def add_ends(self, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
         """Add the ends (T,) of further steps. Motions and loads of the run must have no discontinuities."""
         new = time > self._ends.time[-1]
-        self._ends.add(time[new], q[new], v[new], z[new])
+        self._add(time[new], q[new], v[new], z[new])
         self._take(whole=True)
+
+    def _add(self, *states: np.ndarray) -> None:
+        """Add the ends of further steps; another part of the motion begins where a force switches."""
+        begin, last = 0, self._ends
+        if self._switches is not None and len(states[0]):
+            known = min(PREVIOUS, len(last.time))
+            both = [np.concatenate([own[-known:], given]) for own, given in zip(last.states, states, strict=True)]
+            values = switching_functions(self._observer.workspace, self._switches, *both)
+            for at in ends_at_switches(both[0], values, known, self._shortest):
+                end = at - known + 1
+                self._ends.add(*(x[begin:end] for x in states))
+                self._ends.end_at_switch(self._shortest)
+                begin = end
+                self._begin_part(*(x[end - 1] for x in states))
+        begun = self._ends.time[-1] if self._switches is not None and len(self._ends.time) == 1 else -math.inf
+        begin += int(np.searchsorted(states[0][begin:], begun + self._shortest))
+        self._ends.add(*(x[begin:] for x in states))
+
+    def _begin_part(self, time: float, q: np.ndarray, v: np.ndarray, z: np.ndarray) -> None:
+        self._close()
+        self._ends = self._new_part(float(time), q, v, z)
+        if self._keeps:
+            self._parts.append(self._ends)
 
     def add_steps(self, steps: Iterable[ConsecutiveSteps]) -> None:
         """Add further steps."""
@@ -112,11 +163,8 @@ class ContinuousFunctionals:
             is_same = np.array_equal(v[0], ends.v[-1]) and np.array_equal(z[0], ends.z[-1])
             continues = is_same and math.isinf(self._beside_stop(time[0], 1.0))
             if not continues and len(ends.time) > 1:
-                self._close()
-                self._ends = self._new_part(time[0], q[0], v[0], z[0])
-                if self._keeps:
-                    self._parts.append(self._ends)
-            self._ends.add(time[1:], q[1:], v[1:], z[1:])
+                self._begin_part(time[0], q[0], v[0], z[0])
+            self._add(time[1:], q[1:], v[1:], z[1:])
         self._take(whole=True)
 
     def _close(self) -> None:
@@ -152,7 +200,12 @@ class ContinuousFunctionals:
         sides, has_states = (ends.begin, ends.end), z.shape[1] > 0
         accelerations, chosen = None, self._workspace.mechanism.reacting
         if self._uses_accelerations or has_states:
-            observed = observed_at(self._observer, np.clip(time, *sides), q, v, z)
+            there = q, v
+            if ends.ends_at_switch and end == len(ends.time):  # accelerations are those before the force switches
+                back = BEFORE_SWITCH * (time[-1] - time[-2])
+                before = q[-1:] - back * v[-1:], v[-1:] - BEFORE_SWITCH * (v[-1:] - v[-2:-1])
+                there = np.concatenate([q[:-1], before[0]]), np.concatenate([v[:-1], before[1]])
+            observed = observed_at(self._observer, np.clip(time, *sides), there[0], there[1], z)
             if chosen is not None or not has_states:
                 accelerations = observed.acc
             else:  # the second derivatives of first-order states are not known
@@ -191,8 +244,7 @@ class ContinuousFunctionals:
         return {
             "totals": {total.functional.text: [total.value, total.peak_time] for total in self._direct},
             "parts": [
-                [*(np.array(values) for values in (x.time, x.q, x.v, x.z)), [x.begin, x.end, float(x.done)]]
-                for x in parts
+                [*map(np.array, x.states), [x.begin, x.end, float(x.done), float(x.ends_at_switch)]] for x in parts
             ],
         }
 
@@ -201,11 +253,12 @@ class ContinuousFunctionals:
         if [*state["totals"]] != [total.functional.text for total in self._direct]:
             raise ValueError("it has other integrals")
         size, states, parts = len(self._workspace.q0), len(self._workspace.mechanism.states), []
-        for time, q, v, z, (begin, end, done) in state["parts"]:
+        for time, q, v, z, (begin, end, done, at_switch) in state["parts"]:
             shapes = [(len(time), size), (len(time), size), (len(time), states)]
             if not len(time) or [x.shape for x in (q, v, z)] != shapes or not 0 <= done < len(time):
                 raise ValueError("its steps have other shapes")
-            parts.append(_Ends(time.tolist(), list(q), list(v), list(z), float(begin), float(end), int(done)))
+            rows = time.tolist(), list(q), list(v), list(z)
+            parts.append(_Ends(*rows, float(begin), float(end), int(done), bool(at_switch)))
         if not parts or (len(parts) > 1 and not self._keeps):
             raise ValueError("its steps have other shapes")
         for total, (value, peak_time) in zip(self._direct, state["totals"].values(), strict=True):

@@ -112,11 +112,18 @@ class RunIntegrals:
 
     `workspace`: the mechanism at its start. Accelerations and reactions are computed with pivots that the stepper does
     not use. `functionals`: the integrals, extrema and values to compute. `timetable`: the times of the run.
-    `suits_stiff`: whether the method is intended for stiff mechanisms.
+    `suits_stiff`: whether the method is intended for stiff mechanisms. `is_controlled`: whether its step size is
+    controlled, so that steps end where forces switch.
     """
 
     def __init__(
-        self, workspace: Workspace, functionals: Sequence[Functional], timetable: Timetable, *, suits_stiff: bool
+        self,
+        workspace: Workspace,
+        functionals: Sequence[Functional],
+        timetable: Timetable,
+        *,
+        suits_stiff: bool,
+        is_controlled: bool,
     ):
         self.functionals = functionals
         self._workspace = workspace.with_own_pivots()
@@ -126,7 +133,9 @@ class RunIntegrals:
         #: Functionals that are computed from the motion between the ends of steps; None if there are none.
         self.continuous: ContinuousFunctionals | None = None
         if others:
-            self.continuous = ContinuousFunctionals(workspace, others, timetable, uses_accelerations=not suits_stiff)
+            self.continuous = ContinuousFunctionals(
+                workspace, others, timetable, uses_accelerations=not suits_stiff, is_controlled=is_controlled
+            )
         self._observer = StateObserver(self._workspace)
         mechanism = workspace.mechanism
         self._names = archive_names(mechanism)

@@ -244,8 +244,10 @@ class PreparedRuns:
         integrals: list[Integrals] = []
         for run in range(len(self) if functionals_of(self.first.settings, measures) else 0):
             member, rows = self.member(run), int(results.rows[run])
-            functionals, stiff = functionals_of(member.spec, measures), member.method.traits
-            own = RunIntegrals(member.workspace(), functionals, member.table, suits_stiff=stiff.suits_stiff)
+            own = RunIntegrals(
+                member.workspace(), functionals_of(member.spec, measures), member.table,
+                suits_stiff=member.method.traits.suits_stiff, is_controlled=member.spec.claims.adaptive,
+            )  # fmt: skip
             assert own.continuous is not None
             time, q, v = (values[run, :rows] for values in (results.time, results.q, results.v))
             own.continuous.add_ends(time, q, v, np.zeros((rows, 0)))

@@ -179,8 +179,10 @@ class RunRecord:
             self.recorder.kept = []
         self.integrals: RunIntegrals | None = None
         if self._functionals:
-            suits_stiff = setup.method.traits.suits_stiff
-            self.integrals = RunIntegrals(workspace, self._functionals, table, suits_stiff=suits_stiff)
+            self.integrals = RunIntegrals(
+                workspace, self._functionals, table,
+                suits_stiff=setup.method.traits.suits_stiff, is_controlled=spec.claims.adaptive,
+            )  # fmt: skip
 
     def _table(self) -> Timetable:
         if self.integrals is None:

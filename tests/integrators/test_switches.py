@@ -39,6 +39,23 @@ def test_a_stop_returns_a_mass_at_its_own_speed(method):
     assert r["b"].position[-1, 0] == pytest.approx(1.0 - speed * back, rel=1e-4)
 
 
+@pytest.mark.parametrize("method", METHODS[3:8], ids=lambda x: f"{x['name']}{x.get('stages', '')}")
+def test_peaks_and_integrals_do_not_interpolate_across_the_beginning_of_a_stop(method):
+    stiffness, speed = 1e5, 2.0
+    measures = {"peak": "max(abs(b.ax))", "change": "integral(abs(b.ax))"}
+    r = run(f"-{stiffness}*max(0, b.x - 1)", speed, 2.0, method | {"rtol": 1e-7, "atol": 1e-9}, measures=measures)
+    assert r.measures["peak"] == pytest.approx(speed * math.sqrt(stiffness), rel=1e-5)
+    assert r.measures["change"] == pytest.approx(2.0 * speed, rel=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS[3:7], ids=lambda x: f"{x['name']}{x.get('stages', '')}")
+def test_integrals_have_the_force_before_a_jump_and_that_after_it(method):
+    measures = {"peak": "max(abs(b.ax))", "change": "integral(abs(b.ax))"}
+    r = run("-2*b.vx/abs(b.vx) - 3", 4.0, 1.2, method | {"rtol": 1e-7, "atol": 1e-9}, measures=measures)
+    assert r.measures["peak"] == pytest.approx(5.0, rel=1e-6)
+    assert r.measures["change"] == pytest.approx(5.0 * 0.8 + 1.0 * 0.4, rel=1e-6)
+
+
 #: In the second case, DOP853 meets the stop only with stages that count neither in its result nor in its error, and its
 #: dense output ends up kilometres away.
 PRELOADED = {

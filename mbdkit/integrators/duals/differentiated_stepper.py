@@ -26,8 +26,8 @@ from mbdkit.integrators.duals.dual_loop import drive_explicit_duals
 from mbdkit.integrators.duals.dual_run import DualRun, Seeds, constants, dual_states, new_dual_run
 from mbdkit.integrators.interface import Moment, StepTaken, Timetable
 from mbdkit.integrators.loop.compiled_stepper import CompiledStepper
-from mbdkit.integrators.loop.steps_to_switches import AT_ZERO, ROUNDINGS, first_place, next_place
-from mbdkit.integrators.loop.switches import switch_bundle, switching_laws
+from mbdkit.integrators.loop.steps_to_switches import AT_ZERO, ROUNDINGS
+from mbdkit.integrators.loop.switches import switch_bundle, switching_functions, switching_laws
 from mbdkit.integrators.run.run_state import PROJECTIONS
 from mbdkit.integrators.run.step_control import Control
 from mbdkit.integrators.stages.compiled_method import CompiledMethod
@@ -64,18 +64,10 @@ def dual_laws(workspace: Workspace) -> np.ndarray:
     return laws
 
 
-def _switching_functions(workspace: Workspace, switches: PinnedBundle | None, rows: Any) -> np.ndarray:
-    """Return the switching functions (T, G) of the forces in T states, which may have derivatives."""
-    if switches is None:
-        return np.zeros((len(rows.time), 0))
-    bundle, values = switches.bundle, []
+def _states(rows: Any) -> tuple[np.ndarray, ...]:
+    """Return times (T,) and states of rows, without their derivatives."""
     z = np.zeros((len(rows.time), 0)) if rows.z is None else rows.z
-    q, v, z = (np.asarray(x) if x.ndim == 2 else np.asarray(x)[..., 0] for x in (rows.q, rows.v, z))
-    for k, t in enumerate(rows.time.tolist()):
-        bundle.q[:], bundle.v[:], bundle.z[:] = q[k], v[k], z[k]
-        next_place(workspace.engine, switches.address, t, 1.0, first_place(switches.address, t, 1.0))
-        values.append(bundle.samples[0].copy())
-    return np.array(values).reshape(-1, len(bundle.value))
+    return (rows.time, *(np.asarray(x) if x.ndim == 2 else np.asarray(x)[..., 0] for x in (rows.q, rows.v, z)))
 
 
 class GivenDuals:
@@ -362,7 +354,7 @@ class DifferentiatedStepper(CompiledStepper):
         while not (stepper.finished or stepper.failure):
             rows = stepper.advance()
             ends += rows.time.tolist()
-            values.append(_switching_functions(stepper.workspace, stepper.switches, rows))
+            values.append(switching_functions(stepper.workspace, stepper.switches, *_states(rows)))
         time, near, ends = np.array(ends), np.abs(np.concatenate(values)), ends[:1]
         size = np.diff(time)
         for k in range(1, len(time)):
@@ -377,7 +369,7 @@ class DifferentiatedStepper(CompiledStepper):
         pinned = switch_bundle(workspace, float(np.ptp(rows.time)))
         if pinned is None:
             return []
-        is_positive, laws = _switching_functions(workspace, pinned, rows) > 0.0, pinned.bundle.laws
+        is_positive, laws = switching_functions(workspace, pinned, *_states(rows)) > 0.0, pinned.bundle.laws
         changes = np.logical_or.reduceat(np.any(is_positive[1:] != is_positive[:-1], axis=0), laws[:, 2])
         return [workspace.mechanism.laws[law][0] for law in laws[changes, 0]]
 

@@ -156,15 +156,15 @@ class ToSwitches:
         h, last, dense, bundle = end - t, made.state, made.dense, self.pinned.bundle
 
         def state(x: float) -> tuple[np.ndarray, ...]:
-            nonlocal astray
             q, v = hermite(x, h, begin.q, last.q - begin.q, begin.v, last.v)
             if dense is not None and not by_cubic and 0.0 < x < 1.0:
                 between = dense(x)
-                astray = max(astray, float(np.max(np.abs(between[0] - q))))
+                astray.append(float(np.max(np.abs(between[0] - q))))
                 return between
             return q, v, begin.z + x * (last.z - begin.z)
 
-        place, count, by_cubic, astray = float(first_place(switches, t, h)), 0, dense is not None, 0.0
+        astray = list[float]()
+        place, count, by_cubic = float(first_place(switches, t, h)), 0, dense is not None
         while place >= 0.0:
             q, v, z, *_ = state(place)
             bundle.q[:], bundle.v[:], bundle.z[:] = with_ground(q), with_ground(v), z
@@ -177,6 +177,6 @@ class ToSwitches:
         if 0.0 < share < 1.0:
             return share
         ways = np.abs(last.q - begin.q) + h * (np.abs(begin.v) + np.abs(last.v))
-        if astray > ASTRAY * float(np.max(ways)):  # stages behind the zero make it useless
+        if astray and max(astray) > ASTRAY * float(np.max(ways)):  # stages behind the zero make it useless
             return self(equations, t, begin, replace(made, dense=None), end)
         return 1.0

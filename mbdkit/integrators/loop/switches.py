@@ -9,7 +9,18 @@ from mbdkit.engine.kernels.law_programs import run_program
 from mbdkit.engine.kernels.table_rows import INPUT, LAW_ROW, LOAD_VALUE, MULTIPLIER, SPRING, STATE_ROW, STATE_USE
 from mbdkit.engine.native.bundle import PinnedBundle
 from mbdkit.engine.workspace import Workspace
-from mbdkit.integrators.loop.steps_to_switches import MOST_SAMPLES, Spell, SwitchBundle, look
+from mbdkit.integrators.loop.steps_to_switches import (
+    AT_ZERO,
+    MOST_SAMPLES,
+    Spell,
+    SwitchBundle,
+    first_place,
+    look,
+    next_place,
+)
+
+#: Number of ends of steps with which the values of switching functions are compared.
+PREVIOUS = 3
 
 
 def switching_laws(mechanism: CompiledMechanism) -> tuple[list[tuple[int, int, int, int, int]], int]:
@@ -70,3 +81,33 @@ def look_for_switches(dense: int, workspace: Workspace, span: float) -> PinnedBu
     pinned.bundle.dense[0] = dense
     looks[1:] = look.address, pinned.address
     return pinned
+
+
+def switching_functions(
+    workspace: Workspace, switches: PinnedBundle | None, time: np.ndarray, q: np.ndarray, v: np.ndarray, z: np.ndarray
+) -> np.ndarray:
+    """Return the switching functions (T, G) of the forces in T states."""
+    if switches is None:
+        return np.zeros((len(time), 0))
+    bundle, values = switches.bundle, []
+    for k, t in enumerate(time.tolist()):
+        bundle.q[:], bundle.v[:], bundle.z[:] = q[k], v[k], z[k]
+        next_place(workspace.engine, switches.address, t, 1.0, first_place(switches.address, t, 1.0))
+        values.append(bundle.samples[0].copy())
+    return np.array(values).reshape(-1, len(bundle.value))
+
+
+def ends_at_switches(time: np.ndarray, values: np.ndarray, first: int, shortest: float) -> list[int]:
+    """Return the ends of steps, from `first` on, that lie just behind a time at which a force switches.
+
+    `time`, `values`: (T,) times and (T, G) switching functions at the ends of consecutive steps. A function is small
+    compared with those of the `PREVIOUS` ends before, of which several may be close to the zero, or the step is below
+    `shortest` [s], as steps are to which error control has led.
+    """
+    ends = list[int]()
+    for k in range(first, len(values)):
+        before = values[max(0, k - PREVIOUS) : k]
+        is_small = np.abs(values[k]) < AT_ZERO * np.max(np.abs(before), axis=0)
+        if np.any((is_small | (time[k] - time[k - 1] < shortest)) & (before[-1] * values[k] <= 0.0)):
+            ends.append(k)
+    return ends
