@@ -144,17 +144,18 @@ class _RestSearch:
         self.none, self.no_rows = np.zeros(self.p.n), np.zeros(self.p.m)
         self.q = self.p.q0.copy()
         self.tried = 0
-        #: Largest sum so far of the norms of applied and constraint forces, in the metric of the inverse mass.
+        #: Largest sum of the norms of applied and constraint forces in the positions so far, in the metric of the
+        #: inverse mass. Rejected steps do not count: a floor that they enter by metres repels with any force.
         self.force = 0.0
-        self.x, self.lam, self.imbalance = self.balance(self.q)
+        self.move(self.q, self.balance(self.q))
         stiffest = stiffness_scale(prepared, at_rest(prepared, self.q, self.lam)) if prepared.freedoms else 0.0
         #: Imbalance that rounding errors of the positions can cause, by the largest stiffness of a coordinate.
         self.blur = float(np.finfo(float).eps) * stiffest * self.extent * float(np.sqrt(np.sum(self.p.mass)))
         #: Stiffness by the mass [1/s^2] that makes motions without any stiffness determined.
         self.least = 1e-3 * float(np.finfo(float).eps) * stiffest
 
-    def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the accelerations from rest (n,), the multipliers (m,), and the imbalance.
+    def balance(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, float]:
+        """Return the accelerations from rest (n,), the multipliers (m,), the imbalance, and the size of the forces.
 
         The imbalance is the norm of these accelerations in the mass metric.
         """
@@ -163,8 +164,13 @@ class _RestSearch:
         x, lam = p.solve(p.t0, q, applied, self.no_rows)
         held = p.constraint_forces(p.t0, q, lam)
         force = np.sqrt(np.sum(applied**2 / p.mass)) + np.sqrt(np.sum(held**2 / p.mass))
-        self.force = max(self.force, float(force))
-        return x, lam, float(np.sqrt(np.sum(p.mass * x**2)))
+        return x, lam, float(np.sqrt(np.sum(p.mass * x**2))), float(force)
+
+    def move(self, q: np.ndarray, there: tuple[np.ndarray, np.ndarray, float, float]) -> None:
+        """Move to a position with a known `balance`."""
+        self.q = q
+        self.x, self.lam, self.imbalance, force = there
+        self.force = max(self.force, force)
 
     def size(self, s: np.ndarray) -> float:
         """Return the largest change of a coordinate in a step, relative to the size of the mechanism or to 1 rad."""
@@ -212,8 +218,7 @@ class _RestSearch:
                 except (StepError, RuntimeError):  # the joints cannot be closed there
                     continue
                 if work > 0:
-                    self.q = end
-                    self.x, self.lam, self.imbalance = there
+                    self.move(end, there)
                     return True
         return False
 
@@ -282,8 +287,7 @@ class _RestSearch:
             there = self.balance(q)
             following = self.size(step_from(q, there[1]))
             if following <= (1.0 - 0.5 * share) * length:
-                self.q = q
-                self.x, self.lam, self.imbalance = there
+                self.move(q, there)
                 return following / length
             share *= 0.5
         return 1.0
@@ -311,8 +315,7 @@ class _RestSearch:
         near = self.is_balanced and there[2] < 0.5 * before
         if not (work >= 0.1 * promised or near):
             return False
-        self.q = end
-        self.x, self.lam, self.imbalance = there
+        self.move(end, there)
         return True
 
     def closed(self, q: np.ndarray) -> np.ndarray:

@@ -205,6 +205,24 @@ def test_a_soft_spring_yields_beside_what_is_stiff(stiff: str, mass: float, stif
     assert mbdkit.equilibrium(m)["slide"][0] == pytest.approx(0.5 + load / stiffness, abs=1e-12)
 
 
+@pytest.mark.parametrize("mass", [1.0, 1.59])
+def test_a_ball_that_just_touches_sinks_into_its_floor_however_far_away_other_bodies_are(mass: float) -> None:
+    stiffness, radius = 2.9e6, 0.29
+    ball = {"mass": mass, "inertia": 1.6e-4, "position": [-239.0, radius]}
+    pendulum = {"mass": 1.0, "inertia": 0.1, "position": [5.0, -1e-3]}
+    law = {"law": "hunt-crossley", "stiffness": stiffness}
+    shapes = [{"line": {"normal": [0, 1]}}, {"circle": {"radius": radius}}]
+    model = {
+        "name": "mechanism",
+        "bodies": {"ball": ball, "pendulum": pendulum},
+        "contacts": {"c": {"bodies": ["ground", "ball"], "shapes": shapes, "compliance": law}},
+        "joints": {"q": {"type": "revolute", "bodies": ["ground", "pendulum"], "points": [[5.0, 0], [0, 1e-3]]}},
+    }
+    found = mbdkit.equilibrium({"mbdkit": 1, "model": model})
+    assert radius - found["ball"][1] == pytest.approx((mass * G / stiffness) ** (2 / 3), rel=1e-6)
+    assert len(found.neutral_motions) == 2
+
+
 def test_coarse_corrected_elements_bend_far() -> None:
     # expected: 0.74457 L under the force 6 EI/L^2 across the tip, in Mattiasson's table of the elastica (1981)
     m = mbdkit.Mechanism(gravity=(0.0, 0.0))
